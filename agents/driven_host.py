@@ -14,7 +14,7 @@ class DrivenHost(AgentHost):
 
     Attributes:
         observations: of the vehicles with a tick now, by vehicle; empty once their commands are taken.
-        received: messages that have arrived at these vehicles since their last observations, by receiver and arrival; None: none.
+        received: messages that have arrived since these vehicles' last observations, by receiver and arrival; None: none.
         from_ns: earlier ticks pass without an observation, with the last command; their messages wait for the next one.
     """
 

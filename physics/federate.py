@@ -256,7 +256,7 @@ class KinematicPhysics(Physics):
 
 
 class FlightPhysics(Physics):
-    """Quadrotors fly by their rotors and autopilots as in Bullet, but nothing has a body; other vehicles as in ``kinematic``."""
+    """Quadrotors fly by rotors and autopilots as in Bullet, but nothing has a body; other vehicles as in ``kinematic``."""
 
     def engines(self) -> list[tuple[Engine, list[int]]]:
         """The engine of quadrotors, and the engines of vehicles without bodies."""

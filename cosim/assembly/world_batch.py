@@ -146,8 +146,8 @@ def _alone(scenario: Scenario, fleet: Fleet) -> "list[tuple[str, str]]":
             found.append((f"{key}.sensors", "sensors and real vehicles"))
         if each.agent is not None:
             found.append((f"{key}.agent", "an agent of the scenario"))
-        if not isinstance(fleet.models[each.name], GroundVehicle | Point | Quadrotor) or getattr(fleet.models[each.name], "downwash", False):
+        if not isinstance(fleet.models[each.name], GroundVehicle | Point | Quadrotor) or getattr(
+            fleet.models[each.name], "downwash", False
+        ):
             found.append((f"{key}.kind", "a vehicle of this kind"))
     return found
-
-

@@ -188,13 +188,14 @@ PARTS: Mapping[str, str] = {
     "vehicle": "a kind of robot with its own parameters",
     "sensor": "a sensor of a vehicle",
     "driver": "a driver of a real robot, and an emulated robot to test it",
+    "task": "a task of multi-agent learning",
 }
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*([-_][A-Za-z0-9]+)*")
 LONGEST = 60  # characters of a name; file names are longer
 
 
 def new_command(
-    part: Annotated[str, typer.Argument(metavar="PART", help="scenario, agent, channel, vehicle, sensor or driver.")],
+    part: Annotated[str, typer.Argument(metavar="PART", help="scenario, agent, channel, vehicle, sensor, driver or task.")],
     name: Annotated[str, typer.Argument(metavar="NAME", help="A new name, e.g. follow-wall: the class is FollowWall.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files.")] = Path(),
 ) -> None:
@@ -273,7 +274,7 @@ def _refuse_taken(part: str, snake: str, camel: str, folder: Path) -> None:
 
     here = f"vcmvsp new {part} {snake}"
     layers = [group for group, verb in builtin_kinds.VERBS.items() if "frame" in verb or "paths" in verb]
-    groups = {"channel": layers, "scenario": []}.get(part, [part])
+    groups = {"channel": layers, "scenario": [], "task": []}.get(part, [part])
     built_in = scenarios.names() if part == "scenario" else [kind for group in groups for kind in builtin_kinds.KINDS[group]]
     if snake in {each.replace("-", "_") for each in built_in}:
         raise UsageError(f"{here}: a built-in {part} has this name; choose another one, such as my-{snake}")

@@ -99,6 +99,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "search": "vcmvsp.agents.reconnaissance.search:Search",
         "track": "vcmvsp.agents.reconnaissance.track:TrackTarget",
         "mission": "vcmvsp.agents.mission.mission:SearchMission",
+        "policy": "vcmvsp.cosim.learning.policy:Policy",
     },
     "estimator": {},  # a parameter of agents, which list their kinds
     "avoidance": {},  # as for estimators

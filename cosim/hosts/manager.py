@@ -222,7 +222,7 @@ class Hosts:
                     self.kinds.pop(vehicle, None)
                     self._specs[vehicle] = self._wanted[vehicle]
         if late:  # the scenario names the classes, so the agents can be described without their host
-            local = self._builder("late", late)
+            local = self._builders["inprocess"]("late", late)
             self._add_host([], Built(local.agents, local.reads, local.latest), late)
 
     def _add_host(self, crews: Sequence[Crew], built: Built, missing: Sequence[AgentSpec] = ()) -> None:

@@ -26,7 +26,19 @@ from threadpoolctl import ThreadpoolController
 
 from vcmvsp.cosim.clock import SECOND_NS, Clock, SimClock, WallClock
 from vcmvsp.cosim.errors import FederateError, VcmvspError, words_of
-from vcmvsp.cosim.federate import Driven, Event, Federate, Polled, Prompted, Releasable, RemoteFederate, RunInfo, Slot, Waiting, matches
+from vcmvsp.cosim.federate import (
+    Driven,
+    Event,
+    Federate,
+    Polled,
+    Prompted,
+    Releasable,
+    RemoteFederate,
+    RunInfo,
+    Slot,
+    Waiting,
+    matches,
+)
 from vcmvsp.cosim.util.polling import readable
 
 Observer = Callable[[Event], None]
@@ -242,11 +254,7 @@ class Kernel:
                 last = self._last_ns = self._wait_until(last, int(now))
                 if on_instant:
                     on_instant(last)
-                for index, federate in self._polled:
-                    with self._blames[index]:
-                        wanted = federate.poll(last)
-                    if wanted:
-                        self._schedule(index, last)
+                self._poll(last)
             if self.stop:
                 raise KeyboardInterrupt
             if self._env.peek() <= last:  # else the federate that woke the clock needs no step
@@ -255,10 +263,17 @@ class Kernel:
                     return True
         self.now_ns = end_ns
         self._events.publish(end_ns, Slot.RADIO)
-        for index in sorted(self._driven):
+        for index, federate in self._driven.items():
             with self._blames[index]:
-                self._driven[index].finish(end_ns, self._events.inbox(index))
+                federate.finish(end_ns, self._events.inbox(index))
         return False
+
+    def _poll(self, now_ns: int) -> None:
+        for index, federate in self._polled:
+            with self._blames[index]:
+                wanted = federate.poll(now_ns)
+            if wanted:
+                self._schedule(index, now_ns)
 
     def _listen(self) -> None:
         doors = [each.fileno() for _, each in self._polled if isinstance(each, Prompted)]

@@ -49,5 +49,14 @@ def picture(task: Task, worlds: Worlds, frames: Sequence[FrameReport], names: Se
         cv2.circle(image, (x, y), 8, _VEHICLE, -1, cv2.LINE_AA)
         cv2.line(image, (x, y), (round(x + 15 * np.cos(yaw)), round(y - 15 * np.sin(yaw))), _VEHICLE, 3, cv2.LINE_AA)
         cv2.putText(image, name, (x + 10, y - 8), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (60, 60, 60), 1, cv2.LINE_AA)
-    cv2.putText(image, f"{worlds.time_s[0]:.1f} s   cell {step_m:g} m", (8, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (60, 60, 60), 1, cv2.LINE_AA)
+    cv2.putText(
+        image,
+        f"{worlds.time_s[0]:.1f} s   cell {step_m:g} m",
+        (8, 16),
+        cv2.FONT_HERSHEY_SIMPLEX,
+        0.45,
+        (60, 60, 60),
+        1,
+        cv2.LINE_AA,
+    )
     return image

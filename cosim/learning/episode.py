@@ -1,8 +1,7 @@
 """One episode of a task in a run that is stepped (`cosim.runs.stepping`): from actions to `Worlds`, with w = 1."""
 
-import functools
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,11 +11,12 @@ from vcmvsp.cosim.agent import Observation
 from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.federate import Event
-from vcmvsp.cosim.learning.task import AGE_BOUND_S, LEAST_DBM, Floats, Task, Worlds, yaw_of_attitude
+from vcmvsp.cosim.learning.mail import Mail
+from vcmvsp.cosim.learning.task import Floats, Task, Worlds, yaw_of_attitude
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.runs.stepping import SteppedRun, start
 from vcmvsp.cosim.scenario import loader as scenarios
-from vcmvsp.cosim.types import FrameReport, Message, States, Velocity
+from vcmvsp.cosim.types import FrameReport, States, Velocity
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.view.live.session import Viewing
@@ -73,52 +73,6 @@ class TaskScenario:
         return scenarios.load(self._content, settings=settings, seed=seed), memory
 
 
-class Mail:
-    """The newest message that each of n vehicles has from each other one, in w worlds.
-
-    Attributes:
-        message: (w, n, n - 1, m), in the order of vehicles.
-        sent_ns: (w, n, n - 1); -1: none yet.
-        rssi_dbm: (w, n, n - 1).
-    """
-
-    def __init__(self, worlds: int, vehicles: int, floats: int) -> None:
-        shape = worlds, vehicles, vehicles - 1
-        self.message = np.zeros((*shape, floats))
-        self.sent_ns = np.full(shape, -1, np.int64)
-        self.rssi_dbm = np.full(shape, LEAST_DBM)
-
-    def take(
-        self, now_ns: int, sent_ns: int, message: Floats, arrival_ns: NDArray[np.int64], rssi_dbm: Floats
-    ) -> None:
-        """Take what arrives by now of the messages (w, n, m) that all vehicles sent at one time, unless a newer one is known.
-
-        Args:
-            arrival_ns, rssi_dbm: (w, n, n - 1) by sender and receiver; -1: lost.
-        """
-        sender, place, receiver, there = _transposed(arrival_ns.shape[1])
-        arrived = (arrival_ns >= 0) & (arrival_ns <= now_ns)
-        newer = arrived[:, sender, place] & (self.sent_ns[:, receiver, there] <= sent_ns)
-        world, pair = np.nonzero(newer)
-        at = world, receiver[pair], there[pair]
-        self.message[at] = message[world, sender[pair]]
-        self.sent_ns[at] = sent_ns
-        self.rssi_dbm[at] = rssi_dbm[world, sender[pair], place[pair]]
-
-    def ages(self, now_ns: int) -> dict[str, NDArray[Any]]:
-        """Fields of `Worlds` at a time."""
-        heard = self.sent_ns >= 0
-        age_s = np.where(heard, (now_ns - self.sent_ns) / 1e9, AGE_BOUND_S)
-        return {"message": self.message, "rssi_dbm": self.rssi_dbm, "age_s": age_s, "heard": heard}
-
-
-@functools.lru_cache
-def _transposed(vehicles: int) -> tuple[NDArray[np.intp], ...]:
-    """All pairs: row of the sender, the receiver's place among its others, row of the receiver, the sender's place there."""
-    sender, receiver = np.nonzero(~np.eye(vehicles, dtype=bool))
-    return sender, receiver - (receiver > sender), receiver, sender - (sender > receiver)
-
-
 class Episode:
     """A run of one world of a task: the caller gives actions and gets `Worlds` of w = 1.
 
@@ -143,7 +97,7 @@ class Episode:
         self._next()
 
     def step(self, commands: Floats, sends: NDArray[np.bool_], messages: NDArray[np.float32]) -> bool:
-        """Give commands (n, 4), see `Task.motion`, and messages (n, m) of the vehicles that send, (n,); whether the run goes on."""
+        """Give commands (n, 4), see `Task.motion`, and messages (n, m) of those that send, (n,); whether the run goes on."""
         flies, given = self._task.flies, {}
         for name, (x, y, z, turn) in zip(self.names, commands.tolist(), strict=True):
             given[name] = Velocity(linear=(x, y, z) if flies else (x, 0.0, 0.0), yaw_rate=turn)
@@ -162,13 +116,16 @@ class Episode:
         observations = self.readings()
         if len(observations) < len(self.names):
             missing = next(name for name in self.names if name not in observations)
-            raise UsageError(f"{missing} has no tick with the others: all vehicles of a task need one period, and none may fail")
+            raise UsageError(
+                f"{missing} has no tick with the others: all vehicles of a task need one period, and none may fail"
+            )
         states = self._states
         assert states is not None  # noqa: S101  published before any tick
         now_ns = next(iter(observations.values())).time_ns
-        self._take_messages()
+        if self.run.received is not None:
+            self._mail.put(self.run.received, self._row)
         self.frames = counted(self.reports, self._row)
-        rest = {**self._mail.ages(now_ns), "time_s": np.array([now_ns / 1e9]), "memory": self.memory}
+        rest: dict[str, Any] = {**self._mail.ages(now_ns), "time_s": np.array([now_ns / 1e9]), "memory": self.memory}
         self.true = Worlds(
             position=states.position[None],
             velocity=states.velocity[None],
@@ -193,35 +150,6 @@ class Episode:
             self._states = event.value  # type: ignore[assignment]  # the value of this key
         elif event.key == "radio/frame":
             self.reports.append(event.value)  # type: ignore[arg-type]  # the value of this key
-
-    def _take_messages(self) -> None:
-        """Keep what was sent last of what has arrived; of equal times, the later arrival."""
-        batch = self.run.received
-        if batch is None:
-            return
-        senders = np.array([self._row[message.sender] for message in batch.messages])[batch.message]
-        sent_ns, receivers = batch.sent_ns[batch.message], batch.receiver
-        place = senders - (senders > receivers)
-        order = np.argsort(sent_ns, kind="stable")  # rows are in order of arrival: the last one of a pair counts
-        order = order[sent_ns[order] >= self._mail.sent_ns[0, receivers[order], place[order]]]
-        at = 0, receivers[order], place[order]
-        vectors = vectors_of(batch.messages, self._task.message_floats)
-        self._mail.message[at] = vectors[batch.message[order]]
-        self._mail.sent_ns[at] = sent_ns[order]
-        self._mail.rssi_dbm[at] = batch.rssi_dbm[order]
-
-
-def vectors_of(messages: Sequence[Message], floats: int) -> Floats:
-    """The numbers of messages in [-1, 1], (k, floats): of bytes as float32, of a mapping in the order of keys; the rest is 0."""
-    bodies = [message.body if isinstance(message.body, bytes) else _packed(message.body) for message in messages]
-    size = 4 * floats
-    whole = np.frombuffer(b"".join([body[:size].ljust(size, b"\0") for body in bodies]), "<f4").reshape(-1, floats)
-    return np.clip(np.nan_to_num(whole), -1.0, 1.0).astype(float)
-
-
-def _packed(body: Mapping[str, Any]) -> bytes:
-    numbers = [body[key] for key in sorted(body) if isinstance(body[key], int | float)]
-    return np.array(numbers, "<f4").tobytes()
 
 
 class FrameCount:

@@ -48,7 +48,9 @@ def task_of(task: str | Path | Mapping[str, Any] | Task | type[Task]) -> Task:
         task = task()
     if isinstance(task, Task):
         if type(task).scenario is Task.scenario:
-            raise UsageError(f"task {type(task).__name__}: names no scenario: define scenario(), which returns a name or a table")
+            raise UsageError(
+                f"task {type(task).__name__}: names no scenario: define scenario(), which returns a name or a table"
+            )
         return task
     if isinstance(task, str) and task.removeprefix("vcmvsp/").removesuffix("-v0") in TASKS:
         return TASKS[task.removeprefix("vcmvsp/").removesuffix("-v0")]()
@@ -56,10 +58,12 @@ def task_of(task: str | Path | Mapping[str, Any] | Task | type[Task]) -> Task:
         return _OfScenario(task)
     if isinstance(task, str) and task in scenarios.names():
         return _OfScenario(task)
-    raise UsageError(f"task: {unknown('task', str(task), TASKS)}, a scenario, or an object of a class derived from vcmvsp.env.Task")
+    raise UsageError(
+        f"task: {unknown('task', str(task), TASKS)}, a scenario, or an object of a class derived from vcmvsp.env.Task"
+    )
 
 
-class VehiclesEnv(ParallelEnv[str, Vector, Vector]):
+class VehiclesEnv(ParallelEnv[str, Vector, Vector]):  # type: ignore[misc]  # PettingZoo has no types
     """All vehicles of a task as agents of a PettingZoo environment; arguments as of `parallel_env`.
 
     An observation is a vector (`layout` names its parts). An action is a vector in [-1, 1]: motion (forward speed and yaw rate,
@@ -99,18 +103,24 @@ class VehiclesEnv(ParallelEnv[str, Vector, Vector]):
         self._episode: Episode | None = None
         self._view: Viewing | None = None
         self._ticks = 0
-        self._begin(self._next_seed)  # the first episode tells the sizes
+        self._begin(self._next_seed, shows=False)  # the first episode tells the sizes
         first = self._now.observed
         self._sensors = SensorVector(task.sensors, self._now.readings()) if task.sensors else None
-        extras, readings = task.extra(first).shape[-1], 0 if self._sensors is None else self._sensors.size
-        self.layout = Layout(len(self.possible_agents), task.message_floats, extras, readings)
+        feature_count, readings = task.features(first).shape[-1], 0 if self._sensors is None else self._sensors.size
+        self.layout = Layout(len(self.possible_agents), task.message_floats, feature_count, readings)
         self._bounds = self.layout.bounds(task, None if self._sensors is None else self._sensors.bounds)
         actions = task.motions + 1 + task.message_floats
         self._observation_spaces = {each: Box(*self._bounds, dtype=np.float32) for each in self.possible_agents}
         self._action_spaces = {each: Box(-1.0, 1.0, (actions,), np.float32) for each in self.possible_agents}
         bounds = np.tile([*(task.reach_m,) * 3, *_STATE_BOUNDS], len(self.possible_agents))
-        bounds = np.append(bounds, np.full(task.shared(first).shape[-1], max(task.reach_m, task.extra_bound())))
+        bounds = np.append(bounds, np.full(task.shared(first).shape[-1], max(task.reach_m, task.features_bound())))
         self.state_space = Box(-bounds.astype(np.float32), bounds.astype(np.float32), dtype=np.float32)
+        self.close()
+        self._next_seed -= 1
+
+    def __getstate__(self) -> dict[str, Any]:
+        """A copy in another process has no episode until it is reset, with the seed that would come next here."""
+        return {**self.__dict__, "_episode": None, "_view": None, "agents": []}
 
     def observation_space(self, agent: str) -> Box:
         """The space of a vehicle's observations."""
@@ -158,7 +168,7 @@ class VehiclesEnv(ParallelEnv[str, Vector, Vector]):
         )
 
     def state(self) -> Vector:
-        """True states of all vehicles, and what the task shares, for a critic: 9 numbers a vehicle (`task.OWN`), then the rest."""
+        """For a critic: the true states of all vehicles, 9 numbers each (`task.OWN`), then what the task shares."""
         true = self._now.true
         own = [true.position, np.cos(true.yaw)[..., None], np.sin(true.yaw)[..., None], true.velocity, true.yaw_rate[..., None]]
         values = np.append(np.concatenate(own, axis=-1).ravel(), self.task.shared(true).ravel())
@@ -174,7 +184,7 @@ class VehiclesEnv(ParallelEnv[str, Vector, Vector]):
         return self._now.true
 
     def render(self) -> NDArray[np.uint8] | None:
-        """A picture from above, (height, width, 3) RGB; None in mode ``human``, whose control station shows the run by itself."""
+        """A picture from above, (height, width, 3) RGB; None in mode ``human``, where the control station shows the run."""
         if self.render_mode != "rgb_array":
             return None
         from vcmvsp.cosim.learning.drawing import picture
@@ -198,10 +208,10 @@ class VehiclesEnv(ParallelEnv[str, Vector, Vector]):
         assert self._episode is not None  # noqa: S101  made by the constructor
         return self._episode
 
-    def _begin(self, seed: int) -> None:
+    def _begin(self, seed: int, *, shows: bool = True) -> None:
         self.close()
         self._next_seed, self._ticks = seed + 1, 0
-        if self.render_mode == "human":
+        if shows and self.render_mode == "human":
             from vcmvsp.cosim.view.live.session import Viewing
 
             self._view = Viewing(opened=lambda url: print(f"control station: {url}"))  # noqa: T201  for the person at the terminal
@@ -209,7 +219,7 @@ class VehiclesEnv(ParallelEnv[str, Vector, Vector]):
 
     def _observations(self) -> dict[str, Vector]:
         observed = self._now.observed
-        values = self.layout.observations(observed, self.task.extra(observed), self._bounds)[0]
+        values = self.layout.observations(observed, self.task.features(observed), self._bounds)[0]
         if self._sensors is not None:
             readings = self._now.readings()
             for row, name in enumerate(self.possible_agents):

@@ -61,7 +61,9 @@ def _numbers(reading: Reading) -> Floats:
             return np.array([*pose, v, w])
         case Fix(position=position):
             return np.array(position)
-    raise UsageError(f"sensors: a {type(reading).__name__} is no vector; use scans, ranges, inertial readings, odometry or fixes")
+    raise UsageError(
+        f"sensors: a {type(reading).__name__} is no vector; use scans, ranges, inertial readings, odometry or fixes"
+    )
 
 
 def _bounds(reading: Reading) -> Floats:

@@ -70,12 +70,12 @@ class Task:
         """The task's memory of one world at the start of an episode; start poses (n, 4). Draws come after those of `starts`."""
         return {}
 
-    def extra(self, worlds: Worlds) -> Floats:
+    def features(self, worlds: Worlds) -> Floats:
         """What each vehicle observes besides its own state and messages, (w, n, k)."""
         return np.zeros((*worlds.yaw.shape, 0))
 
-    def extra_bound(self) -> float:
-        """Bound of the numbers of `extra`."""
+    def features_bound(self) -> float:
+        """Bound of the numbers of `features`."""
         return self.reach_m
 
     def step(self, worlds: Worlds) -> tuple[Floats, Bools]:
@@ -117,7 +117,7 @@ class Observed:
 
     Attributes:
         own: (..., n, 9), see `OWN`.
-        extra: (..., n, k), see `Task.extra`.
+        features: (..., n, k), see `Task.features`.
         message: (..., n, n - 1, m) newest message of each other vehicle.
         age_s, rssi_dbm, heard: (..., n, n - 1) of these messages; ``heard`` is 0 or 1.
         sensors: (..., n, s) readings.
@@ -126,7 +126,7 @@ class Observed:
     def __init__(self, values: NDArray[Any], layout: "Layout") -> None:
         self.values = values
         shape, floats = values.shape[:-1], layout.message_floats
-        self.own, self.extra = values[..., layout.own], values[..., layout.extra]
+        self.own, self.features = values[..., layout.own], values[..., layout.features]
         self.sensors = values[..., layout.sensors]
         others = values[..., layout.others].reshape(*shape, layout.vehicles - 1, floats + 3)
         self.message = others[..., :floats]
@@ -135,12 +135,12 @@ class Observed:
 
 @dataclass(frozen=True)
 class Layout:
-    """Places of the parts of an observation of one vehicle among n, a vector: own state, extras, sensors, other vehicles."""
+    """Places of the parts of an observation of one vehicle among n, a vector: own state, features, sensors, others."""
 
     vehicles: int
     message_floats: int
-    extras: int  # numbers of `Task.extra`
-    readings: int = 0  # numbers of all sensors
+    feature_count: int  # numbers of `Task.features`
+    reading_count: int = 0  # numbers of all sensors
 
     @property
     def own(self) -> slice:
@@ -148,14 +148,14 @@ class Layout:
         return slice(0, len(OWN))
 
     @property
-    def extra(self) -> slice:
-        """Of `Task.extra`."""
-        return slice(len(OWN), len(OWN) + self.extras)
+    def features(self) -> slice:
+        """Of `Task.features`."""
+        return slice(len(OWN), len(OWN) + self.feature_count)
 
     @property
     def sensors(self) -> slice:
         """Of the sensors' readings."""
-        return slice(self.extra.stop, self.extra.stop + self.readings)
+        return slice(self.features.stop, self.features.stop + self.reading_count)
 
     @property
     def others(self) -> slice:
@@ -171,7 +171,7 @@ class Layout:
         """Least and greatest observation, (2, size); bounds of the sensors (2, readings)."""
         own = [task.reach_m] * 3 + [1.0, 1.0] + [SPEED_BOUND] * 3 + [YAW_RATE_BOUND]
         greatest = np.zeros(self.size)
-        greatest[self.own], greatest[self.extra] = own, task.extra_bound()
+        greatest[self.own], greatest[self.features] = own, task.features_bound()
         least = -greatest
         floats = self.message_floats
         each = [[-1.0] * floats + [0.0, LEAST_DBM, 0.0], [1.0] * floats + [AGE_BOUND_S, MOST_DBM, 1.0]]
@@ -180,7 +180,7 @@ class Layout:
             least[self.sensors], greatest[self.sensors] = readings
         return np.array([least, greatest], np.float32)
 
-    def observations(self, worlds: Worlds, extra: Floats, bounds: NDArray[np.float32]) -> NDArray[np.float32]:
+    def observations(self, worlds: Worlds, features: Floats, bounds: NDArray[np.float32]) -> NDArray[np.float32]:
         """Observations (w, n, size), within their bounds; sensors stay 0."""
         w, n = worlds.yaw.shape
         values = np.zeros((w, n, self.size), np.float32)
@@ -189,7 +189,7 @@ class Layout:
         values[..., 4] = np.sin(worlds.yaw)
         values[..., 5:8] = worlds.velocity
         values[..., 8] = worlds.yaw_rate
-        values[..., self.extra] = extra
+        values[..., self.features] = features
         others = values[..., self.others].reshape(w, n, n - 1, self.message_floats + 3)  # a view
         others[..., :-3] = worlds.message
         others[..., -3], others[..., -2], others[..., -1] = worlds.age_s, worlds.rssi_dbm, worlds.heard

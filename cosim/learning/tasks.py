@@ -73,13 +73,13 @@ class Formation(Task):
         velocity = np.stack([-np.sin(angle), np.cos(angle)], axis=-1) * (radius_m * rate)[:, None]
         return position, velocity
 
-    def extra(self, worlds: Worlds) -> Floats:
+    def features(self, worlds: Worlds) -> Floats:
         """The own slot (2) and, of the first vehicle, position and velocity of the point (4), (w, n, 6)."""
-        extra = np.zeros((*worlds.yaw.shape, 6))
-        extra[..., :2] = self._slots()
+        features = np.zeros((*worlds.yaw.shape, 6))
+        features[..., :2] = self._slots()
         position, velocity = self.point(worlds)
-        extra[:, 0, 2:4], extra[:, 0, 4:6] = position, velocity
-        return extra
+        features[:, 0, 2:4], features[:, 0, 4:6] = position, velocity
+        return features
 
     def step(self, worlds: Worlds) -> tuple[Floats, Bools]:
         """The negative error of each vehicle; an episode never ends early."""
@@ -99,12 +99,12 @@ class Formation(Task):
         """The first vehicle sends the point, the others extrapolate it by the age of the message; all drive to their places."""
         shape = observations.own.shape[:-1]
         leader = np.arange(shape[-1]) == 0
-        known, message = observations.extra[..., 2:6], observations.message[..., 0, :]
+        known, message = observations.features[..., 2:6], observations.message[..., 0, :]
         heard = message[..., :2] * self.reach_m + message[..., 2:4] * observations.age_s[..., :1]
         point = np.where(leader[:, None], known[..., :2], heard)
         velocity = np.where(leader[:, None], known[..., 2:4], message[..., 2:4])
         there = leader | (observations.heard[..., 0] > 0)
-        way = point + observations.extra[..., :2] - observations.own[..., :2] + velocity  # a second ahead
+        way = point + observations.features[..., :2] - observations.own[..., :2] + velocity  # a second ahead
         actions = np.zeros((*shape, self.motions + 1 + self.message_floats))
         heading = np.arctan2(observations.own[..., 4], observations.own[..., 3])
         turn = np.arctan2(way[..., 1], way[..., 0]) - heading
@@ -160,7 +160,7 @@ class Search(Task):
         """The cells that each vehicle has seen, (n, 64), and those that anyone had seen at the last tick, (64,)."""
         return {"seen": np.zeros((self.vehicles, CELLS * CELLS), np.bool_), "found": np.zeros(CELLS * CELLS, np.bool_)}
 
-    def extra(self, worlds: Worlds) -> Floats:
+    def features(self, worlds: Worlds) -> Floats:
         """1 for each cell that the vehicle has seen, else 0, (w, n, 64): row by row from the south-west corner."""
         seen: Floats = worlds.memory["seen"].astype(float)
         return seen
@@ -191,7 +191,7 @@ class Search(Task):
         shape = observations.own.shape[:-1]
         cells = self._cells()
         way = cells - observations.own[..., None, :2]  # (..., n, 64, 2)
-        cost = np.hypot(way[..., 0], way[..., 1]) + 1e3 * observations.extra
+        cost = np.hypot(way[..., 0], way[..., 1]) + 1e3 * observations.features
         aims = observations.message[..., 2:4] * self.reach_m  # (..., n, n - 1, 2)
         near = np.hypot(*np.moveaxis(cells - aims[..., None, :], -1, 0)) < 0.5 * self.side_m / CELLS  # (..., n, n - 1, 64)
         cost += 100.0 * (near & (observations.heard[..., None] > 0)).any(axis=-2)
@@ -249,7 +249,7 @@ class Gates(Task):
         distance_m = np.sqrt(((centres[0] - starts[:, :3]) ** 2).sum(axis=-1))
         return {"centres": centres, "passed": np.zeros(self.vehicles, int), "distance_m": distance_m}
 
-    def extra(self, worlds: Worlds) -> Floats:
+    def features(self, worlds: Worlds) -> Floats:
         """The ways to the next gate and the one after it, m, and the share of gates passed, (w, n, 7)."""
         passed = worlds.memory["passed"]
         return np.concatenate(
@@ -288,7 +288,7 @@ class Gates(Task):
 
     def baseline(self, observations: Observed) -> Floats:
         """Fly to the next gate; wait if a vehicle that was heard is nearer to it and close by."""
-        way = observations.extra[..., :3]
+        way = observations.features[..., :3]
         distance_m = np.sqrt((way**2).sum(axis=-1))
         gate = observations.own[..., :3] + way
         others = observations.message[..., :3] * self.reach_m
@@ -296,7 +296,7 @@ class Gates(Task):
         close = np.sqrt(((observations.own[..., None, :3] - others) ** 2).sum(axis=-1)) < 3.0
         yields = ((observations.heard > 0) & close & (theirs < distance_m[..., None])).any(axis=-1)
         actions = np.zeros((*distance_m.shape, self.motions + 1 + self.message_floats))
-        speed = np.where(yields | (observations.extra[..., 6] >= 1.0), 0.0, 1.0)
+        speed = np.where(yields | (observations.features[..., 6] >= 1.0), 0.0, 1.0)
         actions[..., :3] = way / np.maximum(distance_m, 1.0)[..., None] * speed[..., None]
         actions[..., 4] = 1.0
         actions[..., 5:8] = observations.own[..., :3] / self.reach_m

@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 
 from vcmvsp.cosim.assembly.world_batch import WorldBatch
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.learning.episode import Mail, TaskScenario
+from vcmvsp.cosim.learning.episode import TaskScenario
+from vcmvsp.cosim.learning.mail import Mail
 from vcmvsp.cosim.learning.task import Bools, Floats, Layout, Observed, Task, Worlds, yaw_of_attitude
 
 Vectors = NDArray[np.float32]
 BYTES_PER_NUMBER = 4
+_NO_FRAMES: tuple[tuple[str, ...], NDArray[np.int64]] = (), np.zeros((1, 1, 0), np.int64)  # words and codes
 
 
 class WorldsEnv:
@@ -50,9 +52,12 @@ class WorldsEnv:
         loaded = self.scenario.load(self._next_seed)[0]
         self._batch = WorldBatch(loaded.scenario, loaded.source, self.scenario.period_s)
         self.worlds: Worlds
-        self._begin(self._next_seed)
-        extras = task.extra(self.worlds).shape[-1]
-        self.layout = Layout(len(self.names), task.message_floats, extras)
+        self._done: Bools
+        self._frames: tuple[tuple[str, ...], NDArray[np.int64]]
+        self._begin(self._next_seed)  # tells the sizes
+        self._next_seed -= num_envs
+        feature_count = task.features(self.worlds).shape[-1]
+        self.layout = Layout(len(self.names), task.message_floats, feature_count)
         self._bounds = self.layout.bounds(task)
         self._actions = task.motions + 1 + task.message_floats
         self.single_observation_space = Box(*self._bounds, dtype=np.float32)
@@ -65,7 +70,7 @@ class WorldsEnv:
             Observations (w, n, size), and infos as of `step`.
         """
         self._begin(self._next_seed if seed is None else seed)
-        return self._observations(), self._infos(np.zeros(self._done.shape + (len(self.names),), np.bool_))
+        return self._observations(), self._infos(np.zeros((self.num_envs, len(self.names)), np.bool_))
 
     def step(self, actions: NDArray[Any]) -> tuple[Vectors, Floats, Bools, Bools, dict[str, Any]]:
         """Act in all worlds, (w, n, a), and go on to the next tick.
@@ -105,10 +110,10 @@ class WorldsEnv:
         begun = [self.scenario.begin(each) for each in seeds]
         poses = np.stack([starts for starts, _ in begun])
         self._memory = {name: np.stack([np.asarray(memory[name]) for _, memory in begun]) for name in begun[0][1]}
+        self._done = np.zeros(self.num_envs, np.bool_)
+        self._frames = _NO_FRAMES
         self._mail = Mail(self.num_envs, len(self.names), self.task.message_floats)
         self._sent: list[tuple[int, Floats, NDArray[np.int64], Floats]] = []  # messages that have not arrived everywhere
-        self._done = np.zeros(self.num_envs, np.bool_)
-        self._frames: tuple[tuple[str, ...], NDArray[np.int64]] = ((), np.zeros((*poses.shape[:2], 0), np.int64))
         self._batch.start(seeds, poses)
         self._look()
 
@@ -129,10 +134,11 @@ class WorldsEnv:
         )
 
     def _observations(self) -> Vectors:
-        return self.layout.observations(self.worlds, self.task.extra(self.worlds), self._bounds)
+        return self.layout.observations(self.worlds, self.task.features(self.worlds), self._bounds)
 
     def _infos(self, sends: Bools) -> dict[str, Any]:
         words, code = self._frames
+        code = np.broadcast_to(code, (*sends.shape, code.shape[-1]))
         causes = {number: words[number] for number in np.unique(code[code > 0]).tolist()}
         lost = {cause: (code == number).sum(axis=-1) for number, cause in causes.items()}
         return {"frames_sent": sends.astype(int), "received": (code == 0).sum(axis=-1), "lost": lost}

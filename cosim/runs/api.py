@@ -225,7 +225,9 @@ class Simulation:
             gone = Presence(state="lost", since_ns=kernel.now_ns, why=plain(failure.cause))
             for vehicle in failure.vehicles:
                 recorder.on(Event(f"{vehicle}/host", kernel.now_ns, gone))
-        last = str(failure or (f"ended by its caller at {kernel.now_ns / SECOND_NS:.3f} s" if is_cut else "the run is complete"))
+        last = str(
+            failure or (f"ended by its caller at {kernel.now_ns / SECOND_NS:.3f} s" if is_cut else "the run is complete")
+        )
         recorder.log("error" if failure else "info", last, kernel.now_ns)
         recorder.close(kernel.now_ns, is_cut=is_cut or failure is not None)
         if self._broadcast is not None:

@@ -5,7 +5,7 @@ from collections.abc import Collection, Generator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Protocol, Self, cast
 
 from vcmvsp.cosim.agent import DrivenVehicle, Observation
 from vcmvsp.cosim.assembly.run import AssembledRun, assemble, clock_of
@@ -16,15 +16,25 @@ from vcmvsp.cosim.kernel.kernel import Kernel, Observer
 from vcmvsp.cosim.runs.api import Result, Simulation
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.types import Receptions, Velocity, Waypoint
-from vcmvsp.cosim.util.files import Folder, writing
+from vcmvsp.cosim.util.files import Folder
 from vcmvsp.cosim.util.text import Tell
 
 if TYPE_CHECKING:
-    from vcmvsp.agents.driven_host import DrivenHost
     from vcmvsp.cosim.view.live.session import Viewing
 
 Command = Velocity | Waypoint | None
 Steps = Generator[None, bool | None, VcmvspError | None]
+
+
+class Observes(Protocol):
+    """The host of the driven vehicles (`agents.driven_host.DrivenHost`)."""
+
+    observations: dict[str, Observation]
+    received: Receptions | None
+    from_ns: int
+
+    def act(self, commands: Mapping[str, Command]) -> None:
+        """Set the commands of the present tick."""
 
 
 class SteppedRun:
@@ -43,7 +53,7 @@ class SteppedRun:
         self, run: AssembledRun, vehicles: Mapping[str, DrivenVehicle], steps: Steps, simulation: Simulation | None
     ) -> None:
         self._run, self.vehicles, self._simulation = run, vehicles, simulation
-        self._host: DrivenHost = next(each for each in run.federates if each.name == DRIVEN)
+        self._host = cast("Observes", next(each for each in run.federates if each.name == DRIVEN))
         self._steps: Steps | None = steps
         self._started, self._cpu_s = datetime.now(UTC), time.process_time()
         self._result: Result | None = None

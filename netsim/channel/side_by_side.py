@@ -37,12 +37,12 @@ class _AllLinks(SenderLinks):
 
     def __init__(self, keys: Keys, pair_keys: Keys) -> None:
         super().__init__(0, "", ())
-        self.keys, self.pair_keys = keys, pair_keys  # type: ignore[misc]  # in place of the cached properties
+        self.keys, self.pair_keys = keys, pair_keys  # in place of the cached properties
 
 
 @dataclass(frozen=True)
 class Broadcasts:
-    """Outcomes of one message of each vehicle, in w worlds of n vehicles; rows of vehicles that did not send have no meaning."""
+    """Outcomes of one message of each vehicle, in w worlds of n vehicles; rows of silent vehicles mean nothing."""
 
     arrival_ns: Ints  # (w, n, n - 1) by sender and receiver, in the order of vehicles; -1: lost
     rssi_dbm: Floats  # (w, n, n - 1)
@@ -125,7 +125,9 @@ class SideBySide:
         """All frames as one with many receivers; with queues the layers see the start of the first one."""
         first_ns = int(start_ns.min())
         if self._by_time and int(start_ns.max()) != first_ns:
-            raise ScenarioError("frames wait in queues, and this layer depends on time: send less often, or use one world at a time")
+            raise ScenarioError(
+                "frames wait in queues, and this layer depends on time: send less often, or use one world at a time"
+            )
         nowhere = Paths(np.zeros(3), np.zeros((0, 3)), np.zeros(0))
         return Frame(sent_ns, first_ns, first_ns, size_bytes, nowhere, level_dbm.ravel(), self._links)
 

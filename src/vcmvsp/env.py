@@ -1,5 +1,36 @@
 """Environments for multi-agent learning over the emulated radio (``pip install 'vcmvsp[learn]'``)."""
 
-from vcmvsp.cosim.learning.environments import Formation, Gates, Search, Task, Worlds, env, parallel_env, vector_env
+from vcmvsp.cosim.learning.environments import (
+    Formation,
+    Gates,
+    Layout,
+    Observed,
+    Search,
+    Task,
+    VehicleEnv,
+    VehiclesEnv,
+    Worlds,
+    WorldsEnv,
+    env,
+    parallel_env,
+    vector_env,
+)
+from vcmvsp.cosim.learning.registration import register
 
-__all__ = ["Formation", "Gates", "Search", "Task", "Worlds", "env", "parallel_env", "vector_env"]
+register()
+
+__all__ = [
+    "Formation",
+    "Gates",
+    "Layout",
+    "Observed",
+    "Search",
+    "Task",
+    "VehicleEnv",
+    "VehiclesEnv",
+    "Worlds",
+    "WorldsEnv",
+    "env",
+    "parallel_env",
+    "vector_env",
+]

@@ -38,7 +38,7 @@ def behind_the_wire(link: type[MemoryLink] = MemoryLink) -> Iterator[None]:
     """Runs whose agents are in this process have them behind such a link."""
 
     def start(hosts: Hosts, specs: Mapping[str, Sequence[AgentSpec]], objects: object) -> None:
-        desk = Desk(hosts._builder)
+        desk = Desk(hosts._builders["inprocess"])
         hosts._stack.callback(desk.close)
         crew = hosts._crew(link(desk.handle), specs["inprocess"])
         hosts._add(RemoteHost("agents", [crew], [crew.build()]))
