@@ -161,8 +161,8 @@ def task_of_meta(meta: PolicyMeta, kind: type[Task] | None = None) -> Task:
 class Policy(Agent):
     """Runs a trained policy: it observes, sends and moves as in the environment that it was trained in.
 
-    With the true pose it gives the same actions as in `vcmvsp.env.parallel_env`. For a task of one's own, derive a class and set
-    ``task_class``.
+    With the true pose it gives the same actions as in `vcmvsp.env.parallel_env`. For a task of one's own, derive a class with
+    its ``task_class``.
     """
 
     task_class: ClassVar[type[Task] | None] = None

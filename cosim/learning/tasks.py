@@ -45,6 +45,8 @@ class Formation(Task):
     name: ClassVar[str] = "formation"
     vehicles: int = 3
     kind: str = "inertial"
+    flies: bool = False  # the kind, 2 m above the ground
+    max_speed: float = 0.75
     spacing_m: float = 1.5  # between neighbouring slots
     reach_m: float = 20.0
 
@@ -56,6 +58,7 @@ class Formation(Task):
         """Around the point's start, with headings at random, (n, 4)."""
         poses = np.zeros((self.vehicles, 4))
         poses[:, :2] = self._slots() + rng.uniform(-0.5, 0.5, (self.vehicles, 2))
+        poses[:, 2] = 2.0 * self.flies
         poses[:, 3] = rng.uniform(-math.pi, math.pi, self.vehicles)
         return poses
 
@@ -106,14 +109,18 @@ class Formation(Task):
         there = leader | (observations.heard[..., 0] > 0)
         way = point + observations.features[..., :2] - observations.own[..., :2] + velocity  # a second ahead
         actions = np.zeros((*shape, self.motions + 1 + self.message_floats))
-        heading = np.arctan2(observations.own[..., 4], observations.own[..., 3])
-        turn = np.arctan2(way[..., 1], way[..., 0]) - heading
-        turn = np.arctan2(np.sin(turn), np.cos(turn))
-        actions[..., 0] = np.hypot(way[..., 0], way[..., 1]) * np.cos(turn) / self.max_speed
-        actions[..., 1] = 2.0 * turn / self.max_yaw_rate
-        actions[~there, :2] = 0.0
-        actions[..., 2] = np.where(leader, 1.0, -1.0)
-        actions[..., 3:5], actions[..., 5:7] = known[..., :2] / self.reach_m, known[..., 2:4]
+        if self.flies:
+            actions[..., :2] = way / self.max_speed
+        else:
+            turn = np.arctan2(way[..., 1], way[..., 0]) - np.arctan2(observations.own[..., 4], observations.own[..., 3])
+            turn = np.arctan2(np.sin(turn), np.cos(turn))
+            actions[..., 0] = np.hypot(way[..., 0], way[..., 1]) * np.cos(turn) / self.max_speed
+            actions[..., 1] = 2.0 * turn / self.max_yaw_rate
+        actions[~there, : self.motions] = 0.0
+        send = self.motions
+        actions[..., send] = np.where(leader, 1.0, -1.0)
+        actions[..., send + 1 : send + 3] = known[..., :2] / self.reach_m
+        actions[..., send + 3 : send + 5] = known[..., 2:4]
         return np.clip(actions, -1.0, 1.0)
 
     def _slots(self) -> Floats:
@@ -287,17 +294,21 @@ class Gates(Task):
         return centres
 
     def baseline(self, observations: Observed) -> Floats:
-        """Fly to the next gate; wait if a vehicle that was heard is nearer to it and close by."""
+        """Fly to the next gate, in a line behind those that were heard nearer to it or about as near and come first by name."""
         way = observations.features[..., :3]
-        distance_m = np.sqrt((way**2).sum(axis=-1))
         gate = observations.own[..., :3] + way
         others = observations.message[..., :3] * self.reach_m
         theirs = np.sqrt(((gate[..., None, :] - others) ** 2).sum(axis=-1))
-        close = np.sqrt(((observations.own[..., None, :3] - others) ** 2).sum(axis=-1)) < 3.0
-        yields = ((observations.heard > 0) & close & (theirs < distance_m[..., None])).any(axis=-1)
+        distance_m = np.sqrt((way**2).sum(axis=-1))
+        before = np.tri(self.vehicles, self.vehicles - 1, -1, dtype=bool)  # of the others, those before each vehicle
+        nearer = theirs < distance_m[..., None] + np.where(before, 4.0, -4.0)
+        rank = ((observations.heard > 0) & nearer).sum(axis=-1)
+        way = way - np.stack([3.0 * rank, np.zeros_like(distance_m), np.zeros_like(distance_m)], axis=-1)
+        far_m = np.sqrt((way**2).sum(axis=-1))
+        finished = observations.features[..., 6] >= 1.0
+        way = np.where(finished[..., None], (3.0, 0.0, 0.0), way)  # fly on, out of the way
         actions = np.zeros((*distance_m.shape, self.motions + 1 + self.message_floats))
-        speed = np.where(yields | (observations.features[..., 6] >= 1.0), 0.0, 1.0)
-        actions[..., :3] = way / np.maximum(distance_m, 1.0)[..., None] * speed[..., None]
+        actions[..., :3] = way / np.maximum(far_m, 1.0)[..., None]
         actions[..., 4] = 1.0
         actions[..., 5:8] = observations.own[..., :3] / self.reach_m
         return np.clip(actions, -1.0, 1.0)
