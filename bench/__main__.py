@@ -22,6 +22,7 @@ from bench import (
     federation,
     growth,
     hosts,
+    learning,
     limits,
     messages,
     mission,
@@ -151,7 +152,7 @@ PARTS: Mapping[str, Callable[[], Iterable[Row]]] = {
         part.__name__.rpartition(".")[2]: part.rows
         for part in (
             *(start, whole, shares, radio, messages, vehicles, sensors, drones, scanner, camera, avoidance, mission, studies),
-            *(view, hosts, federation, bridge, recording, growth, limits),
+            *(view, hosts, federation, bridge, recording, learning, growth, limits),
         )
     },
 }

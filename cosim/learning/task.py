@@ -198,6 +198,6 @@ class Layout:
 
 def yaw_of_attitude(attitude: Floats) -> Floats:
     """Yaw (...,) rad of attitudes (..., 4), w, x, y, z, world_from_body."""
-    w, x, y, z = np.moveaxis(attitude, -1, 0)
+    w, x, y, z = attitude[..., 0], attitude[..., 1], attitude[..., 2], attitude[..., 3]
     yaw: Floats = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     return yaw

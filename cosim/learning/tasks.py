@@ -157,9 +157,10 @@ class Search(Task):
         return _scenario(self.name, self.vehicles, self.kind, 40.0, LOSSY)
 
     def starts(self, rng: np.random.Generator) -> Floats:
-        """Anywhere over the square, (n, 4)."""
+        """Over different cells, (n, 4); 64 vehicles at most."""
         poses = np.zeros((self.vehicles, 4))
-        poses[:, :2] = rng.uniform(-0.5, 0.5, (self.vehicles, 2)) * self.side_m
+        cells = self._cells()[rng.choice(CELLS * CELLS, self.vehicles, replace=False)]
+        poses[:, :2] = cells + rng.uniform(-0.25, 0.25, (self.vehicles, 2)) * self.side_m / CELLS
         poses[:, 2] = self.height_m
         return poses
 

@@ -11,6 +11,7 @@ of a contact comes from Bullet. So near bodies without contact change no bit of 
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import groupby
 
 import numpy as np
@@ -32,6 +33,7 @@ _SLACK_M = 0.1  # between surfaces, for the way of an acceleration of 40 m/s2 be
 _FRICTION = 0.5  # of the hull, assumed
 _FEET_AT = 0.6  # of the radius: a flat face rocks on one contact point in Bullet; four spheres in it are stable
 _SAME = 1e-7  # m, m/s, rad/s: smaller differences are no contact
+_FEW = 16  # quadrotors of which all pairs are compared; of more, neighbours are found first
 _PARK_M = 1e4  # below the floor, and apart
 
 
@@ -263,14 +265,22 @@ def _boxes(triangles: Array) -> list[tuple[Array, float, float]]:
 def near_each_other(position: Array, velocity: Array, radius: Array, span_s: float, slack_m: float) -> Array:
     """Whether another of n spheres may touch each within ``span_s``; ``slack_m`` allows for accelerations."""
     result = np.zeros(len(position), bool)
-    fastest = 2.0 * span_s * float(np.sqrt((velocity * velocity).sum(axis=1).max(initial=0.0)))
-    a, b = close_pairs(position, 2.0 * float(radius.max(initial=0.0)) + slack_m + fastest)
+    if len(position) <= _FEW:
+        a, b = _all_pairs(len(position))
+    else:
+        fastest = 2.0 * span_s * float(np.sqrt((velocity * velocity).sum(axis=1).max(initial=0.0)))
+        a, b = close_pairs(position, 2.0 * float(radius.max(initial=0.0)) + slack_m + fastest)
     if len(a):
         square = np.square(position[a] - position[b]).sum(axis=1)
         closing = np.sqrt(np.square(velocity[a] - velocity[b]).sum(axis=1)) * span_s
         near = square < np.square(radius[a] + radius[b] + slack_m + closing)
         result[a[near]] = result[b[near]] = True
     return result
+
+
+@lru_cache
+def _all_pairs(count: int) -> tuple[Array, ...]:
+    return np.triu_indices(count, 1)
 
 
 def close_pairs(position: Array, reach_m: float) -> tuple[Array, Array]:

@@ -127,10 +127,11 @@ def test_an_agent_that_fails_ends_the_run_with_the_result_so_far(monkeypatch: py
         return Velocity()
 
     monkeypatch.setattr(Trajectory, "act", act)
-    with vcmvsp.start("formation-circle", drives=["car2"], set={**SHORT, "agents.runs": "inprocess"}) as run:
-        run.step(0.9)
-        error = pytest.raises(AgentError, run.step)
-    assert "out of paint" in str(error.value)
+    run = vcmvsp.start("formation-circle", drives=["car2"], set={**SHORT, "agents.runs": "inprocess"})
+    run.step(0.9)
+    with pytest.raises(AgentError, match="out of paint") as error:
+        run.step()
+    run.close()
     assert error.value.result is not None
     assert error.value.result.metrics["duration_s"] == pytest.approx(1.0)
 
