@@ -239,14 +239,15 @@ class VehiclesEnv(ParallelEnv[str, Vector, Vector]):  # type: ignore[misc]  # Pe
             raise UsageError(f"step(): {unknown('vehicle', wrong[0], self.agents)}")
         rows = np.empty((len(self.agents), size), np.float32)
         for row, name in enumerate(self.agents):
+            action = actions[name]
             try:
-                action = np.asarray(actions[name], np.float32)
+                action = np.asarray(action, np.float32)
             except (TypeError, ValueError):
-                raise UsageError(f"step(): the action of {name} must be {size} numbers, not {actions[name]!r}") from None
+                raise UsageError(f"step(): the action of {name} must be {size} numbers, not {action!r}") from None
             if action.shape != (size,):
                 raise UsageError(f"step(): the action of {name} has the shape {action.shape}; it must be ({size},)")
             rows[row] = action
         if not np.isfinite(rows).all():
             name = self.agents[int(np.argmin(np.isfinite(rows).all(axis=1)))]
             raise UsageError(f"step(): the action of {name} is not finite: {rows[self.agents.index(name)].tolist()}")
-        return np.clip(rows, -1.0, 1.0)
+        return np.minimum(np.maximum(rows, -1.0), 1.0)

@@ -193,7 +193,7 @@ class Layout:
         others = values[..., self.others].reshape(w, n, n - 1, self.message_floats + 3)  # a view
         others[..., :-3] = worlds.message
         others[..., -3], others[..., -2], others[..., -1] = worlds.age_s, worlds.rssi_dbm, worlds.heard
-        return np.clip(values, *bounds, out=values)
+        return np.minimum(np.maximum(values, bounds[0], out=values), bounds[1], out=values)  # np.clip takes five times as long
 
 
 def yaw_of_attitude(attitude: Floats) -> Floats:

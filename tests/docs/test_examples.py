@@ -11,19 +11,20 @@ import nbformat
 import pytest
 from pandas import read_csv
 
+import vcmvsp
 from tests.support.docs.readme_pages import PAGES
 from tests.support.paths import ROOT
 
 pytestmark = [pytest.mark.slow, pytest.mark.processes, pytest.mark.sockets]
 
 FOLDER = ROOT / "examples"
-PAPER = "paper/figure.py"
+PAPER, LEARNING = "paper/figure.py", "learning/train.py"
 SCRIPTS, NOTEBOOKS = (sorted(path.name for path in FOLDER.glob(pattern)) for pattern in ("*.py", "*.ipynb"))
 
 
 def test_every_example_is_in_the_index() -> None:
     shown = re.findall(r"^\| \[(\S+)\]\(\1\) \|", PAGES["examples/README.md"], re.MULTILINE)
-    assert sorted(shown) == sorted([*SCRIPTS, *NOTEBOOKS, PAPER])
+    assert sorted(shown) == sorted([*SCRIPTS, *NOTEBOOKS, PAPER, LEARNING])
 
 
 @pytest.mark.parametrize("name", SCRIPTS)
@@ -43,6 +44,23 @@ def test_the_figure_of_the_paper_has_bands_that_widen_with_loss(tmp_path: Path) 
     assert rows[f"{name}.mean"][0.95] > rows[f"{name}.mean"][0.0]
     widths = rows[f"{name}.high"] - rows[f"{name}.low"]
     assert widths[0.95] > widths[0.0]
+
+
+def test_learning_writes_policies_that_fly_and_the_figure(tmp_path: Path) -> None:
+    command = [sys.executable, FOLDER / LEARNING, tmp_path, "--generations", "3", "--trainings", "2"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "training with it saves" in done.stdout
+    assert (tmp_path / "train.png").stat().st_size > 10_000
+    content = '''
+        name = "learned"
+        duration_s = 3.0
+        physics.kind = "kinematic"
+        agents = { kind = "policy", file = "lossy-1.npz", period_s = 0.1 }
+        vehicle = [{ name = "v", kind = "point", count = 3, spacing = [0.0, 1.5], columns = 1, agent = {} }]
+    '''
+    (tmp_path / "learned.toml").write_text(content)
+    assert vcmvsp.run(tmp_path / "learned.toml").states.num_rows == 31 * 3
 
 
 @pytest.mark.parametrize("name", NOTEBOOKS)

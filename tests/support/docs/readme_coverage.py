@@ -42,11 +42,15 @@ def _in_the_gallery() -> dict[str, str]:
     return found
 
 
+LEARNING = "tests/docs/test_learning.py::test_blocks_of_the_page_run"
+LEARNED = "tests/docs/test_examples.py::test_learning_writes_policies_that_fly_and_the_figure"
+LEARNING_TASK = "tests/cosim/cli/test_new.py::test_it_runs_and_passes_its_own_test_unedited"
 EXAMPLES = "tests/docs/test_examples.py::test_a_script_makes_its_picture"
 
 ELSEWHERE = _in_the_gallery() | {
     ".venv/bin/python examples/loss_and_delay.py": EXAMPLES,
     ".venv/bin/python examples/own_agent.py pictures": EXAMPLES,
+    "vcmvsp new task meet": LEARNING_TASK,
     "make demo": "tests/docs/test_readme.py::test_the_demo_prints_what_the_readme_says",
     "vcmvsp export runs/demo/hold --mp4": (
         "tests/cosim/export/test_export.py::test_below_the_film_is_the_formation_error_so_far"
@@ -105,6 +109,7 @@ NO_CONTAINERS = "there are no containers on machines that run these tests"
 UNRUN = {
     "make test": "it runs the tests themselves",
     "make site": "it installs what builds the site; `tests/docs/test_site.py` builds it where that is there",
+    "pip install 'vcmvsp[learn]'": "it installs from an index; the environment of the tests has what it installs",
     "make dist": "it fetches what builds and checks archives",
     "docker run --rm vcmvsp": NO_CONTAINERS,
     "docker build -t vcmvsp -f cosim/deploy/Containerfile .": NO_CONTAINERS,
@@ -128,6 +133,11 @@ SHOWN = {
     ("docs/tutorial.md", "formation-circle: 3 agents"): f"{PAGES}::test_the_tutorial_shows_what_its_first_run_prints",
     ("docs/tutorial.md", "class MyFollower"): f"{PAGES}::test_the_agent_of_the_tutorial_keeps_the_errors_that_it_says",
     ("docs/tutorial.md", "check_agent(lambda"): f"{PAGES}::test_the_agent_of_the_tutorial_passes_its_check",
+    ("docs/howto/learning.md", 'parallel_env("formation", seed=1'): LEARNING,
+    ("docs/howto/learning.md", "gymnasium.make("): LEARNING,
+    ("docs/howto/learning.md", 'vector_env("formation"'): LEARNING,
+    ("docs/howto/learning.md", "vcmvsp.start("): LEARNING,
+    ("docs/howto/learning.md", 'file = "lossy-1.npz"'): LEARNED,
     ("docs/howto/own-metric.md", "self.note(disagreement_m"): OWN_METRICS,
     ("docs/howto/own-metric.md", "worst_m ="): OWN_METRICS,
     ("docs/howto/own-metric.md", "def above("): OWN_METRICS,

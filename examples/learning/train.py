@@ -4,8 +4,8 @@ Evolution strategies (the package ``cma``) train a linear policy, shared by all 
 generation is one episode of all candidates. Each training is repeated with other seeds; the figure shows the mean error of the
 formation, with its 95 % interval over the trainings.
 
-    python examples/learn_formation.py            # some minutes on two cores
-    python examples/learn_formation.py --generations 4 --trainings 2
+    python examples/learning/train.py             # some minutes on two cores
+    python examples/learning/train.py --generations 4 --trainings 2
 """
 
 import argparse
@@ -97,13 +97,13 @@ def picture(errors_m: np.ndarray, out: Path) -> None:
     axes.set_ylabel("formation error [m]")
     axes.set_title(f"{count} trainings each; bars: mean, lines: 95 % interval", fontsize=9)
     axes.legend(frameon=False)
-    figure.savefig(out / "learn_formation.png", dpi=150)
+    figure.savefig(out / "train.png", dpi=150)
 
 
 def main() -> None:
     """Train, try, draw."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("out", nargs="?", type=Path, default=Path("runs/learn_formation"), help="folder of policies and figure")
+    parser.add_argument("out", nargs="?", type=Path, default=Path("runs/learning"), help="folder of policies and figure")
     parser.add_argument("--generations", type=int, default=400)
     parser.add_argument("--trainings", type=int, default=5, help="with each radio, at least 2")
     options = parser.parse_args()
@@ -122,7 +122,7 @@ def main() -> None:
     gain = errors_m[0, :, 1] - errors_m[1, :, 1]  # of the same seeds, with the lossy radio
     half = student.ppf(0.975, len(gain) - 1) * gain.std(ddof=1) / np.sqrt(len(gain))
     print(f"with the lossy radio, training with it saves {gain.mean():.3f} +- {half:.3f} m of {errors_m[0, :, 1].mean():.3f} m")
-    print(f"figure: {options.out / 'learn_formation.png'}\nerrors: {out}")
+    print(f"figure: {options.out / 'train.png'}\nerrors: {out}")
 
 
 if __name__ == "__main__":
