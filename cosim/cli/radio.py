@@ -5,6 +5,7 @@ import json as jsons
 import math
 import sys
 from collections.abc import Mapping, Sequence
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,7 +20,7 @@ from vcmvsp.cosim.util.text import aligned, stdout_to_stderr
 if TYPE_CHECKING:
     from vcmvsp.cosim.analysis.snapshots import Rates, Share, Snapshots
     from vcmvsp.cosim.assembly.parts.calibration import Calibration
-    from vcmvsp.cosim.assembly.parts.channel_trial import Broadcasts, Channel, RowFile
+    from vcmvsp.cosim.assembly.parts.channel_trial import Channel, RowFile, TrialTraffic
     from vcmvsp.cosim.config.provenance import Source
 
 
@@ -70,12 +71,34 @@ def radio_command(
     sys.stdout.write(to_json(finite(answer)) if json else text)
 
 
+class Traffic(StrEnum):
+    """Rules by which radios send."""
+
+    PERIODIC = "periodic"
+    JITTER = "jitter"
+    POISSON = "poisson"
+    SATURATED = "saturated"
+
+
 def channel_command(
     preset: Preset,
-    positions: Annotated[Path, typer.Option(metavar="FILE.csv", help="A line x,y,z (m) for each vehicle's antenna.")],
-    rate: Annotated[float, typer.Option(metavar="HZ", help="Frames per second of each vehicle.")],
+    positions: Annotated[
+        Path,
+        typer.Option(metavar="FILE.csv", help="A line x,y,z (m) for each vehicle's antenna, or t,name,x,y,z (s, m)."),
+    ],
     size: Size,
     duration: Annotated[float, typer.Option(metavar="S", help="Frames are sent at 0 <= t < S.")],
+    rate: Annotated[
+        float | None, typer.Option(metavar="HZ", help="Frames per second of each vehicle; not needed by saturated.")
+    ] = None,
+    traffic: Annotated[
+        Traffic, typer.Option(help="Times of the frames; saturated: the next frame when the former is decided.")
+    ] = Traffic.PERIODIC,
+    jitter: Annotated[
+        float | None,
+        typer.Option(metavar="SHARE", help="Traffic jitter: period * (1 + U(-SHARE, SHARE)) each [0.1]."),
+    ] = None,
+    to: Annotated[str | None, typer.Option(metavar="NAME", help="All other vehicles send to this one [broadcasts].")] = None,
     set_: OfLayer = None,
     seed: Annotated[int, typer.Option(help="Seed of all random numbers.")] = 0,
     out: Annotated[
@@ -84,25 +107,39 @@ def channel_command(
     json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Simulate broadcasts of static vehicles and count receptions, without physics and agents.
+    """Simulate frames of vehicles at rest or on given paths and count receptions, without physics and agents.
 
-    Each vehicle sends periodically, starting at a random instant of its first period.
+    The first frame of a vehicle is at a random instant of its first period. Lines x,y,z are the vehicles v0, v1, ...; between
+    lines t,name,x,y,z a vehicle moves in a straight line.
 
-    Example: vcmvsp channel --preset wifi-b-1 --positions cars.csv --rate 10 --size 100 --duration 30 --set path_loss.exponent=2
+    Examples: vcmvsp channel --preset wifi-b-1 --positions cars.csv --rate 10 --size 100 --duration 30;
+    vcmvsp channel --preset wifi-g-6 --positions paths.csv --traffic saturated --to car1 --size 1000 --duration 10
     """
     from vcmvsp.cosim.assembly.parts import channel_trial
     from vcmvsp.cosim.config import binding
     from vcmvsp.cosim.scenario.schema import Duration
     from vcmvsp.cosim.terminal.progress import Progress
-    from vcmvsp.cosim.types import Rate, Seed
+    from vcmvsp.cosim.types import Probability, Rate, Seed
 
-    plan = channel_trial.Broadcasts(
-        position=channel_trial.read_positions(positions),
-        rate_hz=binding.convert(rate, Rate, key="--rate"),
+    if rate is None and traffic is not Traffic.SATURATED:
+        raise UsageError(f"--traffic {traffic.value} needs --rate HZ")
+    if jitter is not None and traffic is not Traffic.JITTER:
+        raise UsageError("--jitter needs --traffic jitter")
+    waypoints = channel_trial.read_positions(positions)
+    if to is not None and to not in waypoints.names:
+        raise UsageError(f"--to: {binding.unknown('vehicle', to, waypoints.names)}")
+    plan = channel_trial.TrialTraffic(
+        waypoints=waypoints,
+        rate_hz=1.0 if rate is None else binding.convert(rate, Rate, key="--rate"),
         size_bytes=_payload(size),
         duration_s=binding.convert(duration, Duration, key="--duration"),
+        kind=traffic.value,
+        jitter=binding.convert(0.1 if jitter is None else jitter, Probability, key="--jitter"),
+        to=to,
         seed=binding.convert(seed, Seed, key="--seed"),
     )
+    if not plan.senders:
+        raise UsageError(f"--to {to}: {positions} has no other vehicle that could send")
     channel, _, source = _channel(preset, set_, plan.names)
     try:
         with contextlib.ExitStack() as stack:
@@ -248,7 +285,7 @@ def _payload(size: int) -> int:
     return binding.convert(size, Annotated[int, msgspec.Meta(ge=1, le=10_000_000)], key="--size")
 
 
-def _rows(out: Path, preset: str, plan: "Broadcasts") -> "RowFile":
+def _rows(out: Path, preset: str, plan: "TrialTraffic") -> "RowFile":
     from vcmvsp.cosim.assembly.parts.channel_trial import RowFile
     from vcmvsp.cosim.tables.schema import RunFacts
 

@@ -125,13 +125,23 @@ class BridgeProcess:
 
     # From programs to the run
 
-    def offer(self, gateway: Gateway, sender: int, to: int, payload: bytes, *, came_ns: int | None = None) -> bool:
+    def offer(
+        self,
+        gateway: Gateway,
+        sender: int,
+        to: int,
+        payload: bytes,
+        *,
+        came_ns: int | None = None,
+        size_bytes: int | None = None,
+    ) -> bool:
         """Store a datagram for the run, if there is room; returns whether there was."""
         rows = range(len(self.vehicles))
         if len(payload) > LARGEST or sender not in rows or to == sender or (to not in rows and to != BROADCAST):
             raise ValueError(f"{type(gateway).__name__} offers {len(payload)} bytes from row {sender} to {to}")
         now_ns = time.monotonic_ns()
-        if not self._store.put(gateway, sender, to, payload, now_ns if came_ns is None else min(came_ns, now_ns)):
+        at_ns = now_ns if came_ns is None else min(came_ns, now_ns)
+        if not self._store.put(gateway, sender, to, payload, at_ns, size_bytes):
             return False
         if not self._awaits_confirmation and not self._flushing:
             self._flushing = True
@@ -163,7 +173,7 @@ class BridgeProcess:
         for each in numbers:
             datagram = store[each]
             gateway_row = gateways[id(datagram.gateway)]
-            rows.append((each, gateway_row, datagram.sender, datagram.to, len(datagram.payload), datagram.came_ns))
+            rows.append((each, gateway_row, datagram.sender, datagram.to, datagram.size_bytes, datagram.came_ns))
         number, gateway, sender, to, size, came_ns = np.array(rows, np.int64).T
         whose = {"gateway": gateway.astype(np.int32), "sender": sender.astype(np.int32), "to": to.astype(np.int32)}
         payloads = tuple(store[each].payload for each in numbers) if self._payloads else ()

@@ -36,6 +36,7 @@ class StoredDatagram:
     to: int
     payload: bytes
     came_ns: int
+    size_bytes: int  # payload on the channel
     waiting: int = 0  # deliveries
     settled: bool = False
     arrived: bool = False
@@ -59,8 +60,13 @@ class DatagramStore:
     def __getitem__(self, number: int) -> StoredDatagram:
         return self._datagrams[number]
 
-    def put(self, gateway: Gateway | None, sender: int, to: int, payload: bytes, came_ns: int) -> bool:
-        """Store a new datagram, unless its vehicle has too many; returns whether it was stored."""
+    def put(
+        self, gateway: Gateway | None, sender: int, to: int, payload: bytes, came_ns: int, size_bytes: int | None = None
+    ) -> bool:
+        """Store a new datagram, unless its vehicle has too many; returns whether it was stored.
+
+        ``size_bytes``: payload on the channel; None: the length of ``payload``.
+        """
         held_bytes = self._bytes[sender] + len(payload)
         if self._count[sender] >= MOST or held_bytes > MOST_BYTES:
             return False
@@ -68,14 +74,15 @@ class DatagramStore:
         self._bytes[sender] = held_bytes
         came_ns = self._newest_ns[sender] = max(came_ns, self._newest_ns[sender])
         number, self._number = self._number, self._number + 1
-        self._datagrams[number] = StoredDatagram(gateway, sender, to, payload, came_ns)
+        size = len(payload) if size_bytes is None else size_bytes
+        self._datagrams[number] = StoredDatagram(gateway, sender, to, payload, came_ns, size)
         self._new[sender].append(number)
         return True
 
     def speak(self, sender: int, payload: bytes) -> int:
         """Store an agent's payload until it is delivered; returns its number, below all numbers of programs' datagrams."""
         number, self._spoken = self._spoken, self._spoken + 1
-        datagram = self._datagrams[number] = StoredDatagram(None, sender, BROADCAST, payload, 0)
+        datagram = self._datagrams[number] = StoredDatagram(None, sender, BROADCAST, payload, 0, len(payload))
         datagram.waiting, datagram.settled = 1, True
         return number
 

@@ -1,15 +1,16 @@
-"""A trial of the channel alone: radios at rest broadcast periodically.
+"""A trial of the channel alone: radios at rest or on given paths send by a rule.
 
-The first frame of a radio is at a random instant of the first period, by seed and name of the radio. Frames are sent at
-``0 <= t < duration``; the trial ends when all are decided. The result is a pure function of channel, positions, period, size
-and seed.
+Frames are sent at ``0 <= t < duration``, each from and to the positions of the instant at which it is handed to its radio; the
+trial ends when all are decided. The result is a pure function of channel, traffic and seed.
 """
 
 import time
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from heapq import heappop, heappush, merge
 from itertools import count, islice
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -22,6 +23,7 @@ from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.channel.reception import RECEIVED, Bulk
 from vcmvsp.netsim.interfaces.layers import Floats, Ints
 
+Kind = Literal["periodic", "jitter", "poisson", "saturated"]
 Sink = Callable[[FrameReport], None]
 Progress = Callable[[int, int], None]
 
@@ -180,19 +182,74 @@ class Delays:
         np.add.at(self._bins, places, counts)
 
 
-class Broadcasts(msgspec.Struct, frozen=True, kw_only=True):
-    """Positions, rate and size of the broadcasts; the radios are v0, v1, ..."""
+class Waypoints(msgspec.Struct, frozen=True, kw_only=True):
+    """Positions of radios over time: linear between a radio's times, at rest before the first and after the last."""
 
-    position: Floats  # (n, 3) m, world: of the antennas
-    rate_hz: float
+    names: tuple[str, ...]  # n radios
+    times_ns: tuple[tuple[int, ...], ...]  # of each radio, increasing
+    points: tuple[Floats, ...]  # of each radio, (times, 3) m, world: of the antenna
+
+    @classmethod
+    def fixed(cls, position: Floats) -> "Waypoints":
+        """Radios v0, v1, ... at rest at ``position``, (n, 3) m."""
+        names = tuple(f"v{i}" for i in range(len(position)))
+        return cls(names=names, times_ns=((0,),) * len(names), points=tuple(position[:, None]))
+
+    @property
+    def moving(self) -> bool:
+        """Whether a radio has more than one position."""
+        return any(len(times_ns) > 1 for times_ns in self.times_ns)
+
+    def at(self, time_ns: int) -> Floats:
+        """Positions at a time, (n, 3) m."""
+        return np.array([self._point(row, time_ns) for row in range(len(self.names))])
+
+    def _point(self, row: int, time_ns: int) -> Floats:
+        times_ns, points = self.times_ns[row], self.points[row]
+        following = bisect_right(times_ns, time_ns)
+        if following == 0:
+            return points[0]
+        if following == len(times_ns):
+            return points[-1]
+        before_ns, after_ns = times_ns[following - 1], times_ns[following]
+        share = (time_ns - before_ns) / (after_ns - before_ns)
+        return points[following - 1] + share * (points[following] - points[following - 1])
+
+
+class TrialTraffic(msgspec.Struct, frozen=True, kw_only=True):
+    """Radios, and the frames that each of them sends.
+
+    Kinds, with the period ``1 / rate_hz``:
+
+    - periodic: the first frame is uniform in the first period.
+    - jitter: the first frame as with periodic; then ``period * (1 + U(-jitter, jitter))`` from frame to frame.
+    - poisson: a Poisson process of this rate.
+    - saturated: a frame at time 0, and the next one when the former is decided. ``rate_hz`` has no effect.
+    """
+
+    waypoints: Waypoints
     size_bytes: int  # payload
     duration_s: float
+    rate_hz: float = 1.0
+    kind: Kind = "periodic"
+    jitter: float = 0.1  # from 0 to 1
+    to: str | None = None  # destination of the frames of all other radios; None: broadcasts
     seed: int = 0
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the radios."""
-        return tuple(f"v{i}" for i in range(len(self.position)))
+        return self.waypoints.names
+
+    @property
+    def senders(self) -> tuple[int, ...]:
+        """Rows of the radios that send: all but the destination."""
+        return tuple(row for row, name in enumerate(self.names) if name != self.to)
+
+    @property
+    def receivers(self) -> int:
+        """Receivers of a frame."""
+        return len(self.names) - 1 if self.to is None else 1
 
     @property
     def end_ns(self) -> int:
@@ -201,8 +258,12 @@ class Broadcasts(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def frames(self) -> int:
-        """Approximate number of frames."""
-        return int(len(self.position) * self.rate_hz * self.duration_s)
+        """Approximate number of frames; 0: unknown."""
+        return 0 if self.kind == "saturated" else int(len(self.senders) * self.rate_hz * self.duration_s)
+
+    def messages(self) -> list[Message]:
+        """The message of each radio."""
+        return [Message(sender=name, to=self.to, body={}, size_bytes=self.size_bytes) for name in self.names]
 
     def phases_ns(self) -> list[int]:
         """Time of the first frame of each radio, uniform in the period."""
@@ -210,9 +271,15 @@ class Broadcasts(msgspec.Struct, frozen=True, kw_only=True):
         return [int(period_ns * stream(self.seed, f"radio/{name}/phase").random()) for name in self.names]
 
     def sendings(self) -> Iterator[tuple[int, int]]:
-        """Time (ns) and sender's row of each frame, in order of time."""
+        """Time (ns) and sender's row of each frame, in order of time; not for saturated traffic."""
+        if self.kind == "periodic":
+            return self._periodic()
+        phases_ns = self.phases_ns()
+        return merge(*(self._random(row, phases_ns[row]) for row in self.senders))
+
+    def _periodic(self) -> Iterator[tuple[int, int]]:
         ticks, phases, end_ns = Ticks.rate(self.rate_hz), self.phases_ns(), self.end_ns
-        order = sorted(range(len(phases)), key=phases.__getitem__)  # no phase exceeds a period: the same in all periods
+        order = sorted(self.senders, key=phases.__getitem__)  # no phase exceeds a period: the same in all periods
         for k in count():
             begin_ns = ticks.at(k)
             if begin_ns >= end_ns:
@@ -221,13 +288,26 @@ class Broadcasts(msgspec.Struct, frozen=True, kw_only=True):
                 if begin_ns + phases[row] < end_ns:
                     yield begin_ns + phases[row], row
 
+    def _random(self, row: int, phase_ns: int) -> Iterator[tuple[int, int]]:
+        """Frames of one radio, jittered or of a Poisson process."""
+        draws, period_ns, end_ns = stream(self.seed, f"radio/{self.names[row]}/traffic"), SECOND_NS / self.rate_hz, self.end_ns
 
-def run(channel: Channel, plan: Broadcasts, *, sink: Sink | None = None, progress: Progress | None = None) -> dict[str, Any]:
+        def gap_ns() -> int:
+            ratio = draws.exponential() if self.kind == "poisson" else 1.0 + self.jitter * draws.uniform(-1.0, 1.0)
+            return round(period_ns * ratio)
+
+        time_ns = gap_ns() if self.kind == "poisson" else phase_ns
+        while time_ns < end_ns:
+            yield time_ns, row
+            time_ns += gap_ns()
+
+
+def run(channel: Channel, plan: TrialTraffic, *, sink: Sink | None = None, progress: Progress | None = None) -> dict[str, Any]:
     """Run a trial and count the outcomes.
 
     Args:
         channel: started with the plan's seed.
-        plan: the broadcasts.
+        plan: the traffic.
         sink: takes every report, in the order of decisions.
         progress: called with (now, end) in ns.
 
@@ -238,47 +318,96 @@ def run(channel: Channel, plan: Broadcasts, *, sink: Sink | None = None, progres
         return _run(channel, plan, sink, progress)
 
 
-def _run(channel: Channel, plan: Broadcasts, sink: Sink | None, progress: Progress | None) -> dict[str, Any]:
-    names = plan.names
-    messages = [Message(sender=name, body={}, size_bytes=plan.size_bytes) for name in names]
-    _warm_up(channel, plan, messages[0])
-    tally, elsewhere_s, begun_s = FrameTally(), 0.0, time.process_time()
-
-    def note(reports: Sequence[FrameReport]) -> None:
-        nonlocal elsewhere_s
-        for report in reports:
-            tally.add(report)
-        if sink is not None and reports:
-            before_s = time.process_time()
-            for report in reports:
-                sink(report)
-            elsewhere_s += time.process_time() - before_s
-
+def _run(channel: Channel, plan: TrialTraffic, sink: Sink | None, progress: Progress | None) -> dict[str, Any]:
+    _warm_up(channel, plan)
+    begun_s = time.process_time()
     channel.start(plan.seed)
     channel.expect(plan.frames)
-    bulk = channel.bulk(names, plan.position) if sink is None else None
+    alike = sink is None and plan.kind != "saturated" and plan.to is None and not plan.waypoints.moving
+    bulk = channel.bulk(plan.names, plan.waypoints.at(0)) if alike else None
     if bulk is not None:
+        tally = FrameTally()
         _run_bulk(bulk, plan, tally, progress)
         return {**tally.summary(), "cpu_s": time.process_time() - begun_s}
-    for number, (sent_ns, row) in enumerate(plan.sendings()):
-        note(channel.send(sent_ns, messages[row], names, plan.position))
-        if number % _ADVANCE_EVERY == 0:
-            note(channel.advance(sent_ns))
-            if progress is not None:
-                progress(sent_ns, plan.end_ns)
-    while (due_ns := channel.next_ns()) is not None:
-        note(channel.advance(due_ns + SECOND_NS))
-    summary = tally.summary()
-    return {**summary, "cpu_s": time.process_time() - begun_s - elsewhere_s}
+    trial = _Trial(channel, plan, sink, progress)
+    if plan.kind == "saturated":
+        trial.send_saturated()
+    else:
+        trial.send_planned()
+    trial.finish()
+    summary = trial.tally.summary()
+    return {**summary, "cpu_s": time.process_time() - begun_s - trial.elsewhere_s}
 
 
-def _run_bulk(bulk: Bulk, plan: Broadcasts, tally: FrameTally, progress: Progress | None) -> None:
+class _Trial:
+    """A trial frame by frame."""
+
+    def __init__(self, channel: Channel, plan: TrialTraffic, sink: Sink | None, progress: Progress | None) -> None:
+        self._channel, self._plan, self._sink, self._progress = channel, plan, sink, progress
+        self._messages = plan.messages()
+        self._position = plan.waypoints.at(0)  # one array object as long as no radio moves
+        self.tally = FrameTally()
+        self.elsewhere_s = 0.0  # CPU time of the sink
+
+    def send_planned(self) -> None:
+        """Send all frames at the times of the plan."""
+        for number, (sent_ns, row) in enumerate(self._plan.sendings()):
+            self._note(self._send(sent_ns, row))
+            if number % _ADVANCE_EVERY == 0:
+                self._note(self._channel.advance(sent_ns))
+                self._tell(sent_ns)
+
+    def send_saturated(self) -> None:
+        """Hand each radio its next frame at the time at which its former one is decided, until the end of sending."""
+        rows = {name: row for row, name in enumerate(self._plan.names)}
+        ready = [(0, row) for row in self._plan.senders]  # time (ns) and row of each radio without a frame: a heap
+        for number in count():
+            due_ns = self._channel.next_ns()
+            if ready and (due_ns is None or ready[0][0] <= due_ns):
+                now_ns, row = heappop(ready)
+                reports = self._send(now_ns, row) if now_ns < self._plan.end_ns else []
+                ended_ns = [now_ns + report.queue_ns + report.access_ns + report.air_time_ns for report in reports]
+            elif due_ns is not None:
+                now_ns, reports = due_ns, self._channel.advance(due_ns)
+                ended_ns = [due_ns] * len(reports)  # none is decided earlier
+            else:
+                return
+            self._note(reports)
+            for report, end_ns in zip(reports, ended_ns, strict=True):
+                heappush(ready, (end_ns, rows[report.sender]))
+            if number % _ADVANCE_EVERY == 0 and now_ns < self._plan.end_ns:
+                self._tell(now_ns)
+
+    def finish(self) -> None:
+        """Wait until all frames are decided."""
+        while (due_ns := self._channel.next_ns()) is not None:
+            self._note(self._channel.advance(due_ns + SECOND_NS))
+
+    def _send(self, sent_ns: int, row: int) -> list[FrameReport]:
+        waypoints = self._plan.waypoints
+        position = waypoints.at(sent_ns) if waypoints.moving else self._position
+        return self._channel.send(sent_ns, self._messages[row], waypoints.names, position)
+
+    def _note(self, reports: Sequence[FrameReport]) -> None:
+        for report in reports:
+            self.tally.add(report)
+        if self._sink is not None and reports:
+            before_s = time.process_time()
+            for report in reports:
+                self._sink(report)
+            self.elsewhere_s += time.process_time() - before_s
+
+    def _tell(self, now_ns: int) -> None:
+        if self._progress is not None:
+            self._progress(now_ns, self._plan.end_ns)
+
+
+def _run_bulk(bulk: Bulk, plan: TrialTraffic, tally: FrameTally, progress: Progress | None) -> None:
     sent_ns: Ints = np.zeros(0, np.int64)
-    others = len(plan.position) - 1
 
     def note(until_ns: int) -> None:
         if (done := bulk.advance(until_ns)) is not None:
-            tally.add_many(done.end_ns - sent_ns[done.number], done.receptions, others * len(done.number), done.losses)
+            tally.add_many(done.end_ns - sent_ns[done.number], done.receptions, plan.receivers * len(done.number), done.losses)
         if progress is not None:
             progress(min(until_ns, plan.end_ns), plan.end_ns)
 
@@ -291,9 +420,9 @@ def _run_bulk(bulk: Bulk, plan: Broadcasts, tally: FrameTally, progress: Progres
     note(plan.end_ns + _LONG_AFTER_NS)
 
 
-def _warm_up(channel: Channel, plan: Broadcasts, message: Message) -> None:
+def _warm_up(channel: Channel, plan: TrialTraffic) -> None:
     """Send one frame, so that compilation and tables are not part of ``cpu_s``."""
     channel.start(plan.seed)
     channel.expect(plan.frames)
-    channel.send(0, message, plan.names, plan.position)
+    channel.send(0, plan.messages()[plan.senders[0]], plan.names, plan.waypoints.at(0))
     channel.advance(SECOND_NS)

@@ -11,55 +11,86 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.tables.schema import RunFacts, radio_table
-from vcmvsp.cosim.types import FrameReport
+from vcmvsp.cosim.types import FrameReport, Name
 from vcmvsp.cosim.util.files import PART, read_cells
-from vcmvsp.netsim.interfaces.layers import Floats
+from vcmvsp.netsim.evaluation.broadcast_trial import Waypoints
 
 COLUMNS = ("x", "y", "z")
+PATH_COLUMNS = ("t", "name", *COLUMNS)
 FARTHEST_M = 1e9
+LATEST_S = 1e9
+
+_Place = tuple[str, list[str]]  # file and line, for messages; cells
 
 
-def read_positions(path: Path) -> Floats:
-    """Read positions from a CSV file, (n, 3) m; empty lines are ignored.
+def read_positions(path: Path) -> Waypoints:
+    """Read antennas' positions from a CSV file; empty lines are ignored.
+
+    A line is either ``x,y,z``: a radio at rest, v0 being the first; or ``t,name,x,y,z``: a radio's position at a time. A header
+    is optional. Units: m, s.
 
     Raises:
         UsageError: invalid file; the message names file, line and column.
     """
-    points: list[tuple[float, ...]] = []
-    for place, (number, cells) in enumerate(read_cells(path)):
-        where = f"{path} line {number}"
-        if place or not _is_header(cells, where):
-            points.append(_point(cells, where))
-    if not points:
+    lines = [(f"{path} line {number}", cells) for number, cells in read_cells(path)]
+    over_time = bool(lines) and len(lines[0][1]) == len(PATH_COLUMNS)
+    columns = PATH_COLUMNS if over_time else COLUMNS
+    if lines and _is_header(*lines[0], columns):
+        del lines[0]
+    if not lines:
         raise UsageError(f"{path}: has no positions; write a line x,y,z (metres) for each vehicle")
-    return np.array(points)
+    for where, cells in lines:
+        if len(cells) != len(columns):
+            problem = f"must have {len(columns)} columns ({','.join(columns)}), not {len(cells)}"
+            raise UsageError(f"{where}: {problem}: {','.join(cells)[:60]}")
+    return _paths(lines) if over_time else Waypoints.fixed(np.array([_point(*each) for each in lines]))
 
 
-def _is_header(cells: list[str], where: str) -> bool:
+def _is_header(where: str, cells: list[str], columns: tuple[str, ...]) -> bool:
     """Whether a line is a header; wrong column names are an error."""
     if any(_number(cell) is not None for cell in cells):
         return False
-    if tuple(cell.lower().removesuffix("_m") for cell in cells) != COLUMNS:
-        raise UsageError(f"{where}: the columns must be x,y,z, not {','.join(cells)}")
+    if tuple(cell.lower().removesuffix("_m").removesuffix("_s") for cell in cells) != columns:
+        problem = f"the columns must be {','.join(columns)}, not {','.join(cells)[:60]}"
+        others = "" if columns == PATH_COLUMNS else f"; for positions over time {','.join(PATH_COLUMNS)}"
+        raise UsageError(f"{where}: {problem}{others}")
     return True
 
 
-def _point(cells: list[str], where: str) -> tuple[float, ...]:
-    if len(cells) != len(COLUMNS):
-        raise UsageError(f"{where}: must have 3 columns (x,y,z), not {len(cells)}: {','.join(cells)[:60]}")
-    return tuple(_coordinate(cell, f"{where}, column {name}") for cell, name in zip(cells, COLUMNS, strict=True))
+def _paths(lines: list[_Place]) -> Waypoints:
+    """Waypoints from lines ``t,name,x,y,z``, in which the times of a name increase."""
+    times_ns: dict[str, list[int]] = {}
+    points: dict[str, list[tuple[float, ...]]] = {}
+    for where, cells in lines:
+        time_ns = seconds_to_ns(_finite(cells[0], f"{where}, column t", -LATEST_S, LATEST_S, "s"))
+        name = binding.convert(cells[1], Name, key=f"{where}, column name")
+        earlier_ns = times_ns.setdefault(name, [])
+        if earlier_ns and time_ns <= earlier_ns[-1]:
+            raise UsageError(f"{where}: the times of {name} must increase, and {cells[0]} s is not after the one before")
+        earlier_ns.append(time_ns)
+        points.setdefault(name, []).append(_point(where, cells[2:]))
+    return Waypoints(
+        names=tuple(times_ns), times_ns=tuple(map(tuple, times_ns.values())), points=tuple(map(np.array, points.values()))
+    )
 
 
-def _coordinate(cell: str, where: str) -> float:
+def _point(where: str, cells: list[str]) -> tuple[float, ...]:
+    named = zip(cells, COLUMNS, strict=True)
+    return tuple(_finite(cell, f"{where}, column {name}", -FARTHEST_M, FARTHEST_M, "m") for cell, name in named)
+
+
+def _finite(cell: str, where: str, least: float, most: float, unit: str) -> float:
     value = _number(cell)
     if value is None:
         raise UsageError(f"{where}: must be a number, not {cell[:60]!r}")
     if not math.isfinite(value):
         raise UsageError(f"{where}: must be finite, not {cell}")
-    if abs(value) > FARTHEST_M:
-        raise UsageError(f"{where}: must be from -{FARTHEST_M:g} to {FARTHEST_M:g} m, not {cell}")
+    if not least <= value <= most:
+        raise UsageError(f"{where}: must be from {least:g} to {most:g} {unit}, not {cell}")
     return value
 
 

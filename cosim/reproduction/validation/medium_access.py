@@ -137,7 +137,8 @@ def periodic(seeds: int = 20) -> Sequence[Row]:
         counts = []
         for seed in range(seeds):
             position = np.random.default_rng(seed).uniform(0.0, 200.0, (count, 3)) * (1.0, 1.0, 0.0)
-            plan = channel_trial.Broadcasts(position=position, rate_hz=10.0, size_bytes=100, duration_s=2.0, seed=seed)
+            waypoints = channel_trial.Waypoints.fixed(position)
+            plan = channel_trial.TrialTraffic(waypoints=waypoints, rate_hz=10.0, size_bytes=100, duration_s=2.0, seed=seed)
             counts.append(channel_trial.run(channel(preset, path_loss={"exponent": 2.0}), plan))
         weights = [each["receptions"] for each in counts]
         delay_s = np.average([each["delay_s"]["mean"] for each in counts], weights=weights)

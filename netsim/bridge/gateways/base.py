@@ -38,14 +38,25 @@ class GatewayContext(Protocol):
     run: str  # name of the scenario
     loop: asyncio.AbstractEventLoop
 
-    def offer(self, gateway: "Gateway", sender: int, to: int, payload: bytes, *, came_ns: int | None = None) -> bool:
+    def offer(
+        self,
+        gateway: "Gateway",
+        sender: int,
+        to: int,
+        payload: bytes,
+        *,
+        came_ns: int | None = None,
+        size_bytes: int | None = None,
+    ) -> bool:
         """Hand a datagram to the radio of a vehicle.
 
         Args:
             gateway: its `Gateway.deliver` is called when the datagram arrives.
             to: row of the destination, or `BROADCAST`.
-            payload: at most `LARGEST` bytes; its length is the payload size on the channel.
+            payload: at most `LARGEST` bytes.
             came_ns: time of reception from the program, ``time.monotonic_ns()``; None: now.
+            size_bytes: payload size on the channel: less than the length of ``payload`` if a header of it is part of the header
+                of the radio's standard; None: its length.
 
         Returns:
             Whether there was room. If not, the datagram was not taken: stop reading from this program for some milliseconds,

@@ -91,6 +91,42 @@ def test_every_preset_adds_up_and_repeats_with_the_same_bytes(preset: str, folde
     assert files(folder) == ["a.parquet", "b.parquet", "p.csv"]
 
 
+def test_periodic_broadcasts_are_the_default(folder: Path) -> None:
+    plain = channel("wifi-g-6", "--out", "a.parquet")
+    assert {**channel("wifi-g-6", "--traffic", "periodic", "--out", "b.parquet"), "cpu_s": 0} == {**plain, "cpu_s": 0}
+    assert (folder / "a.parquet").read_bytes() == (folder / "b.parquet").read_bytes()
+
+
+@pytest.mark.parametrize("traffic", ["jitter", "poisson", "saturated"])
+def test_frames_of_vehicles_on_paths_to_one_of_them(traffic: str, folder: Path) -> None:
+    (folder / "p.csv").write_text("t,name,x,y,z\n0,base,0,0,1\n0,car,0,0,1\n1,car,30,0,1\n")
+    counts = channel("wifi-g-6", "--traffic", traffic, "--to", "base", "--out", "rows.parquet")
+    rows = pq.read_table(folder / "rows.parquet")
+    assert set(rows["sender"].to_pylist()) == {"car"}
+    assert set(rows["receiver"].to_pylist()) == {"base"}
+    assert rows.num_rows == counts["frames"] == counts["receptions"] > 0
+    assert np.allclose(rows["distance_m"], 30.0 * np.array(rows["sent_ns"]) / 1e9)
+
+
+def test_a_saturated_vehicle_needs_no_rate() -> None:
+    arguments = [each for each in TRIAL if each not in ("--rate", "10")]
+    done = vcmvsp_command(*arguments, "--preset", "wifi-g-6", "--traffic", "saturated", "--json")
+    assert (done.code, done.err) == (0, "")
+    refused(vcmvsp_command(*arguments, "--preset", "wifi-g-6"), "--traffic periodic needs --rate HZ")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--to", "v7"], ["--to", "'v7'", "v0, v1"]),
+        (["--jitter", "0.2"], ["--jitter needs --traffic jitter"]),
+        (["--traffic", "jitter", "--jitter", "1.5"], ["--jitter", "1.5"]),
+    ],
+)
+def test_traffic_that_cannot_be_is_refused(arguments: list[str], words: list[str]) -> None:
+    refused(vcmvsp_command(*TRIAL, "--preset", "ideal", *arguments), *words)
+
+
 def test_antennas_are_where_the_file_says(folder: Path) -> None:
     (folder / "p.csv").write_text("0,0,1\n3,4,13\n")
     channel("ideal", "--out", "rows.parquet")

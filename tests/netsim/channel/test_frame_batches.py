@@ -11,7 +11,7 @@ from tests.support.netsim.channels import make_channel
 from vcmvsp.cosim.types import FrameReport, Message
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.channel.channel import Channel
-from vcmvsp.netsim.evaluation.broadcast_trial import Broadcasts, run
+from vcmvsp.netsim.evaluation.broadcast_trial import TrialTraffic, Waypoints, run
 
 pytestmark = pytest.mark.slow
 
@@ -74,9 +74,9 @@ def test_what_has_to_be_sent_one_by_one_is_refused_and_leaves_no_trace(tables: d
     assert encode(ways[0]) == encode(ways[1])
 
 
-def plan(count: int, side_m: float, rate_hz: float = 20.0) -> Broadcasts:
+def plan(count: int, side_m: float, rate_hz: float = 20.0) -> TrialTraffic:
     position = np.random.default_rng(count).uniform(0.0, side_m, (count, 3))
-    return Broadcasts(position=position, rate_hz=rate_hz, size_bytes=100, duration_s=1.0, seed=3)
+    return TrialTraffic(waypoints=Waypoints.fixed(position), rate_hz=rate_hz, size_bytes=100, duration_s=1.0, seed=3)
 
 
 @pytest.mark.parametrize(
@@ -91,7 +91,7 @@ def plan(count: int, side_m: float, rate_hz: float = 20.0) -> Broadcasts:
 def test_the_same_counts_and_delays(preset: str, count: int, side_m: float, changes: dict[str, Any]) -> None:
     channel = make_channel(preset, mac={"kind": "dcf"}, **changes)
     sent = plan(count, side_m)
-    assert channel.bulk(sent.names, sent.position) is not None
+    assert channel.bulk(sent.names, sent.waypoints.at(0)) is not None
     at_once = run(channel, sent)
     one_by_one = run(channel, sent, sink=lambda _: None)
     del at_once["cpu_s"], one_by_one["cpu_s"]
@@ -115,6 +115,8 @@ def test_the_same_counts_and_delays(preset: str, count: int, side_m: float, chan
 def test_not_where_a_layer_has_a_say_in_each_frame(changes: dict[str, Any]) -> None:
     sent = plan(5, 50.0)
     assert (
-        make_channel("wifi-b-1", vehicles=sent.names, **{"mac": {"kind": "dcf"}, **changes}).bulk(sent.names, sent.position)
+        make_channel("wifi-b-1", vehicles=sent.names, **{"mac": {"kind": "dcf"}, **changes}).bulk(
+            sent.names, sent.waypoints.at(0)
+        )
         is None
     )

@@ -12,11 +12,12 @@ from hypothesis import strategies as st
 from tests.support.netsim.channels import make_channel
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.reproduction.validation import medium_access
 from vcmvsp.cosim.tables.schema import RADIO_SCHEMA, RunFacts, radio_table, write_table
 from vcmvsp.cosim.types import FrameReport
 from vcmvsp.netsim.evaluation import broadcast_trial
 from vcmvsp.netsim.evaluation.broadcast_trial import Delays
-from vcmvsp.netsim.evaluation.files import RowFile
+from vcmvsp.netsim.evaluation.files import RowFile, read_positions
 from vcmvsp.netsim.interfaces.layers import Floats
 
 pytestmark = pytest.mark.slow
@@ -37,9 +38,9 @@ def files(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
-def plan(position: Floats, **changes: Any) -> broadcast_trial.Broadcasts:
+def plan(position: Floats, **changes: Any) -> broadcast_trial.TrialTraffic:
     settings = {"rate_hz": 10.0, "size_bytes": 100, "duration_s": 1.0, "seed": 3, **changes}
-    return broadcast_trial.Broadcasts(position=position, **settings)
+    return broadcast_trial.TrialTraffic(waypoints=broadcast_trial.Waypoints.fixed(position), **settings)
 
 
 def without_cpu(counts: dict[str, Any]) -> dict[str, Any]:
@@ -84,6 +85,93 @@ def test_phases_are_uniform_in_the_period() -> None:
 def test_phases_differ_from_seed_to_seed_and_another_radio_changes_none() -> None:
     assert plan(places(6)).phases_ns() == plan(places(7)).phases_ns()[:6]
     assert not set(plan(places(20), seed=1).phases_ns()) & set(plan(places(20), seed=2).phases_ns())
+
+
+# --- rules of sending -------------------------------------------------------------------------------------------------------
+
+
+def gaps_ns(what: broadcast_trial.TrialTraffic, row: int) -> Floats:
+    return np.diff([time_ns for time_ns, sender in what.sendings() if sender == row]).astype(np.float64)
+
+
+def test_jittered_periods_are_uniform_around_the_period() -> None:
+    """First frame as of periodic traffic; Kolmogorov-Smirnov at 0.1 %: 1.95 / sqrt(n)."""
+    what = plan(places(3), kind="jitter", jitter=0.2, rate_hz=20.0, duration_s=100.0)
+    sent = list(what.sendings())
+    assert [time_ns for time_ns, _ in sent] == sorted(time_ns for time_ns, _ in sent)
+    assert [next(time_ns for time_ns, row in sent if row == each) for each in range(3)] == what.phases_ns()
+    for row in range(3):
+        shares = np.sort((gaps_ns(what, row) * 20.0 / SECOND_NS - 0.8) / 0.4)
+        assert -1e-6 < shares[0] < shares[-1] < 1.0 + 1e-6
+        assert np.abs(shares - np.arange(len(shares)) / len(shares)).max() < 1.95 / np.sqrt(len(shares))
+
+
+def test_frames_of_a_poisson_process_have_exponential_gaps_also_before_the_first() -> None:
+    what = plan(places(300), kind="poisson", rate_hz=20.0, duration_s=10.0)
+    first = [next(time_ns for time_ns, row in what.sendings() if row == each) for each in range(0, 300, 10)]
+    assert np.mean(first) == pytest.approx(SECOND_NS / 20.0, rel=4.0 / np.sqrt(len(first)))
+    sent = [row for _, row in what.sendings()]
+    assert len(sent) == pytest.approx(300 * 200, abs=4.0 * np.sqrt(300 * 200))
+    gaps = np.sort(gaps_ns(plan(places(2), kind="poisson", rate_hz=20.0, duration_s=200.0), 0)) * 20.0 / SECOND_NS
+    assert np.abs(1.0 - np.exp(-gaps) - np.arange(len(gaps)) / len(gaps)).max() < 1.95 / np.sqrt(len(gaps))
+
+
+@pytest.mark.parametrize("kind", ["jitter", "poisson"])
+def test_another_radio_changes_no_times_of_the_others(kind: str) -> None:
+    few, many = (list(plan(places(count), kind=kind).sendings()) for count in (4, 5))
+    assert few == [each for each in many if each[1] < 4]
+
+
+def test_a_saturated_radio_alone_is_never_idle() -> None:
+    """Ideal access: a frame per time on the air, until the end of sending."""
+    counts = broadcast_trial.run(make_channel("wifi-b-1", mac={"kind": "ideal"}), plan(places(2, 10.0), kind="saturated"))
+    assert counts["frames"] == 2 * np.ceil(1.0 / 1280e-6)  # 100 bytes of payload
+    assert counts["delay_s"]["mean"] == pytest.approx(1280e-6)
+
+
+@pytest.mark.parametrize("count", [3, 10])
+def test_saturated_unicast_to_one_radio_is_bianchis(count: int) -> None:
+    """Equal levels: nothing is received in a collision; see `reproduction.validation.medium_access`."""
+    channel = make_channel("wifi-b-11", mac={"kind": "dcf"}, path_loss=dict(medium_access.EQUAL))
+    reports: list[FrameReport] = []
+    what = plan(places(count + 1), kind="saturated", to="v0", size_bytes=1000, duration_s=8.0)
+    counts = broadcast_trial.run(channel, what, sink=reports.append)
+    tau, air_ns = medium_access.sending_chance(count), reports[0].air_time_ns
+    idle, alone = (1 - tau) ** count, count * tau * (1 - tau) ** (count - 1)
+    success_ns = air_ns + medium_access.SIFS_NS + medium_access.ACK_NS + medium_access.DIFS_NS
+    slot_ns = idle * medium_access.SLOT_NS + alone * success_ns + (1 - idle - alone) * (air_ns + medium_access.DIFS_NS)
+    assert counts["receptions"] / 8.0 == pytest.approx(1e9 * alone / slot_ns, rel=0.03)
+
+
+@pytest.mark.parametrize("kind", ["periodic", "jitter", "poisson", "saturated"])
+@pytest.mark.parametrize("channel", CHANNELS)
+def test_unicast_frames_have_one_receiver_and_repeat(kind: str, channel: dict[str, Any]) -> None:
+    found = []
+    for _ in range(2):
+        reports: list[FrameReport] = []
+        what = plan(places(5), kind=kind, to="v2", rate_hz=30.0, duration_s=0.2)
+        counts = broadcast_trial.run(make_channel(**channel), what, sink=reports.append)
+        assert {report.receivers for report in reports} == {("v2",)}
+        assert {report.sender for report in reports} == {"v0", "v1", "v3", "v4"}
+        assert counts["receptions"] + sum(counts["losses"].values()) == counts["frames"] == len(reports)
+        found.append([(report.frame, report.sender, report.sent_ns, report.outcome) for report in reports])
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("kind", ["periodic", "saturated"])
+def test_radios_are_where_their_paths_lead_at_the_time_of_sending(kind: broadcast_trial.Kind, tmp_path: Path) -> None:
+    """A rests, B waits until 0.5 s, then moves away at 20 m/s until 1.5 s."""
+    (tmp_path / "p.csv").write_text("t,name,x,y,z\n0.5,b,3,4,0\n0,a,0,0,0\n1.5,b,15,20,0\n")
+    reports: list[FrameReport] = []
+    what = broadcast_trial.TrialTraffic(
+        waypoints=read_positions(tmp_path / "p.csv"), rate_hz=50.0, size_bytes=100, duration_s=2.0, kind=kind
+    )
+    assert what.names == ("b", "a")
+    broadcast_trial.run(make_channel("wifi-b-1"), what, sink=reports.append)
+    assert len(reports) >= 200
+    times_s = np.array([report.sent_ns for report in reports]) / 1e9
+    distances_m = [float(report.distance_m[0]) for report in reports]
+    assert distances_m == pytest.approx(5.0 + 20.0 * np.clip(times_s - 0.5, 0.0, 1.0))
 
 
 # --- counting ---------------------------------------------------------------------------------------------------------------
@@ -179,7 +267,7 @@ def test_percentiles_of_too_many_delays_are_right_within_half_a_bin(values: list
 # --- rows -------------------------------------------------------------------------------------------------------------------
 
 
-def facts_of(what: broadcast_trial.Broadcasts) -> RunFacts:
+def facts_of(what: broadcast_trial.TrialTraffic) -> RunFacts:
     return RunFacts(scenario="trial", seed=what.seed, end_ns=what.end_ns, vehicles=what.names)
 
 

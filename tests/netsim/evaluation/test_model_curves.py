@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from vcmvsp.cosim.assembly import radio
 from vcmvsp.cosim.config.provenance import Source
-from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.errors import ScenarioError, UsageError
 from vcmvsp.cosim.types import Message, Vec3
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.evaluation.coverage import among, coverage, floor_dbm, range_m
@@ -33,7 +33,7 @@ pytestmark = pytest.mark.slow
 @pytest.mark.parametrize("head", ["", "x,y,z\n", "X_m, y_m ,z_m\r\n", "\ufeff", "\n\nx,y,z\n"])
 def test_positions_come_with_or_without_a_header(head: str, tmp_path: Path) -> None:
     (tmp_path / "p.csv").write_text(head + "1,2,3\n\n -4.5 ,1e3,0\n", "utf-8", newline="")
-    assert read_positions(tmp_path / "p.csv").tolist() == [[1.0, 2.0, 3.0], [-4.5, 1000.0, 0.0]]
+    assert read_positions(tmp_path / "p.csv").at(0).tolist() == [[1.0, 2.0, 3.0], [-4.5, 1000.0, 0.0]]
 
 
 @pytest.mark.parametrize(
@@ -60,6 +60,27 @@ def test_what_is_no_position_is_named(text: str, problem: str, tmp_path: Path) -
     with pytest.raises(UsageError) as error:
         read_positions(tmp_path / "p.csv")
     assert str(error.value).startswith(str(tmp_path / "p.csv"))
+    assert problem in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("t,name,x,y,z\n", "has no positions"),
+        ("t,who,x,y,z\n0,a,1,2,3\n", "line 1: the columns must be t,name,x,y,z, not t,who,x,y,z"),
+        ("0,a,1,2,3\n0.5,a,1,2\n", "line 2: must have 5 columns (t,name,x,y,z), not 4: 0.5,a,1,2"),
+        ("0,a,1,2,3\nsoon,a,1,2,3\n", "line 2, column t: must be a number, not 'soon'"),
+        ("0,a,1,2,inf\n", "line 1, column z: must be finite"),
+        ("0,a,1,2,3\n1e10,a,1,2,3\n", "line 2, column t: must be from -1e+09 to 1e+09 s"),
+        ("0,a b,1,2,3\n", "line 1, column name"),
+        ("1,a,1,2,3\n0,b,1,2,3\n1,a,4,5,6\n", "line 3: the times of a must increase, and 1 s is not after the one before"),
+    ],
+)
+def test_what_is_no_position_over_time_is_named(text: str, problem: str, tmp_path: Path) -> None:
+    (tmp_path / "p.csv").write_text(text)
+    with pytest.raises((UsageError, ScenarioError)) as error:
+        read_positions(tmp_path / "p.csv")
+    assert str(tmp_path / "p.csv") in str(error.value)
     assert problem in str(error.value)
 
 

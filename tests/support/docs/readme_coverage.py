@@ -22,6 +22,7 @@ SECRETS = "tests/cosim/hosts/test_containers.py::test_a_container_sees_no_keys_b
 HOSTS = "tests/cosim/hosts/test_containers.py::test_files_of_hosts_are_as_they_are_read"
 NETWORK = "tests/cosim/cli/test_net.py::test_ping_fares_as_the_radio_recorded"
 LEFT_OVER = "tests/cosim/cli/test_net.py::test_status_tells_addresses_and_that_the_run_is_alive"
+ROUTED = "tests/netsim/bridge/test_routing_program.py::test_routes_over_five_hops_carry_everything_and_are_repaired"
 PORTS = "tests/netsim/bridge/test_readme.py::test_the_worked_example"
 TEN_LINES = "tests/netsim/bridge/test_readme.py::test_the_ten_lines_of_the_radios_page"
 OWN_DOOR = "tests/netsim/bridge/test_readme.py::test_the_custom_gateway_of_the_page_works"
@@ -96,6 +97,16 @@ ELSEWHERE = _in_the_gallery() | {
     "sudo vcmvsp net up formation-circle --duration 600 --set radio.delay.seconds=0.02": NETWORK,
     "sudo vcmvsp net exec car2 -- ping car1": NETWORK,
     "sudo vcmvsp net status": LEFT_OVER,
+    "for car in car1 car2 car3 car4 car5 car6 relief; do": ROUTED,
+    'ip netns exec vcmvsp-chain-$car babeld -w -I "" -S "" radio0': ROUTED,
+    "done": ROUTED,
+    "wait": ROUTED,
+    "sudo vcmvsp net up chain.toml": ROUTED,
+    "sudo sh babel.sh": ROUTED,
+    "sudo vcmvsp net exec car1 -- ip route": ROUTED,
+    "sudo vcmvsp net exec car1 -- ping -c 20 -i 0.2 car6": ROUTED,
+    "sudo vcmvsp net exec car6 -- iperf3 -s -1 -D": ROUTED,
+    "sudo vcmvsp net exec car1 -- iperf3 -c car6 -u -l 200 -b 160k": ROUTED,
     "vcmvsp run two-programs.toml --out two-programs": PORTS,
     "python echo.py": PORTS,
     "python ask.py": PORTS,

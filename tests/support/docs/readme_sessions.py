@@ -62,6 +62,7 @@ MINE = {
     "mine.toml": block("docs/tutorial.md", "# mine.toml"),
 }
 CARS = {"cars.csv": "x,y,z\n0,0,0\n10,0,0\n0,20,0\n400,0,0\n"}
+PATHS = {"paths.csv": "t,name,x,y,z\n0,base,0,0,1\n0,car1,0,5,1\n30,car1,300,5,1\n"}
 
 STORIES = (
     Story(
@@ -187,13 +188,19 @@ STORIES = (
                 "vcmvsp channel --preset wifi-b-1 --positions cars.csv --rate 10 --size 100 --duration 30"
                 " --set path_loss.exponent=2"
             ),
+            Step(
+                "vcmvsp channel --preset wifi-g-6 --positions cars.csv --traffic jitter --jitter 0.1"
+                " --rate 10 --size 100 --duration 30"
+            ),
+            Step("vcmvsp channel --preset wifi-g-6 --positions cars.csv --traffic saturated --to v0 --size 1000 --duration 5"),
+            Step("vcmvsp channel --preset wifi-g-6 --positions paths.csv --traffic poisson --rate 10 --size 100 --duration 30"),
             Step("vcmvsp per --preset wifi-g-54 --model nist --snr 14:24:0.5 --size 100"),
             Step("vcmvsp per --preset wifi-g-6 --model nist --snr -2:6:0.5 --size 100"),
             Step("vcmvsp pathloss --preset zigbee --distance 1:100:1"),
             Step("vcmvsp pathloss --preset wifi-b-1 --distance 10:100:10"),
             Step("vcmvsp calibrate links.csv"),
         ),
-        {**CARS, "links.csv": survey()},
+        {**CARS, **PATHS, "links.csv": survey()},
     ),
     Story(
         "a world of ones own",

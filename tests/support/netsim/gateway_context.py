@@ -22,6 +22,7 @@ class Offered:
     to: int
     payload: bytes
     came_ns: int
+    size_bytes: int
 
 
 class TestHall:
@@ -60,7 +61,16 @@ class TestHall:
         self._thread = threading.get_ident()
         self.is_closed = False  # then the run delivers nothing more
 
-    def offer(self, gateway: Gateway, sender: int, to: int, payload: bytes, *, came_ns: int | None = None) -> bool:
+    def offer(
+        self,
+        gateway: Gateway,
+        sender: int,
+        to: int,
+        payload: bytes,
+        *,
+        came_ns: int | None = None,
+        size_bytes: int | None = None,
+    ) -> bool:
         self._on_the_loop()
         rows = range(len(self.vehicles))
         assert type(payload) is bytes
@@ -70,7 +80,8 @@ class TestHall:
         if not self.room:
             return False
         place = len(self.offered)
-        self.offered.append(Offered(sender, to, payload, time.monotonic_ns() if came_ns is None else came_ns))
+        at_ns = time.monotonic_ns() if came_ns is None else came_ns
+        self.offered.append(Offered(sender, to, payload, at_ns, len(payload) if size_bytes is None else size_bytes))
         for receiver in [row for row in rows if row != sender] if to == BROADCAST else [to]:
             if self._hears(sender, receiver, place):
                 self._later(gateway.deliver, sender, receiver, payload)

@@ -1,7 +1,8 @@
 """IP gateway: each vehicle is a network namespace of Linux; unchanged programs in it communicate over its radio.
 
-A namespace has one TUN interface, `interfaces.RADIO`: the gateway reads the kernel's IP packets there, and writes received
-packets there. One hop on the air is one hop of IP.
+A namespace has one interface, `namespaces.RADIO`: the gateway reads what the kernel sends there, and writes there what the
+vehicle receives. On layer 2 these are Ethernet frames (TAP): the next hop is the receiver, and ARP and neighbour discovery
+cross the air. On layer 3 these are IP packets (TUN): the packet's destination is the receiver. A hop on the air is a hop of IP.
 """
 
 import asyncio
@@ -10,13 +11,13 @@ import ipaddress
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.bridge.gateways.base import BROADCAST, LARGEST, GatewayContext, GatewayError, check_names
-from vcmvsp.netsim.bridge.gateways.ip import namespaces, run_networks
+from vcmvsp.netsim.bridge.gateways.ip import ethernet, namespaces, run_networks
 from vcmvsp.netsim.bridge.gateways.ip.namespaces import Network
 from vcmvsp.netsim.bridge.gateways.ip.run_networks import Space
 
@@ -71,12 +72,14 @@ def address_in(network: Network, row: int) -> Address:
 
 
 class Directory:
-    """Vehicle of each address.
+    """Vehicle of each IP address.
 
     Args:
         networks: shared by the vehicles.
         routed: networks behind vehicles, by row; the narrowest network that contains an address counts.
     """
+
+    header_bytes = 0  # of a packet, that are no payload on the air
 
     def __init__(self, networks: Sequence[Network], rows: Sequence[int], routed: Mapping[int, Sequence[Network]]) -> None:
         self._rows = {address_in(network, row).packed: row for network in networks for row in rows}
@@ -102,6 +105,10 @@ class Directory:
         if is_membership:
             return MEMBERSHIP
         return BROADCAST if is_group or target in self._broadcasts else self._row(sender, target)
+
+    def carries(self, sender: int, payload: bytes) -> bool:
+        """Whether a payload is an IP packet; messages of agents are none."""
+        return is_ip(payload)
 
     def _row(self, sender: int, target: bytes) -> int | str:
         row = self._rows.get(target)
@@ -137,10 +144,12 @@ class _Radio:
 class Ip:
     """A network namespace for each vehicle: ``vcmvsp net exec car1 -- ping car2``.
 
-    The i-th vehicle of the scenario has the i-th address of both networks. Packets to an address of a vehicle are unicast;
-    packets to a multicast group or to the broadcast address are broadcast.
+    The i-th vehicle of the scenario has the i-th address of both networks. Packets to a multicast group or to the broadcast
+    address are broadcast.
 
     Args:
+        layer: 2: Ethernet. Routing tables and ARP of a vehicle choose the next hop, which receives the frame. 3: IP. Packets to
+            an address of a vehicle are unicast to it; there is no ARP, and there are no link-local addresses.
         network: IPv4 network of all vehicles.
         network6: IPv6 network of all vehicles; none if ``mtu_bytes`` is less than 1280.
         mtu_bytes: longest packet; programs and kernel fragment longer ones.
@@ -157,10 +166,11 @@ class Ip:
         mtu_bytes: Mtu = 1500,
         routes: Mapping[str, tuple[str, ...]] | None = None,
         vehicles: tuple[str, ...] = (),
+        layer: Literal[2, 3] = 2,
     ) -> None:
         both = network_of(network, "network", 4), network_of(network6, "network6", 6)
         self._networks: tuple[Network, ...] = both if mtu_bytes >= LEAST_MTU6 else both[:1]
-        self._mtu_bytes, self._chosen = mtu_bytes, vehicles
+        self._mtu_bytes, self._chosen, self._layer = mtu_bytes, vehicles, layer
         self._routes = {name: [network_of(each, "routes") for each in behind] for name, behind in (routes or {}).items()}
         self._radios: dict[int, _Radio] = {}
         self._lease: run_networks.Lease | None = None
@@ -173,6 +183,12 @@ class Ip:
         for network, key in zip(self._networks, ("network", "network6"), strict=False):
             if network.num_addresses - 2 < len(vehicles):  # its own address, and that of all
                 raise ValueError(f"{key}: {network} has too few addresses for {len(vehicles)} vehicles: use a larger network")
+        if self._layer == 2 and self._mtu_bytes > LARGEST - ethernet.HEADER:
+            raise ValueError(
+                f"mtu_bytes: more than {LARGEST - ethernet.HEADER} bytes need layer = 3, not {self._mtu_bytes} and 2"
+            )
+        if self._layer == 2 and len(vehicles) > ethernet.VEHICLES:
+            raise ValueError(f"layer: more than {ethernet.VEHICLES} vehicles need layer = 3")
         self._check_routes()
 
     def _check_routes(self) -> None:
@@ -192,7 +208,9 @@ class Ip:
             raise GatewayError(f"network namespaces need {lacks}: start the run as root (sudo)")
         rows = [row for row, name in enumerate(context.vehicles) if not self._chosen or name in self._chosen]
         routed = {row: self._routes[name] for row, name in enumerate(context.vehicles) if name in self._routes}
-        self._directory = Directory(self._networks, rows, routed)
+        self._addressing: Directory | ethernet.Stations = ethernet.Stations(rows, BROADCAST)
+        if self._layer == 3:
+            self._addressing = Directory(self._networks, rows, routed)
         spaces = {row: self._space(row) for row in rows}
         try:
             self._lease = run_networks.Lease(context.run)
@@ -223,11 +241,28 @@ class Ip:
     def _beyond(self, vehicle: str) -> list[Network]:
         return [network for name, behind in self._routes.items() if name != vehicle for network in behind]
 
+    def _radio_of(self, row: int, space: Space) -> namespaces.RadioInterface:
+        """The interface of a vehicle: its addresses, and routes to the networks behind other vehicles."""
+        addresses = [(address, each.prefixlen) for address, each in zip(space.addresses, self._networks, strict=True)]
+        routes: list[tuple[Network, str | None]] = [(network, None) for network in self._beyond(space.vehicle)]
+        if self._layer == 3:
+            return namespaces.RadioInterface(addresses, routes, self._mtu_bytes)
+        mac = ethernet.mac_of(row)
+        if len(self._networks) > 1:
+            addresses.append((ethernet.link_local(mac), 64))
+        routes = [(network, self._gateway_to(network)) for network, _ in routes]
+        return namespaces.RadioInterface(addresses, routes, self._mtu_bytes, mac)
+
+    def _gateway_to(self, network: Network) -> str:
+        """Address of the vehicle that has a network behind it."""
+        vehicle = next(name for name, behind in self._routes.items() if network in behind)
+        shared = next(each for each in self._networks if each.version == network.version)
+        return str(address_in(shared, self._context.vehicles.index(vehicle)))
+
     def _make(self, row: int, space: Space) -> None:
-        with_bits = [(address, each.prefixlen) for address, each in zip(space.addresses, self._networks, strict=True)]
-        beyond = self._beyond(space.vehicle)
+        interface = self._radio_of(row, space)
         namespaces.create(space.namespace)
-        packets = namespaces.inside(space.namespace, lambda: namespaces.open_radio(with_bits, beyond, self._mtu_bytes))
+        packets = namespaces.inside(space.namespace, lambda: namespaces.open_radio(interface))
         try:
             self._radios[row] = _Radio(row, packets, namespaces.inside(space.namespace, namespaces.statistics))
         except BaseException:
@@ -249,26 +284,30 @@ class Ip:
     def _read(self, radio: _Radio) -> None:
         for _ in range(BATCH):
             try:
-                packet = os.read(radio.packets, LARGEST)
+                packet = os.read(radio.packets, LARGEST + ethernet.HEADER)
             except BlockingIOError:
                 return
             except OSError:  # the interface was removed
                 self._context.loop.remove_reader(radio.packets)
                 return
-            to = self._directory.goes_to(radio.row, packet)
+            to = self._addressing.goes_to(radio.row, packet)
             if isinstance(to, str):
                 self._context.count(radio.row, to)
-            elif not self._context.offer(self, radio.row, to, packet):
+            elif not self._offer(radio, to, packet):
                 radio.waiting = to, packet
                 self._context.loop.remove_reader(radio.packets)
                 self._context.loop.call_later(PAUSE_S, self._go_on, radio)
                 return
 
+    def _offer(self, radio: _Radio, to: int, packet: bytes) -> bool:
+        size_bytes = len(packet) - self._addressing.header_bytes
+        return self._context.offer(self, radio.row, to, packet, size_bytes=size_bytes)
+
     def _go_on(self, radio: _Radio) -> None:
         if radio.waiting is None or radio.row not in self._radios:
             return
         to, packet = radio.waiting
-        if self._context.offer(self, radio.row, to, packet):
+        if self._offer(radio, to, packet):
             radio.waiting = None
             self._context.loop.add_reader(radio.packets, self._read, radio)
         else:
@@ -285,7 +324,7 @@ class Ip:
     def deliver(self, sender: int, receiver: int, payload: bytes) -> None:
         """Write a packet to the interface of a vehicle, if it has one."""
         radio = self._radios.get(receiver)
-        if radio is None or not is_ip(payload):  # agents' messages are no IP packets
+        if radio is None or not self._addressing.carries(sender, payload):
             return
         try:
             os.write(radio.packets, payload)

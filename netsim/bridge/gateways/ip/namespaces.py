@@ -1,4 +1,4 @@
-"""Network namespaces of Linux, and a vehicle's interfaces there: the radio (TUN), and the port (veth) to real machines.
+"""Network namespaces of Linux, and a vehicle's interfaces there: the radio (TAP or TUN), and the port (veth) to real machines.
 
 Names are as ``ip netns`` gives them: a file each in `NAMES`. A namespace is a property of a thread: work inside one is done by
 a thread that ends there.
@@ -18,7 +18,7 @@ import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 
@@ -39,11 +39,13 @@ PORT = "port0"  # in the namespace; the host's end has another name
 QUEUE = 500  # packets that wait in the kernel
 
 _SET_INTERFACE = 0x400454CA  # TUNSETIFF, linux/if_tun.h
-_TUN_WITHOUT_HEADER = 0x0001 | 0x1000  # IFF_TUN | IFF_NO_PI
+_TUN, _TAP, _WITHOUT_HEADER = 0x0001, 0x0002, 0x1000  # IFF_TUN, IFF_TAP, IFF_NO_PI
 _NO_DUPLICATES_SOUGHT = 0x02  # IFA_F_NODAD: no duplicate address detection, usable at once
 _BROADCAST_ROUTE, _ON_LINK = 3, 253  # RTN_BROADCAST, RT_SCOPE_LINK
 _RULE_PRIORITY = 7700  # before the main table's
 _HOST_SIDE, _INSIDE = "fe80::1", "fe80::2"  # of a port
+_NO_REDIRECTS = {"send_redirects": "0", "accept_redirects": "0"}
+"""The radio is one link, but not all vehicles on it reach each other: no router may say that a detour is needless."""
 _QUIET = {"accept_ra": "0", "router_solicitations": "0", "addr_gen_mode": "1", "disable_ipv6": "0"}
 
 
@@ -162,28 +164,42 @@ def port_of(run: str, vehicle: str, behind: Iterable[Network], others: Iterable[
     return Port(interface=f"vcmvsp-{number:08x}", table=number | 1 << 31, behind=there, others=beyond)
 
 
-def open_radio(addresses: Sequence[tuple[str, int]], beyond: Iterable[Network], mtu_bytes: int) -> int:
+class RadioInterface(NamedTuple):
+    """The radio's interface in a vehicle's namespace."""
+
+    addresses: Sequence[tuple[str, int]]  # of the vehicle, each with the prefix length of its network
+    routes: Sequence[tuple[Network, str | None]]  # further networks: by a vehicle's address, or directly
+    mtu_bytes: int
+    mac: bytes | None = None  # Ethernet address, of a TAP; None: a TUN
+
+
+def open_radio(interface: RadioInterface) -> int:
     """Create the radio's interface in this thread's namespace; returns the descriptor of its packets.
 
-    Args:
-        addresses: of the vehicle, each with the prefix length of its network.
-        beyond: further networks reached through the radio.
+    The kernel completes checksums and divides segments by itself, as this interface offers no offloads.
     """
     _sysctl("ipv6", ("all", "default"), _QUIET)
+    kind = _TUN if interface.mac is None else _TAP
     descriptor = os.open(TUN, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
-        fcntl.ioctl(descriptor, _SET_INTERFACE, struct.pack("16sH22x", RADIO.encode(), _TUN_WITHOUT_HEADER))
+        fcntl.ioctl(descriptor, _SET_INTERFACE, struct.pack("16sH22x", RADIO.encode(), kind | _WITHOUT_HEADER))
         _sysctl("ipv6", (RADIO,), _QUIET)
+        if interface.mac is not None:
+            _sysctl("ipv4", ("all", "default", RADIO), _NO_REDIRECTS)
+            _sysctl("ipv6", ("all", "default", RADIO), {"accept_redirects": "0"})
         with _netlink() as links:
             radio = links.link_lookup(ifname=RADIO)[0]
             links.link("set", index=1, state="up")
-            links.link("set", index=radio, mtu=mtu_bytes, txqlen=QUEUE, state="up")
-            for address, bits in addresses:
+            if interface.mac is not None:
+                links.link("set", index=radio, address=interface.mac.hex(":"))
+            links.link("set", index=radio, mtu=interface.mtu_bytes, txqlen=QUEUE, state="up")
+            for address, bits in interface.addresses:
                 links.addr("add", index=radio, address=address, prefixlen=bits, **_kind(address))
             links.route("add", dst="224.0.0.0/4", oif=radio)
             links.route("add", dst="255.255.255.255/32", oif=radio, type=_BROADCAST_ROUTE, scope=_ON_LINK)
-            for network in beyond:
-                links.route("add", dst=str(network), oif=radio, family=_family(network))
+            for network, gateway in interface.routes:
+                by = {} if gateway is None else {"gateway": gateway}
+                links.route("add", dst=str(network), oif=radio, family=_family(network), **by)
     except BaseException:
         os.close(descriptor)
         raise

@@ -1,4 +1,4 @@
-"""The gateway for IP: programs in two or three namespaces, and between them a context that carries what it is offered."""
+"""The gateway for IP, on layer 3: programs in two or three namespaces, and a context that carries what it is offered."""
 
 import asyncio
 import errno
@@ -39,7 +39,7 @@ CARS = ("car1", "car2", "car3")
 @pytest.mark.parametrize(("first", "second", "header"), [("10.77.0.1", "10.77.0.2", 28), ("fd77::1", "fd77::2", 48)])
 async def test_a_datagram_reaches_the_vehicle_that_has_its_address_and_no_other(first: str, second: str, header: int) -> None:
     context = TestHall(CARS, run=RUN)
-    async with opened(Ip(), context):
+    async with opened(Ip(layer=3), context):
         with udp("car1", first) as sender, udp("car2", second, 9000) as listener:
             sender.sendto(b"x" * 100, (second, 9000))
             assert await heard(listener) == (b"x" * 100, first)
@@ -50,7 +50,7 @@ async def test_a_datagram_reaches_the_vehicle_that_has_its_address_and_no_other(
 @pytest.mark.parametrize("to", ["10.77.255.255", "255.255.255.255"])
 async def test_a_broadcast_is_a_broadcast_by_radio(to: str) -> None:
     context = TestHall(CARS, run=RUN)
-    async with opened(Ip(), context):
+    async with opened(Ip(layer=3), context):
         with udp("car2", "10.77.0.2") as sender, udp("car1", "", 9000) as one, udp("car3", "", 9000) as other:
             sender.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
             sender.sendto(b"all", (to, 9000))
@@ -62,7 +62,7 @@ async def test_a_broadcast_is_a_broadcast_by_radio(to: str) -> None:
 @pytest.mark.parametrize(("group", "own"), [("239.255.0.1", "10.77.0.1"), ("ff05::77", "fd77::1")])
 async def test_a_multicast_reaches_who_has_joined_and_memberships_cost_no_air_time(group: str, own: str) -> None:
     context = TestHall(CARS, run=RUN)
-    async with opened(Ip(), context):
+    async with opened(Ip(layer=3), context):
         anywhere = "::" if ":" in group else "0.0.0.0"
         with udp("car1", own) as sender, udp("car3", anywhere, 9000) as joined, udp("car2", anywhere, 9000) as not_joined:
             if ":" in group:
@@ -80,7 +80,7 @@ async def test_a_multicast_reaches_who_has_joined_and_memberships_cost_no_air_ti
 
 async def test_what_nobody_has_the_address_of_is_counted_and_not_sent() -> None:
     context = TestHall(CARS, run=RUN)
-    async with opened(Ip(vehicles=("car1", "car2")), context):
+    async with opened(Ip(layer=3, vehicles=("car1", "car2")), context):
         with udp("car1", "10.77.0.1") as sender:
             for nobody in ("10.77.0.3", "10.77.9.9"):  # the third vehicle has no interface
                 sender.sendto(b"hello?", (nobody, 9000))
@@ -91,7 +91,7 @@ async def test_what_nobody_has_the_address_of_is_counted_and_not_sent() -> None:
 async def test_idle_vehicles_send_nothing() -> None:
     """No address is sought, no router called, no neighbour asked: the air is free for the programs."""
     context = TestHall(CARS, run=RUN)
-    async with opened(Ip(), context):
+    async with opened(Ip(layer=3), context):
         await asyncio.sleep(1.2)
     assert not context.offered
     assert not context.counts
@@ -119,7 +119,7 @@ async def test_ping_tells_the_channels_delay_and_loss(to: str) -> None:
             if sender == 1 and sum(each.sender == 0 for each in context.offered) < 40:
                 in_time.add(number(payload))
 
-    async with opened(Noted(), context):
+    async with opened(Noted(layer=3), context):
         _, out = await called("car1", "ping", "-n", "-c", "40", "-i", "0.01", "-W", "5", to)
         offered = list(context.offered)
         quickest_ms, until_s = least_ms(out), time.monotonic() + 20.0
@@ -138,7 +138,7 @@ async def test_ping_tells_the_channels_delay_and_loss(to: str) -> None:
 
 async def test_a_long_datagram_is_split_by_the_kernel_as_mtu_bytes_says() -> None:
     context = TestHall(CARS, run=RUN)
-    async with opened(Ip(mtu_bytes=127), context):
+    async with opened(Ip(layer=3, mtu_bytes=127), context):
         with udp("car1", "10.77.0.1") as sender, udp("car2", "10.77.0.2", 9000) as listener:
             sender.sendto(bytes(1000), ("10.77.0.2", 9000))
             assert await heard(listener) == (bytes(1000), "10.77.0.1")
@@ -152,7 +152,7 @@ async def test_without_room_packets_wait_in_the_kernel_and_more_than_its_queue_h
         return [each.payload for each in context.offered if each.sender == 0]
 
     context = TestHall(CARS, run=RUN)
-    async with opened(Ip(), context):
+    async with opened(Ip(layer=3), context):
         with udp("car1", "10.77.0.1") as sender:
             context.room = False
             for number in range(2 * namespaces.QUEUE):
@@ -169,7 +169,7 @@ async def test_without_room_packets_wait_in_the_kernel_and_more_than_its_queue_h
 
 async def test_payloads_that_are_no_ip_packet_are_ignored() -> None:
     context = TestHall(CARS, run=RUN)
-    gateway = Ip()
+    gateway = Ip(layer=3)
     async with opened(gateway, context):
         with udp("car2", "10.77.0.2", 9000) as listener, udp("car1", "10.77.0.1") as sender:
             for said in (
@@ -191,7 +191,7 @@ async def test_real_machines_join_through_a_vehicle() -> None:
     context = TestHall(CARS, run=RUN, delay_s=0.01)
     robot, cable = f"{RUN}-robot", f"v{os.getpid()}"
     ip = f"ip -n {robot}"
-    async with opened(Ip(routes={"car1": ("192.168.213.0/24", "fd05:213::/64")}), context):
+    async with opened(Ip(layer=3, routes={"car1": ("192.168.213.0/24", "fd05:213::/64")}), context):
         assert any("behind car1: 192.168.213.0/24" in line for line in context.lines)
         try:
             namespaces.create(robot)
@@ -227,6 +227,8 @@ async def test_real_machines_join_through_a_vehicle() -> None:
         ({"network": "10.77.0.5/16"}, "bridge.ip.network: 10.77.0.5/16 has host bits set"),
         ({"network6": "10.78.0.0/16"}, "bridge.ip.network6: 10.78.0.0/16 is an IPv4 network"),
         ({"mtu_bytes": 60}, "bridge.ip.mtu_bytes: "),
+        ({"mtu_bytes": 65_522}, "bridge.ip: mtu_bytes: more than 65521 bytes need layer = 3, not 65522 and 2"),
+        ({"layer": 4}, "bridge.ip.layer: "),
         ({"vehicles": ["car9"]}, "bridge.ip: vehicles: unknown vehicle 'car9'"),
         ({"routes": {"car9": ["192.168.5.0/24"]}}, "bridge.ip: routes: unknown vehicle with an interface 'car9'"),
         ({"routes": {"car1": ["10.77.3.0/24"]}}, "10.77.3.0/24 overlaps 10.77.0.0/16"),

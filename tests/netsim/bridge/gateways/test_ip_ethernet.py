@@ -1,0 +1,192 @@
+"""The gateway for IP on layer 2: the next hop receives, and what machines do to find it crosses the air."""
+
+import asyncio
+import ipaddress
+import re
+import socket
+import struct
+import subprocess
+
+import pytest
+
+from tests.support.netsim.gateway_context import Offered, TestHall, opened
+from tests.support.netsim.vehicle_namespaces import RUN, called, heard, space, udp
+from vcmvsp.netsim.bridge.gateways.base import BROADCAST
+from vcmvsp.netsim.bridge.gateways.ip import ethernet
+from vcmvsp.netsim.bridge.gateways.ip.gateway import Ip
+
+CARS = ("car1", "car2", "car3")
+ARP, IPV4, IPV6 = 0x0806, 0x0800, 0x86DD  # IEEE 802 numbers of types
+
+needs_namespaces = [
+    pytest.mark.processes,
+    pytest.mark.sockets,
+    pytest.mark.needs("ip"),
+    pytest.mark.usefixtures("namespaces_allowed"),
+]
+
+
+def kinds(context: TestHall, type_: int) -> list[Offered]:
+    return [each for each in context.offered if int.from_bytes(each.payload[12:14], "big") == type_]
+
+
+def checksum(data: bytes) -> int:
+    """The Internet checksum (RFC 1071): 0 over data with a right one."""
+    words = struct.unpack(f">{(len(data) + 1) // 2}H", data + bytes(len(data) % 2))
+    total = sum(words)
+    while total >> 16:
+        total = (total & 0xFFFF) + (total >> 16)
+    return total ^ 0xFFFF
+
+
+def over_ipv4(packet: bytes) -> int:
+    """Checksum of the UDP or TCP in an IPv4 packet, with the pseudo header."""
+    length = (packet[0] & 15) * 4
+    segment = packet[length : struct.unpack_from(">H", packet, 2)[0]]
+    return checksum(packet[12:20] + struct.pack(">HH", packet[9], len(segment)) + segment)
+
+
+def test_addresses_are_unicast_local_and_different() -> None:
+    """RFC 4291, appendix A: the second last bit of the first byte is inverted, ff:fe stands in the middle."""
+    macs = [ethernet.mac_of(row) for row in (0, 1, 255, ethernet.VEHICLES - 1)]
+    assert len({*macs}) == 4
+    assert {mac[0] & 3 for mac in macs} == {2}
+    assert ethernet.mac_of(0).hex(":") == "02:76:63:6d:00:01"
+    assert ethernet.link_local(bytes.fromhex("34567A8B9CDE")) == "fe80::3656:7aff:fe8b:9cde"
+    assert ipaddress.IPv6Address(ethernet.link_local(macs[0])).is_link_local
+
+
+def test_the_destination_of_a_frame_decides_who_receives_it() -> None:
+    stations = ethernet.Stations((0, 1), BROADCAST)
+    first, second, third = map(ethernet.mac_of, range(3))
+    rest = b"\x08\x00" + bytes(46)
+    assert stations.goes_to(0, second + first + rest) == 1
+    assert stations.goes_to(0, b"\xff" * 6 + first + rest) == BROADCAST
+    assert stations.goes_to(1, b"\x33\x33" + bytes(4) + second + rest) == BROADCAST
+    assert stations.goes_to(0, third + first + rest) == ethernet.NO_RECEIVER  # no interface
+    assert stations.goes_to(0, first + first + rest) == ethernet.NO_RECEIVER
+    assert stations.goes_to(0, second + third + rest) == ethernet.FOREIGN
+    assert stations.goes_to(0, second + first) == ethernet.NO_FRAME
+
+
+class TestOnMachines:
+    """In namespaces of Linux."""
+
+    pytestmark = needs_namespaces
+
+    @pytest.mark.parametrize(
+        ("first", "second", "header", "type_"), [("10.77.0.1", "10.77.0.2", 28, IPV4), ("fd77::1", "fd77::2", 48, IPV6)]
+    )
+    async def test_a_neighbour_is_asked_for_by_a_broadcast_and_then_receives(
+        self, first: str, second: str, header: int, type_: int
+    ) -> None:
+        context = TestHall(CARS, run=RUN)
+        async with opened(Ip(), context):
+            with udp("car1", first) as sender, udp("car2", second, 9000) as listener:
+                sender.sendto(b"x" * 100, (second, 9000))
+                assert await heard(listener) == (b"x" * 100, first)
+        (datagram,) = [each for each in kinds(context, type_) if each.payload.endswith(b"x" * 100)]
+        assert (datagram.sender, datagram.to, datagram.size_bytes) == (0, 1, 100 + header)
+        before = context.offered[: context.offered.index(datagram)]
+        if type_ == IPV4:
+            assert [(each.sender, each.to, each.size_bytes) for each in kinds(context, ARP)] == [(0, BROADCAST, 28), (1, 0, 28)]
+        assert any(each.sender == 0 and each.to == BROADCAST for each in before)
+        assert any(each.sender == 1 and each.to == 0 for each in before)
+        assert not context.counts
+
+    async def test_what_machines_need_to_find_each_other_takes_the_channels_time_and_losses(self) -> None:
+        """The first ARP request is lost, and the kernel asks again after 1 s: 2 x 30 ms later the datagram is sent."""
+        context = TestHall(CARS[:2], run=RUN, delay_s=0.03, hears=lambda sender, receiver, place: not is_first_arp(place))
+
+        def is_first_arp(place: int) -> bool:
+            return context.offered[place] is kinds(context, ARP)[0] if kinds(context, ARP) else False
+
+        async with opened(Ip(mtu_bytes=1000), context):
+            with udp("car1", "10.77.0.1") as sender, udp("car2", "10.77.0.2", 9000) as listener:
+                sender.sendto(b"there?", ("10.77.0.2", 9000))
+                assert await heard(listener) == (b"there?", "10.77.0.1")
+        lost, again, answer = kinds(context, ARP)[:3]
+        (datagram,) = [each for each in kinds(context, IPV4) if each.payload.endswith(b"there?")]
+        assert [(each.sender, each.to) for each in (lost, again, answer)] == [(0, BROADCAST), (0, BROADCAST), (1, 0)]
+        assert again.came_ns - lost.came_ns > 0.9e9
+        assert datagram.came_ns - again.came_ns > 0.06e9
+
+    async def test_the_next_hop_receives_and_forwards(self) -> None:
+        """Car1 and car3 do not hear each other; the route leads over car2, which lowers the TTL."""
+        chain = {(0, 1), (1, 0), (1, 2), (2, 1)}
+        context = TestHall(CARS, run=RUN, hears=lambda sender, receiver, place: (sender, receiver) in chain)
+        async with opened(Ip(), context):
+            for car, to in (("car1", "10.77.0.3"), ("car3", "10.77.0.1")):
+                assert (await called(car, "ip", "route", "add", to, "via", "10.77.0.2"))[0] == 0
+            assert (await called("car2", "sysctl", "-qw", "net.ipv4.ip_forward=1"))[0] == 0
+            with udp("car1", "10.77.0.1") as sender, udp("car3", "10.77.0.3", 9000) as listener:
+                for number in range(3):
+                    sender.sendto(b"onwards %d" % number, ("10.77.0.3", 9000))
+                    assert await heard(listener) == (b"onwards %d" % number, "10.77.0.1")
+        hops = [(each.sender, each.to, each.payload[22]) for each in kinds(context, IPV4) if b"onwards" in each.payload]
+        assert hops == 3 * [(0, 1, 64), (1, 2, 63)]
+        assert not [each for each in kinds(context, IPV4) if each.payload[23] == 1]  # no ICMP: no redirect away from the detour
+
+    async def test_link_local_addresses_are_usable_at_once(self) -> None:
+        context = TestHall(CARS, run=RUN)
+        async with opened(Ip(), context):
+            _, said = await called("car1", "ip", "-6", "addr", "show", "radio0", "scope", "link")
+            assert ethernet.link_local(ethernet.mac_of(0)) in said
+            assert "tentative" not in said
+            own = (ethernet.link_local(ethernet.mac_of(0)), 0, 0, 2)
+            with udp("car2", "::", 9000) as listener, udp("car1", "::") as sender:
+                group = socket.inet_pton(socket.AF_INET6, "ff02::77") + struct.pack("@I", 2)
+                listener.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_JOIN_GROUP, group)
+                sender.sendto(b"all on this link", ("ff02::77", 9000, 0, 2))
+                data, source = await heard(listener)
+            assert (data, source.partition("%")[0]) == (b"all on this link", own[0])
+        (datagram,) = [each for each in kinds(context, IPV6) if b"all on this link" in each.payload]
+        assert (datagram.to, datagram.size_bytes) == (BROADCAST, 40 + 8 + 16)
+
+    @pytest.mark.needs("iperf3")
+    async def test_frames_are_complete_as_they_leave_the_kernel(self) -> None:
+        """Right checksums, and no segment longer than the interface's: nothing is left to a network card."""
+        context = TestHall(CARS[:2], run=RUN)
+        async with opened(Ip(mtu_bytes=1400), context):
+            await called("car2", "iperf3", "-s", "-1", "-D")
+            code, said = await called("car1", "sh", "-c", "sleep 0.5; exec iperf3 -c 10.77.0.2 -n 200k")
+            assert code == 0, said
+        packets = [each.payload[14:] for each in kinds(context, IPV4)]
+        assert sum(len(each) for each in packets) > 200_000
+        assert max(len(each) for each in packets) == 1400
+        assert {checksum(each[:20]) for each in packets} == {0}
+        assert {over_ipv4(each) for each in packets if each[9] in (6, 17)} == {0}
+
+    @pytest.mark.needs("ping")
+    async def test_networks_behind_a_vehicle_are_reached_by_its_address(self) -> None:
+        context = TestHall(CARS, run=RUN)
+        async with opened(Ip(routes={"car1": ("192.168.215.0/24", "fd05:215::/64")}), context):
+            for version, to, via in ((4, "192.168.215.0/24", "10.77.0.1"), (6, "fd05:215::/64", "fd77::1")):
+                _, said = await called("car2", "ip", f"-{version}", "route", "show", to)
+                assert f"{to} via {via} dev radio0" in said
+            _, said = await called("car2", "ping", "-n", "-c", "1", "-W", "1", "192.168.215.1")
+            sent = [each for each in kinds(context, IPV4) if each.sender == 1]
+        assert [each.to for each in sent] == [0], said
+
+    async def test_messages_of_agents_are_no_frames(self) -> None:
+        context = TestHall(CARS, run=RUN)
+        gateway = Ip()
+        async with opened(gateway, context):
+            with udp("car2", "10.77.0.2", 9000) as listener, udp("car1", "10.77.0.1") as sender:
+                for said in (b"", b"\x93agents speak MessagePack", bytes(13), bytes(14), bytes(65535)):
+                    gateway.deliver(0, 1, said)
+                sender.sendto(b"after it", ("10.77.0.2", 9000))
+                assert await heard(listener) == (b"after it", "10.77.0.1")
+
+    async def test_the_interface_is_as_long_as_mtu_bytes_says(self) -> None:
+        async with opened(Ip(mtu_bytes=1300), TestHall(CARS, run=RUN)):
+            said = await asyncio.to_thread(_sh, f"ip -n {space('car3')} link show radio0")
+        assert re.search(r"mtu 1300\b", said)
+        assert f"link/ether {ethernet.mac_of(2).hex(':')}" in said
+        assert "POINTOPOINT" not in said
+
+
+def _sh(commands: str) -> str:
+    done = subprocess.run(["sh", "-ec", commands], check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr + done.stdout
+    return done.stdout
