@@ -28,6 +28,7 @@ from vcmvsp.cosim.hosts.manager import Hosts
 from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.metrics.own import Metric, maker_of
 from vcmvsp.cosim.recording.external_inputs import Input, InputLog
+from vcmvsp.cosim.recording.mcap_writer import MessageSink
 from vcmvsp.cosim.recording.recorder import Recorder
 from vcmvsp.cosim.scenario.schema import Scenario
 from vcmvsp.cosim.util.text import Tell
@@ -90,8 +91,17 @@ class AssembledRun:
                 kernel.close()
             raise
 
-    def recorder(self, mcap: BinaryIO | None, tell: Tell = lambda _: None, folder: Path | None = None) -> Recorder:
-        """A recorder of this run that writes into the binary stream ``mcap``, with temporary files in a folder."""
+    def recorder(
+        self,
+        mcap: BinaryIO | None,
+        tell: Tell = lambda _: None,
+        folder: Path | None = None,
+        sink: MessageSink | None = None,
+    ) -> Recorder:
+        """A recorder of this run that writes into the binary stream ``mcap``, with temporary files in a folder.
+
+        ``sink`` also receives the messages of ``mcap``.
+        """
         record = self.scenario.record
         return Recorder(
             self.info,
@@ -102,6 +112,7 @@ class AssembledRun:
             sensors=record.sensors,
             heard=record.heard,
             world=self.world,
+            sink=sink,
             folder=folder,
             tell=tell,
         )

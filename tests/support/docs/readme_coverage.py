@@ -103,6 +103,7 @@ ELSEWHERE = _in_the_gallery() | {
 
 NO_CONTAINERS = "there are no containers on machines that run these tests"
 UNRUN = {
+    "pip install 'vcmvsp[foxglove]'": "it fetches a library",
     "make test": "it runs the tests themselves",
     "make site": "it installs what builds the site; `tests/docs/test_site.py` builds it where that is there",
     "make dist": "it fetches what builds and checks archives",
