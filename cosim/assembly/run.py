@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, Self
 import msgspec
 
 from vcmvsp.cosim.agent import Agent, AgentInfo
-from vcmvsp.cosim.assembly import bridge, radio, real_vehicles, worlds
+from vcmvsp.cosim.assembly import bridge, firmware, radio, real_vehicles, worlds
 from vcmvsp.cosim.assembly.interventions import Operator, check_planned, checks, nothing_moves
 from vcmvsp.cosim.assembly.remarks import remarks
 from vcmvsp.cosim.assembly.resolved import Resolution
@@ -214,7 +214,11 @@ def assemble(
     programs = bridge.of_scenario(
         scenario, source, resolution, air=air, clock=wall, bridged=bridged, tell=tell, log=inputs.on, connect=connect
     )
-    physics = _physics(scenario, resolution, tell, world=world, vehicles=fleet.specs(), outside=outside)
+    flown = firmware.of_scenario(scenario, source, resolution, fleet.models, tell=tell)
+    given: dict[str, Any] = {"world": world, "vehicles": fleet.specs(), "outside": outside}
+    if flown is not None:  # a kind of the user's own need not know it
+        given["firmware"] = flown
+    physics = _physics(scenario, resolution, tell, **given)
     operator = _operator(scenario, source, physics, air)
     metrics = _own_metrics(scenario, source, resolution)
     built(Parts(scenario, source, world, air, has_outside=robots is not None or programs.bridge is not None))

@@ -79,6 +79,7 @@ ELSEWHERE = _in_the_gallery() | {
     "vcmvsp run formation-circle --set bridge.udp.first_port=18000": (
         "tests/docs/test_doors.py::test_ports_are_where_the_page_has_them"
     ),
+    "vcmvsp run copters.toml": "tests/hardware/firmware/test_flights.py::test_four_take_off_fly_to_way_points_and_land",
     "vcmvsp launch gap.toml --hosts hosts.toml --keys keys": STARTED,
     "vcmvsp launch my_scenario.toml --hosts hosts.toml --keys keys": STARTED,
     "vcmvsp keys init keys --name run": DEPLOYED,
