@@ -23,7 +23,7 @@ from typing import Protocol, runtime_checkable
 import msgspec
 
 from vcmvsp.cosim.clock import Ticks
-from vcmvsp.cosim.types import AnyValue, VehicleState
+from vcmvsp.cosim.types import AnyValue, Fix, Imu, Incident, Vec3, VehicleState, Velocity, Waypoint
 
 
 class Slot(IntEnum):
@@ -191,6 +191,43 @@ class ExternalMotion(Protocol):
         Requested times never decrease, and equal times give equal states. Between two instants physics extrapolates with the
         velocities of the earlier one.
         """
+
+
+class FlightReadings(msgspec.Struct, frozen=True, kw_only=True):
+    """What the firmware of a simulated vehicle gets at a step of physics. Frames as in `cosim.types`: ENU, body FLU."""
+
+    now_ns: int
+    state: VehicleState  # true
+    imu: Imu
+    field_ut: Vec3 | None = None  # magnetic field along the body axes, microtesla; None: no new reading
+    height_m: float | None = None  # of a barometer, above the world's z = 0; None: no new reading
+    fix: Fix | None = None  # of a satellite receiver; None: no new reading
+
+
+class FlightFirmware(Protocol):
+    """Firmware that flies simulated quadrotors in place of their autopilots, in lock-step: readings in, rotor speeds out."""
+
+    names: tuple[str, ...]  # of the vehicles
+
+    def exchange(self, readings: Sequence[FlightReadings]) -> Sequence[Sequence[float] | None]:
+        """Give each firmware its readings, in the order of ``names``, and wait for the outputs of all.
+
+        Returns:
+            Of each vehicle the speeds of its rotors as shares of their greatest: front right, front left, back left, back
+            right. None: its firmware is lost, and its own autopilot has to hold it in place.
+
+        Raises:
+            FederateError: a firmware is lost, and the run ends with it.
+        """
+
+    def command(self, vehicle: str, command: Velocity | Waypoint) -> None:
+        """Take the command of an agent, in effect from the time of the next readings on."""
+
+    def incidents(self) -> Sequence[tuple[str, Incident]]:
+        """Incidents since the last call, with their vehicles."""
+
+    def close(self) -> None:
+        """End the connections and the processes that it started. Repeated calls are allowed."""
 
 
 class ExternalVehicles(Federate, ExternalMotion, Protocol):

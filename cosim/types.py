@@ -135,7 +135,7 @@ class RealStatus(Value, frozen=True, kw_only=True, tag="real"):
 
 
 class Incident(Value, frozen=True, kw_only=True, tag="incident"):
-    """An incident of a real vehicle."""
+    """An incident of a real vehicle, or of the firmware of a simulated one."""
 
     what: Literal["connected", "lost", "stopped", "warned"]
     cause: str

@@ -30,10 +30,11 @@ import numpy as np
 
 from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.errors import FederateError, ScenarioError
-from vcmvsp.cosim.federate import Event, ExternalMotion, Instants, Needed, RunInfo, Slot, Step
+from vcmvsp.cosim.federate import Event, ExternalMotion, FlightFirmware, Instants, Needed, RunInfo, Slot, Step
 from vcmvsp.cosim.types import Array, Halted, Moved, NonNegative, Rate, States, Vec3, Velocity, Waypoint
 from vcmvsp.physics import placement_checks as checks
-from vcmvsp.physics.dynamics.engine import BodyMotion, Commands, Contacts, Engine, Mover, gathered
+from vcmvsp.physics.dynamics.engine import BodyMotion, Commands, Contacts, Engine, FirmwareMover, FleetEngine, Mover, gathered
+from vcmvsp.physics.dynamics.firmware_pilot import LEAST_HZ, FirmwarePilot
 from vcmvsp.physics.dynamics.free_flight import FreeFlightEngine
 from vcmvsp.physics.dynamics.kinematic import AerialEngine, ExternalEngine, GroundEngine
 from vcmvsp.physics.dynamics.wind import Gusts
@@ -62,6 +63,7 @@ class Physics:
         iterations: of Bullet's constraint solver in each step; fewer are quicker, and drift more.
         gravity: m/s2.
         outside: motion of the external vehicles. It comes from the program, not from the scenario.
+        firmware: flies some quadrotors, in place of their own autopilots. It comes from the program, too.
     """
 
     name = "physics"
@@ -80,11 +82,13 @@ class Physics:
         iterations: Annotated[int, msgspec.Meta(ge=1)] = 50,
         gravity: NonNegative = 9.81,
         outside: ExternalMotion | None = None,
+        firmware: FlightFirmware | None = None,
     ) -> None:
         self.rate_hz, self.iterations, self.gravity = rate_hz, iterations, gravity
         self.world, self.vehicles = world, tuple(vehicles)
         self._names = tuple(spec.name for spec in self.vehicles)
-        self._outside = outside
+        self._outside, self._firmware = outside, firmware
+        self.waits = firmware is not None  # Ctrl-C may interrupt an exchange with firmware
         names = () if outside is None else outside.names
         self._external = [number for number, name in enumerate(self._names) if name in names]
         self._simulated = [number for number, name in enumerate(self._names) if name not in names]
@@ -137,6 +141,8 @@ class Physics:
         """Release the engines."""
         for engine, _ in self._engines:
             engine.close()
+        if self._firmware is not None:
+            self._firmware.close()
 
     def check_move(self, obstacle: str, position: tuple[float, float], yaw: float) -> None:
         """Refuse an impossible place, x, y m and yaw rad, for the movable of a name. Before the start, vehicles are ignored.
@@ -148,12 +154,15 @@ class Physics:
         if self._engines:
             self._check_free(number, place, yaw, SOON_S)
 
-    def _movers(self) -> dict[str, Mover]:
-        movers: dict[str, Mover] = {}
+    def _movers(self) -> dict[str, Mover | FirmwareMover]:
+        movers: dict[str, Mover | FirmwareMover] = {}
         for engine, numbers in self._engines:
             for row, number in enumerate(numbers.tolist()):
                 if number in self._simulated:
-                    movers[self._names[number]] = Mover(engine, row, flies(self.vehicles[number].model))
+                    name = self._names[number]
+                    movers[name] = Mover(engine, row, flies(self.vehicles[number].model))
+                    if self._firmware is not None and name in self._firmware.names:
+                        movers[name] = FirmwareMover(self._firmware, name)
         for number in self._simulated:
             name = self._names[number]
             if name not in movers:
@@ -219,6 +228,8 @@ class Physics:
             events += self._sensors.read(scene)
         if states:
             events += self._sources.estimates(now_ns, motion) + self._contacts.begun(now_ns)
+            if self._firmware is not None:
+                events += [Event(f"{name}/incident", now_ns, each) for name, each in self._firmware.incidents()]
             if self.world.movables and (pushed := self._scenes.pushed(self._movables())):
                 events.append(Event("world/pushed", now_ns, pushed))
         return events
@@ -230,6 +241,22 @@ class Physics:
             if len(movables.position):
                 return movables
         return None
+
+    def _fly_by_firmware(self, engine: FleetEngine, specs: Sequence[VehicleSpec]) -> None:
+        """Give quadrotors of an engine, by the rows of its fleet, to their firmware."""
+        assert self._firmware is not None  # noqa: S101  for type checkers
+        if self.rate_hz < LEAST_HZ:
+            problem = f"firmware needs at least {LEAST_HZ:g} steps a second, not {self.rate_hz:g}: 250 suit PX4, 400 ArduPilot"
+            raise ScenarioError(problem, key="physics.rate_hz")
+        FirmwarePilot(
+            self._firmware,
+            engine.fleet,
+            specs,
+            world=self.world,
+            gravity=self.gravity,
+            rate_hz=self.rate_hz,
+            seed=self._run.seed,
+        )
 
     def _bodiless(self, numbers: Sequence[int]) -> list[tuple[Engine, list[int]]]:
         """Up to two engines without bodies, on the ground and in the air, each with the numbered vehicles that it moves."""
@@ -251,6 +278,9 @@ class KinematicPhysics(Physics):
 
     def engines(self) -> list[tuple[Engine, list[int]]]:
         """One engine on the ground, one in the air, one for external vehicles."""
+        if self._firmware is not None:
+            key = f"vehicle.{self._firmware.names[0]}.firmware"
+            raise ScenarioError('needs rotors: use physics.kind = "bullet" or "mujoco"', key=key)
         simulated = self._bodiless(self._simulated)
         return [*simulated, (self._external_engine, self._external)] if self._external_engine else simulated
 
@@ -277,6 +307,8 @@ class FlightPhysics(Physics):
                 gravity=self.gravity,
             )
             engines.append((engine, [*flyers]))
+            if self._firmware is not None:
+                self._fly_by_firmware(engine, [*flyers.values()])
         return [*engines, (self._external_engine, self._external)] if self._external_engine else engines
 
 
@@ -285,6 +317,7 @@ class RigidBodyPhysics(Physics):
 
     def engines(self) -> list[tuple[Engine, list[int]]]:
         """The engine with bodies, and the engines of vehicles without bodies."""
+        outside = () if self._outside is None else self._outside.names
         checks.check_instants(self._run, self.rate_hz, self._sources.instants)
         self._sensors.check(Ticks.rate(self.rate_hz))
         rigid = DifferentialDrive | UrdfDrive | Quadrotor
@@ -301,9 +334,13 @@ class RigidBodyPhysics(Physics):
             accelerations=any(spec.sensors for spec in specs),
             external=self._external_engine,
         )
+        if self._firmware is not None:
+            self._fly_by_firmware(
+                engine, [spec for spec in specs if isinstance(spec.model, Quadrotor) and spec.name not in outside]
+            )
         return [(engine, bodies), *self._bodiless([n for n in range(len(self.vehicles)) if n not in bodies])]
 
-    def _engine(self, **given: Any) -> Engine:
+    def _engine(self, **given: Any) -> FleetEngine:
         """The engine with bodies."""
         raise NotImplementedError
 
@@ -311,7 +348,7 @@ class RigidBodyPhysics(Physics):
 class BulletPhysics(RigidBodyPhysics):
     """Differential drives and quadrotors are bodies in Bullet; vehicles of other kinds move without bodies."""
 
-    def _engine(self, **given: Any) -> Engine:
+    def _engine(self, **given: Any) -> FleetEngine:
         from vcmvsp.physics.dynamics.bullet.engine import BulletEngine  # loads PyBullet, 0.4 s
 
         return BulletEngine(**given, iterations=self.iterations)
@@ -320,7 +357,7 @@ class BulletPhysics(RigidBodyPhysics):
 class MujocoPhysics(RigidBodyPhysics):
     """Differential drives and quadrotors are bodies in MuJoCo; vehicles of other kinds move without bodies."""
 
-    def _engine(self, **given: Any) -> Engine:
+    def _engine(self, **given: Any) -> FleetEngine:
         try:
             from vcmvsp.physics.dynamics.mujoco.engine import MujocoEngine
         except ModuleNotFoundError as error:

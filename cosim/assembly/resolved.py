@@ -26,6 +26,7 @@ class Resolution:
         vehicles: the parameters of each vehicle's kind, complete.
         sensors: the tables of each vehicle's sensors, complete.
         real: the tables of each real vehicle, complete.
+        firmware: the table of each vehicle with firmware, complete.
         metrics: the tables of own metrics, complete.
         files: present content of the files that the scenario uses, by their name beside the resolved scenario.
     """
@@ -36,6 +37,7 @@ class Resolution:
         self.vehicles: dict[str, dict[str, Any]] = {}
         self.sensors: dict[str, dict[str, Any]] = {}
         self.real: dict[str, dict[str, Any]] = {}
+        self.firmware: dict[str, dict[str, Any]] = {}
         self.metrics: dict[str, dict[str, Any]] = {}
         self.files: dict[str, bytes] = {}
         self._paths: dict[str, Path] = {}
@@ -159,6 +161,7 @@ class Resolution:
             positioning=None if vehicle.positioning is None else _sensor(vehicle.positioning),
             radio=_radio(vehicle.radio),
             sensors=self.sensors[vehicle.name] or None,
+            firmware=self.firmware.get(vehicle.name),
         )
         full |= self.vehicles[vehicle.name] | self.real.get(vehicle.name, {})
         return {name: value for name, value in full.items() if name not in shared or value != shared[name]}

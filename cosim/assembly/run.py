@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, Self
 import msgspec
 
 from vcmvsp.cosim.agent import Agent, AgentInfo
-from vcmvsp.cosim.assembly import bridge, radio, real_vehicles, worlds
+from vcmvsp.cosim.assembly import bridge, firmware, radio, real_vehicles, worlds
 from vcmvsp.cosim.assembly.interventions import Operator, check_planned, checks, nothing_moves
 from vcmvsp.cosim.assembly.remarks import remarks
 from vcmvsp.cosim.assembly.resolved import Resolution
@@ -28,6 +28,7 @@ from vcmvsp.cosim.hosts.manager import Hosts
 from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.metrics.own import Metric, maker_of
 from vcmvsp.cosim.recording.external_inputs import Input, InputLog
+from vcmvsp.cosim.recording.mcap_writer import MessageSink
 from vcmvsp.cosim.recording.recorder import Recorder
 from vcmvsp.cosim.scenario.schema import Scenario
 from vcmvsp.cosim.util.text import Tell
@@ -90,8 +91,17 @@ class AssembledRun:
                 kernel.close()
             raise
 
-    def recorder(self, mcap: BinaryIO | None, tell: Tell = lambda _: None, folder: Path | None = None) -> Recorder:
-        """A recorder of this run that writes into the binary stream ``mcap``, with temporary files in a folder."""
+    def recorder(
+        self,
+        mcap: BinaryIO | None,
+        tell: Tell = lambda _: None,
+        folder: Path | None = None,
+        sink: MessageSink | None = None,
+    ) -> Recorder:
+        """A recorder of this run that writes into the binary stream ``mcap``, with temporary files in a folder.
+
+        ``sink`` also receives the messages of ``mcap``.
+        """
         record = self.scenario.record
         return Recorder(
             self.info,
@@ -102,6 +112,7 @@ class AssembledRun:
             sensors=record.sensors,
             heard=record.heard,
             world=self.world,
+            sink=sink,
             folder=folder,
             tell=tell,
         )
@@ -204,7 +215,11 @@ def assemble(
     programs = bridge.of_scenario(
         scenario, source, resolution, air=air, clock=wall, bridged=bridged, tell=tell, log=inputs.on, connect=connect
     )
-    physics = _physics(scenario, resolution, tell, world=world, vehicles=fleet.specs(), outside=outside)
+    flown = firmware.of_scenario(scenario, source, resolution, fleet.models, tell=tell)
+    given: dict[str, Any] = {"world": world, "vehicles": fleet.specs(), "outside": outside}
+    if flown is not None:  # a kind of the user's own need not know it
+        given["firmware"] = flown
+    physics = _physics(scenario, resolution, tell, **given)
     operator = _operator(scenario, source, physics, air)
     metrics = _own_metrics(scenario, source, resolution)
     built(Parts(scenario, source, world, air, has_outside=robots is not None or programs.bridge is not None))

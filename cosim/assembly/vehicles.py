@@ -21,7 +21,7 @@ TOPICS = (
     *SHOWN.values(),
 )
 """Topics of every vehicle; no sensor may have such a name."""
-_NOT_SHARED = {"name", "pose", "position", "agent", "driver", "localisation", "params"}
+_NOT_SHARED = {"name", "pose", "position", "agent", "driver", "firmware", "localisation", "params"}
 """Keys of a vehicle for which [vehicles] has no default."""
 
 
@@ -73,8 +73,11 @@ class Fleet:
 
     def _model(self, vehicle: VehicleTable) -> "Vehicle":
         key, kind = f"vehicle.{vehicle.name}", self._class(vehicle)
+        content = self._own(vehicle)
+        if vehicle.firmware is not None and "frame" in binding.parameters(kind):
+            content = {"frame": "x", **content}
         own, also = (
-            registry.found(kind, self._own(vehicle), self._source, key),
+            registry.found(kind, content, self._source, key),
             {*binding.parameters(VehicleTable)} - {"params"},
         )
         self._resolution.vehicles[vehicle.name] = registry.kept(kind, binding.complete(kind, own), self._resolution.keep)

@@ -43,6 +43,7 @@ from vcmvsp.cosim.cli.run import (
 )
 from vcmvsp.cosim.config.binding import show
 from vcmvsp.cosim.errors import Interrupted, UsageError, VcmvspError
+from vcmvsp.cosim.view import FOXGLOVE_PORT
 
 HANGS_UP = () if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else (signal.SIGHUP,)
 """Signals of a closed terminal, handled like Ctrl-C unless ignored, as under nohup."""
@@ -152,7 +153,7 @@ def main(arguments: list[str] | None = None) -> None:
     for number in (signal.SIGINT, signal.SIGTERM, *HANGS_UP):  # `kill` ends a run as Ctrl-C does, also one in the background
         signal.signal(number, signal.default_int_handler)
     try:
-        app(_with_speed(sys.argv[1:] if arguments is None else arguments), standalone_mode=True)
+        app(_with_values(sys.argv[1:] if arguments is None else arguments), standalone_mode=True)
     except VcmvspError as error:
         say(f"vcmvsp: {' '.join(str(error).splitlines())}")
         if error.result is not None:
@@ -171,18 +172,22 @@ def main(arguments: list[str] | None = None) -> None:
         raise SystemExit(UsageError.exit_code) from None
 
 
-def _with_speed(arguments: list[str]) -> list[str]:
-    """``--realtime`` alone means ``--realtime 1``."""
+ALONE = {"--realtime": "1", "--foxglove": str(FOXGLOVE_PORT)}
+"""Values of options whose value can be left out."""
+
+
+def _with_values(arguments: list[str]) -> list[str]:
+    """``--realtime`` alone means ``--realtime 1``, ``--foxglove`` alone its usual port."""
     full: list[str] = []
     ours = arguments.index("--") if "--" in arguments else len(arguments)  # arguments after it belong to another program
     for position, argument in enumerate(arguments[:ours]):
         full.append(argument)
-        if argument == "--realtime":
+        if argument in ALONE:
             following = arguments[position + 1] if position + 1 < len(arguments) else "--"
             try:
                 float(following)
             except ValueError:
-                full.append("1")
+                full.append(ALONE[argument])
     return [*full, *arguments[ours:]]
 
 

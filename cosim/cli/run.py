@@ -16,6 +16,7 @@ from vcmvsp.cosim.view import HOST, PORT
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.runs.api import Result
+    from vcmvsp.cosim.view.live.foxglove_server import FoxgloveServer
     from vcmvsp.cosim.view.live.session import Viewing
 
 
@@ -38,6 +39,13 @@ Force = Annotated[bool, typer.Option("--force", help="Write into DIR even if it 
 View = Annotated[bool, typer.Option("--view", help="Show the run live in the browser, in real time.")]
 ViewHost = Annotated[str, typer.Option(metavar="HOST", help="Address of the page; connections are not encrypted.")]
 ViewPort = Annotated[int, typer.Option(metavar="PORT", min=0, max=65535, help="Port of the page; 0: any free port.")]
+Foxglove = Annotated[
+    int | None,
+    typer.Option(
+        metavar="[PORT]", min=0, max=65535, help="Stream the recording to Foxglove, in real time (port 8765; 0: any)."
+    ),
+]
+FoxgloveHost = Annotated[str, typer.Option(metavar="HOST", help="Address of the Foxglove stream, which has no access control.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")]
 
 
@@ -58,6 +66,8 @@ def run_command(
     view: View = False,
     view_host: ViewHost = HOST,
     view_port: ViewPort = PORT,
+    foxglove: Foxglove = None,
+    foxglove_host: FoxgloveHost = HOST,
 ) -> None:
     """Run a scenario and write recording, tables, metrics and figures.
 
@@ -66,7 +76,11 @@ def run_command(
     sets = simulated(scenario, set_ or []) if twin else set_ or []
     page = (view_host, view_port) if view else None
     options: dict[str, Any] = {"agents": agents, "listen": listen, "keys": keys, "insecure": insecure, "force": force}
-    conduct(None, scenario, sets, out, seed=seed, realtime=realtime, json=json, quiet=quiet, page=page, **options)
+    with contextlib.ExitStack() as stack:
+        if foxglove is not None:
+            options["sink"] = stack.enter_context(foxglove_stream(foxglove_host, foxglove))
+            realtime = realtime or 1.0
+        conduct(None, scenario, sets, out, seed=seed, realtime=realtime, json=json, quiet=quiet, page=page, **options)
 
 
 def launch_command(
@@ -287,6 +301,17 @@ def control_station(page: tuple[str, int]) -> "Viewing":
         sys.stderr.flush()
 
     return Viewing(*page, opened=opened)
+
+
+def foxglove_stream(host: str, port: int) -> "FoxgloveServer":
+    """The stream of a live run for Foxglove; its address is printed even with ``--quiet``."""
+    from vcmvsp.cosim.view.live.foxglove_server import FoxgloveServer, caution
+
+    def opened(url: str) -> None:
+        sys.stderr.write(f"Foxglove: open a connection, Foxglove WebSocket, {url}\n{caution(host)}")
+        sys.stderr.flush()
+
+    return FoxgloveServer(host, port, opened)
 
 
 SHOWN = 40  # points of a study in the terminal's table

@@ -28,6 +28,7 @@ VERBS: Mapping[str, str] = {
     "door": "deliver(sender, receiver, payload)",
     "routing": "open(vehicles, seed)",
     "driver": "write(velocity)",
+    "firmware": "send(readings), receive()",
     "localisation": "read(now_ns)",
     "metric": "__call__(run)",
 }
@@ -83,6 +84,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "neighbour_range": "vcmvsp.physics.sensors.detectors:NeighbourRange",
         "altimeter": "vcmvsp.physics.sensors.motion:Altimeter",
         "compass": "vcmvsp.physics.sensors.motion:Compass",
+        "magnetometer": "vcmvsp.physics.sensors.motion:Magnetometer",
         "positioning": "vcmvsp.physics.sensors.positioning:PositioningSensor",
         "target_sensor": "vcmvsp.physics.sensors.detectors:TargetSensor",
     },
@@ -147,6 +149,10 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "zenoh": "vcmvsp.hardware.remote_robot.run_side.driver:ZenohDriver",
         "ros2": "vcmvsp.hardware.drivers.ros2.driver:Ros2Driver",
         "mavlink": "vcmvsp.hardware.drivers.mavlink.driver:MavlinkDriver",
+    },
+    "firmware": {
+        "ardupilot": "vcmvsp.hardware.firmware.ardupilot:ArduPilot",
+        "px4": "vcmvsp.hardware.firmware.px4:Px4",
     },
     "localisation": {
         "ubisense": "vcmvsp.hardware.localisation.ubisense:Ubisense",

@@ -14,7 +14,7 @@ import zlib
 from array import array
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple, Protocol
 
 import msgspec
 import numpy as np
@@ -69,6 +69,16 @@ class Schema(NamedTuple):
     name: str
     encoding: str  # of the text
     text: bytes
+
+
+class MessageSink(Protocol):
+    """A second receiver of the messages of a recording, e.g. viewers of a run in progress. It cannot change the file."""
+
+    def add_channel(self, number: int, topic: str, encoding: str, schema: Schema) -> None:
+        """Announce a channel: its number in the file, and MCAP's name of the encoding of its messages."""
+
+    def put(self, number: int, time_ns: int, message: bytes) -> None:
+        """Take an encoded message of a channel."""
 
 
 class Form(NamedTuple):
@@ -135,10 +145,10 @@ JSON = Form("json", msgspec.json.Encoder(enc_hook=to_json).encode_into, schema_o
 
 
 class McapLog:
-    """An open recording. The caller closes the stream."""
+    """An open recording, each message also for a sink if there is one. The caller closes the stream."""
 
-    def __init__(self, stream: BinaryIO, about: Mapping[str, str], form: Form = JSON) -> None:
-        self._stream, self._size, self._form = stream, 0, form
+    def __init__(self, stream: BinaryIO, about: Mapping[str, str], form: Form = JSON, sink: MessageSink | None = None) -> None:
+        self._stream, self._size, self._form, self._sink = stream, 0, form, sink
         self._numbers: dict[tuple[str, type], int] = {}  # channel numbers
         self._schemas: dict[type, records.Schema] = {}
         self._channels: list[records.Channel] = []
@@ -168,6 +178,8 @@ class McapLog:
         end = len(chunk)
         _put_head(chunk, place, _IS_MESSAGE, end - place - _OPENING_BYTES, channel, time_ns, time_ns)
         self._places.append(place)
+        if self._sink is not None:
+            self._sink.put(channel, time_ns, bytes(chunk[place + _HEAD_BYTES :]))
         if end > CHUNK_BYTES or time_ns > self._until_ns:
             self.flush()
             self._until_ns = time_ns + CHUNK_NS
@@ -214,6 +226,8 @@ class McapLog:
         )
         self._chunk += _bytes(self._channels[-1])
         self._numbers[topic, message_type] = number
+        if self._sink is not None:
+            self._sink.add_channel(number, topic, self._form.encoding, self._form.schema(message_type))
         return number
 
     def _end_chunk(self) -> None:

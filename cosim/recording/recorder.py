@@ -28,6 +28,7 @@ from vcmvsp.cosim.received import Mailboxes
 from vcmvsp.cosim.recording import event_text
 from vcmvsp.cosim.recording.accumulators import PACKED, Accumulators, Take, vehicle_of
 from vcmvsp.cosim.recording.foxglove import to_json
+from vcmvsp.cosim.recording.mcap_writer import MessageSink
 from vcmvsp.cosim.recording.run_mcap import Viewer
 from vcmvsp.cosim.recording.scene import DrawnWorld
 from vcmvsp.cosim.types import Contact, Heard, Later, Reception, Receptions, States
@@ -53,6 +54,7 @@ class Recorder(Accumulators):
         sensors: names of on-demand sensors whose readings are recorded; ``*``: all.
         heard: write the messages that each agent receives, as ``<vehicle>/heard``.
         world: the world of the run; None: no distance to obstacles is measured.
+        sink: also receives the messages of the MCAP file.
         folder: of temporary files; None: the system's folder for them.
         tell: receives lines for the user: agents that were lost or are back.
     """
@@ -68,6 +70,7 @@ class Recorder(Accumulators):
         sensors: Sequence[str] = (),
         heard: bool = False,
         world: DrawnWorld | None = None,
+        sink: MessageSink | None = None,
         folder: Path | None = None,
         tell: Callable[[str], None] = lambda _: None,
     ) -> None:
@@ -78,7 +81,7 @@ class Recorder(Accumulators):
         self._writes_heard = heard and mcap is not None
         self._next_tick_ns = 0  # of any agent, if messages are recorded
         self._latest: tuple[int, States] | None = None
-        self._viewer = None if mcap is None else Viewer(mcap, run, radius_m, world)
+        self._viewer = None if mcap is None else Viewer(mcap, run, radius_m, world, sink)
         self._write: Take | None = None if self._viewer is None else self._viewer.write
         self._pack = msgspec.msgpack.Encoder(enc_hook=to_json).encode_into
         self._as_it_is = Way(None, False, self._write)

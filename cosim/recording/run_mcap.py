@@ -14,7 +14,7 @@ from vcmvsp.cosim.federate import RunInfo
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.recording import foxglove as fg
 from vcmvsp.cosim.recording.accumulators import vehicle_of
-from vcmvsp.cosim.recording.mcap_writer import McapLog
+from vcmvsp.cosim.recording.mcap_writer import McapLog, MessageSink
 from vcmvsp.cosim.recording.scene import DrawnWorld, moving_frames, scene, solids
 from vcmvsp.cosim.tables.schema import NOT_LOST
 
@@ -43,9 +43,16 @@ class Viewer:
     `putters` maps types to their functions, `write` takes all others: key, time (ns) and value; times never decrease.
     """
 
-    def __init__(self, stream: BinaryIO, run: RunInfo, radius_m: Mapping[str, float], world: DrawnWorld | None = None) -> None:
+    def __init__(
+        self,
+        stream: BinaryIO,
+        run: RunInfo,
+        radius_m: Mapping[str, float],
+        world: DrawnWorld | None = None,
+        sink: MessageSink | None = None,
+    ) -> None:
         about = {"scenario": run.scenario, "seed": str(run.seed), "vehicles": " ".join(run.vehicles)}
-        self._log = McapLog(stream, about)
+        self._log = McapLog(stream, about, sink=sink)
         self.write = self._log.write  # writes a value unchanged
         self._vehicles, self._radius_m = run.vehicles, radius_m
         self._targets = () if world is None else world.targets

@@ -81,10 +81,10 @@ Described = Callable[..., object]
 REST = ("defaults", "params", "doors", *GIVEN)
 """Parameters that are not keys of the table itself."""
 
-OFFERED = ("sightline", "noise_dbm", "world", "outside")
+OFFERED = ("sightline", "noise_dbm", "world", "outside", "firmware")
 """Parameters that come from the rest of the scenario (`cosim.assembly.radio`, `cosim.assembly.run`), not from a key."""
 
-OFFERED_TO = {"physics": ("vehicles",), "hardware": ("start", "now", "vehicle", "folder")}
+OFFERED_TO = {"physics": ("vehicles",), "hardware": ("start", "now", "vehicle", "folder", "number")}
 """Further such parameters of classes in `physics`, and in `hardware`, where stations give them."""
 
 _UNITS = {
@@ -136,6 +136,7 @@ EXTRA_DOCS: Mapping[str, Mapping[str, str]] = {
         "positioning": "positioning system for its `pose_source`; default: none",
         "agent": "agent that controls it; default: none, it stands still",
         "driver": "driver of the real vehicle that replaces it; default: it is simulated",
+        "firmware": "autopilot firmware that flies the simulated quadrotor; default: its own autopilot",
         "localisation": "positioning of the real vehicle; default: its odometry",
     },
     "RadioFederate": {

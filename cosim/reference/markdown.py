@@ -149,6 +149,7 @@ BLOCKS: Mapping[str, Callable[[], str]] = {
     "track": lambda: tables("agents", kinds=["track"]),
     "watching": lambda: tables("agents.watching", "agents.mosaic"),
     "drivers": lambda: tables(f"{VEHICLE}.driver"),
+    "firmware": lambda: tables(f"{VEHICLE}.firmware"),
     "localisation": lambda: tables(f"{VEHICLE}.localisation"),
     "fusion": lambda: tables(f"{VEHICLE}.fusion"),
     "safety": lambda: tables("safety"),
@@ -166,7 +167,7 @@ PAGES: Mapping[str, Collection[str]] = {
     "scenario-agents.md": (
         *("leaders", "followers", "consensus", "team", "patrol", "aerial", "avoid", "mission", "search", "track", "watching"),
     ),
-    "scenario-robots.md": ("drivers", "localisation", "fusion", "safety", "clock"),
+    "scenario-robots.md": ("drivers", "localisation", "fusion", "safety", "clock", "firmware"),
     "metrics.md": ("own metrics", "metrics"),
 }
 """Blocks of each page."""

@@ -32,6 +32,7 @@ from vcmvsp.cosim.kernel.kernel import Kernel, Observer
 from vcmvsp.cosim.metrics.own import own_values
 from vcmvsp.cosim.recording import external_inputs
 from vcmvsp.cosim.recording.external_inputs import FILE
+from vcmvsp.cosim.recording.mcap_writer import MessageSink
 from vcmvsp.cosim.recording.recorder import Recorder
 from vcmvsp.cosim.runs import notebook
 from vcmvsp.cosim.runs.result import Result, compared, figures_again, load_figures
@@ -110,6 +111,7 @@ class Simulation:
         observe: called with every event, after the recording.
         view: shows the run and accepts interventions.
         speed: initial speed of the view, simulated seconds per wall second.
+        sink: also receives the messages of the recording.
     """
 
     def __init__(
@@ -123,6 +125,7 @@ class Simulation:
         observe: Observer | None = None,
         view: "Viewing | None" = None,
         speed: float | None = None,
+        sink: MessageSink | None = None,
     ) -> None:
         self._run, self._folder, self._progress, self._tell, self._over = run, folder, progress, tell, False
         self._live = None if view is None else view.live(run, speed or 1.0, stop=self._stop, tell=tell)
@@ -142,6 +145,7 @@ class Simulation:
         self._kernel = Kernel(info, run.federates, clock=self._clock, tolerance_ns=self._tolerance_ns(), strict=strict)
         self._mcap = io.BytesIO() if mcap and folder is None else None
         self._recorder: Recorder | None = None
+        self._sink = sink
 
     def run(self) -> VcmvspError | None:
         """Run to the end; returns an error after the start, so that the recording can be kept."""
@@ -281,7 +285,9 @@ class Simulation:
                 stream = self._new_file(stack, self._folder.claim() / "run.mcap")
                 self._write_scenario(self._folder.path)
             folder = None if self._folder is None else self._folder.path
-            self._recorder = self._run.recorder(stream, lambda text: None if self._over else self._tell(text), folder)
+            self._recorder = self._run.recorder(
+                stream, lambda text: None if self._over else self._tell(text), folder, self._sink
+            )
             if self._run.has_outside and stream is not None:
                 inputs = None if self._folder is None else self._new_file(stack, self._folder.path / FILE)
                 self._run.inputs.open(inputs)
@@ -406,6 +412,7 @@ def run(
     tell: Tell = lambda _: None,
     observe: Observer | None = None,
     view: "Viewing | None" = None,
+    sink: MessageSink | None = None,
     watch: Callable[[], str | None] | None = None,
 ) -> Result:
     """Run a scenario to its end.
@@ -430,6 +437,7 @@ def run(
         observe: called with every event at its own time, after the recording; it cannot change the run.
         view: shows the run live and accepts interventions (`cosim.view.live.session.Viewing`). The run then keeps to the wall
             clock, at speed ``realtime`` or 1 until the user changes it.
+        sink: receives each message of the recording, encoded, when it is written (`cosim.view.live.foxglove_server`).
         watch: called while waiting for hosts; returns a reason to give up, or None. Default: the user is told how to start
             the hosts.
 
@@ -445,6 +453,8 @@ def run(
     folder = None if out is None else Folder(Path(out), force=force, numbered=numbered)
     if folder and not mcap:
         raise UsageError("mcap = False: a run with a folder always writes run.mcap; leave out one of the two")
+    if sink is not None and not mcap:
+        raise UsageError("mcap = False: a sink receives the messages of the recording; leave out one of the two")
     loaded = scenario if isinstance(scenario, scenarios.Loaded) else scenarios.load(scenario, settings=set, seed=seed)
     parsed, source = loaded
     progress = progress or notebook.bar(parsed.name)
@@ -472,7 +482,15 @@ def run(
             if playback is not None:
                 assembled.keep(Path(playback) / external_inputs.FILE)  # so that a replay can be replayed
             simulation = Simulation(
-                assembled, folder, mcap=mcap, progress=progress, tell=tell, observe=observe, view=view, speed=realtime
+                assembled,
+                folder,
+                mcap=mcap,
+                progress=progress,
+                tell=tell,
+                observe=observe,
+                view=view,
+                speed=realtime,
+                sink=sink,
             )
             with writing(folder.path if folder else None), simulation.calm():
                 failure = simulation.run()

@@ -57,6 +57,7 @@ class VehicleTable(msgspec.Struct, frozen=True, kw_only=True):
     pose_source: PoseSource = "truth"  # what its agent takes for its own pose
     positioning: Mapping[str, Any] | None = None  # the positioning sensor, if it carries one
     driver: Mapping[str, Any] | None = None  # of the real vehicle in the place of the simulated one: a table with a kind
+    firmware: Mapping[str, Any] | None = None  # of a simulated quadrotor, in place of its own autopilot: a table with a kind
     localisation: Mapping[str, Any] | None = None  # what tells where the real one is: a table with a kind; None: its odometry
     fusion: Mapping[str, Any] = {}  # how both become a pose
     safety: Mapping[str, Any] = {}  # keys of [safety] that are this vehicle's own

@@ -6,4 +6,5 @@ Start reading in `messages`.
 """
 
 HOST, PORT = "127.0.0.1", 8080
-"""Where the page is served, unless somebody says otherwise."""
+FOXGLOVE_PORT = 8765
+"""Address and port of the page, and port of the stream for Foxglove, unless options name others."""

@@ -17,8 +17,9 @@ import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import FederateError
-from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim.federate import Event, FlightFirmware
 from vcmvsp.cosim.types import Array, Contact, Vec3, Velocity, Waypoint
+from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
 from vcmvsp.physics.world.world import Moving
 
 
@@ -87,6 +88,15 @@ class Engine:
 
     def close(self) -> None:
         """Release all resources; a second call has no effect."""
+
+
+class FleetEngine(Engine):
+    """An engine with quadrotors in a fleet."""
+
+    @property
+    def fleet(self) -> QuadrotorFleet:
+        """Its quadrotors, in the order of their vehicles."""
+        raise NotImplementedError
 
 
 def side_by_side(*columns: Array) -> Array:
@@ -171,10 +181,22 @@ class Mover(NamedTuple):
             self.engine.go_to(self.row, command.position, command.yaw, command.speed)
 
 
+class FirmwareMover(NamedTuple):
+    """Hands commands of one vehicle to its firmware."""
+
+    firmware: FlightFirmware
+    vehicle: str
+    flies: bool = True
+
+    def obey(self, command: Command) -> None:
+        """Pass a command on."""
+        self.firmware.command(self.vehicle, command)
+
+
 class Commands:
     """Hands each simulated vehicle's newest command to its engine; ``advance`` advances all engines to a time, ns."""
 
-    def __init__(self, movers: Mapping[str, Mover], advance: Callable[[int], None]) -> None:
+    def __init__(self, movers: Mapping[str, Mover | FirmwareMover], advance: Callable[[int], None]) -> None:
         self._advance = advance
         self._movers = {f"{vehicle}/command": mover for vehicle, mover in movers.items()}
         self._newest: dict[str, Command] = {}

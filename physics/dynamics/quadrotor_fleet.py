@@ -6,7 +6,7 @@ writes their states into the fleet's arrays. `QuadrotorFleet.fly` is both, for s
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,10 @@ _TINY = 1e-12
 
 # Components of the arrays of `FleetState`.
 WIDTHS = {name: kind.__metadata__[0] for name, kind in FleetState.__annotations__.items() if hasattr(kind, "__metadata__")}
+
+
+Pilot = Callable[[float], None]
+"""Called before each step with its duration, s."""
 
 
 class QuadrotorFleet:
@@ -78,6 +82,7 @@ class QuadrotorFleet:
             self._model.mass * self._model.autopilot_gravity,
         )
 
+        self._pilot: Pilot | None = None
         self._core = Core((laws,), s, self._model)
         self._run = self._core.interpreted
         self._commands = views(s)
@@ -112,6 +117,24 @@ class QuadrotorFleet:
         c.speed[row] = most if speed is None else min(speed, most)
         c.to_place[row] = 1.0
 
+    def fly_by(self, pilot: Pilot) -> None:
+        """Call a pilot before each step, which may set rotor speeds by `drive`."""
+        self._pilot = pilot
+
+    def drive(self, row: int, speeds: Sequence[float]) -> None:
+        """Set the rotor speeds of a vehicle, rad/s, in the order of ``rotor``; they are reached with the motors' lag."""
+        for component, speed in zip(self._commands.rotor_wanted, speeds, strict=True):
+            component[row] = speed
+        self._commands.driven[row] = 1.0
+
+    def release(self, row: int) -> None:
+        """Give a vehicle back to its own autopilot, which holds it where it is."""
+        c = self._commands
+        for trim, reference, velocity in zip(c.trim, c.reference, self.velocity[row].tolist(), strict=True):
+            trim[row], reference[row] = 0.0, velocity  # what was integrated meanwhile belongs to another flight
+        self.set_waypoint(row, self.position[row].tolist())
+        c.driven[row] = 0.0
+
     def wrench(self, dt: float, wind: Any) -> tuple[Floats, Floats]:
         """Advance autopilots and rotors of all vehicles by ``dt`` s, once a step; wind (n, 3) m/s, world.
 
@@ -120,6 +143,8 @@ class QuadrotorFleet:
             the next step overwrites.
         """
         self._prepare(dt, wind)
+        if self._pilot is not None:
+            self._pilot(dt)
         self._do(laws.PUSH)
         return self._force, self._torque
 
@@ -132,7 +157,12 @@ class QuadrotorFleet:
     def fly(self, steps: int, dt: float, wind: Any) -> None:
         """`wrench` and `integrate` for some steps in constant wind (n, 3) m/s, world."""
         self._prepare(dt, wind)
-        self._do(steps)
+        if self._pilot is None:
+            self._do(steps)
+            return
+        for _ in range(steps):
+            self._pilot(dt)
+            self._do(1)
 
     def _prepare(self, dt: float, wind: Any) -> None:
         self._wind[:] = wind
@@ -177,6 +207,7 @@ def model_of(models: Sequence[Quadrotor], gravity: float) -> FleetModel:
         follow=np.zeros(n),
         arm=arm,
         yaw_arm=yaw_arm,
+        crossed=np.array([float(model.frame == "x") for model in models]),
         resistance=tuple(-columns([model.drag for model in models], 3)),
         ground_radius=np.where([model.ground_effect for model in models], column(models, "rotor_radius_m"), 0.0),
         max_speed=column(models, "max_speed"),

@@ -26,8 +26,8 @@ Autopilot, a cascade, from the outside inwards:
    control", 2020).
 4. Rates (`steer`, every step): torque = J k (desired - rate) + rate x J rate.
 5. Mixer (`mixed`, every step): the thrust of each rotor. Forward takes more behind, left more on the right (Toh 2012, 2.5.4 has
-   both the other way round). Under saturation, roll and pitch get their share first, then lift, then yaw; a tenth is reserved
-   for yaw, since a spinning quadrotor cannot turn upright.
+   both the other way round). With rotors as an x the torque is first turned into their cross. Under saturation, roll and pitch
+   get their share first, then lift, then yaw; a tenth is reserved for yaw, since a spinning quadrotor cannot turn upright.
 
 The code runs interpreted or compiled (`cosim.compiled`), with the same operations in the same order: results are equal to the
 last bit. All state is in a `FleetState`: a row for each component, a column for each vehicle. Loops without calls of the C
@@ -74,6 +74,7 @@ _ROUNDS = 5  # each brings the middle of a step nearer by dt times the rate at w
 _TURN = 6.283185307179586
 _ROUNDER = 6755399441055744.0  # 1.5 * 2^52: a number of less than 2^51 loses its fraction when this is added
 _NEAREST = 0.5  # rotor radii
+_EIGHTH = sqrt(0.5)  # sine and cosine of an eighth of a turn
 
 
 class FleetState(NamedTuple):
@@ -87,7 +88,9 @@ class FleetState(NamedTuple):
     velocity_before: Three  # m/s, world, before the last step
     attitude: Four  # w, x, y, z; world_from_body; unit norm
     rate: Three  # rad/s, body
-    rotor: Four  # rad/s: front, left, back, right
+    rotor: Four  # rad/s: front, left, back, right; in an x frame these are front right, front left, back left, back right
+    driven: Row  # 1: rotor speeds approach `rotor_wanted`; 0: those of the autopilot
+    rotor_wanted: Four  # rad/s
     # Around them
     wind: Three  # m/s, world
     down: Row  # m/s, downwash
@@ -134,6 +137,7 @@ class FleetModel(NamedTuple):
     follow: Row  # share of the rotors' lag that a step makes up for
     arm: Row  # m
     yaw_arm: Row  # m
+    crossed: Row  # 1: rotors as an x, i.e. turned clockwise by an eighth of a turn; 0: as a plus
     resistance: Three  # N s/m
     ground_radius: Row  # m, of rotors with ground effect; 0: without
     # Limits
@@ -235,6 +239,7 @@ def rounded(x: float) -> float:
 
 Matrix = tuple[float, float, float, float, float, float, float, float, float]
 Vector = tuple[float, float, float]
+Pairs = tuple[float, float]
 
 
 def rotation(attitude: Rows, k: int) -> Matrix:
@@ -372,11 +377,27 @@ def spin_rotors(s: FleetState, m: FleetModel) -> None:
     front, left, back, right = s.rotor
     for k in range(len(s.lift)):
         x, y, z, thrust = steer(s, m, k)
+        x, y = turned_in(m, k, x, y)
         a, b, c, d = mixed(m, k, x, y, z, thrust)
+        driven = s.driven[k] != 0.0
+        a, b = s.rotor_wanted[0][k] if driven else a, s.rotor_wanted[1][k] if driven else b
+        c, d = s.rotor_wanted[2][k] if driven else c, s.rotor_wanted[3][k] if driven else d
         front[k] += m.follow[k] * (a - front[k])
         left[k] += m.follow[k] * (b - left[k])
         back[k] += m.follow[k] * (c - back[k])
         right[k] += m.follow[k] * (d - right[k])
+
+
+def turned_in(m: FleetModel, k: int, x: float, y: float) -> Pairs:
+    """Horizontal components along the arms of the first two rotors' cross, of a vector in the body frame."""
+    crossed = m.crossed[k] != 0.0
+    return (x - y) * _EIGHTH if crossed else x, (x + y) * _EIGHTH if crossed else y
+
+
+def turned_out(m: FleetModel, k: int, x: float, y: float) -> Pairs:
+    """The inverse of `turned_in`."""
+    crossed = m.crossed[k] != 0.0
+    return (x + y) * _EIGHTH if crossed else x, (y - x) * _EIGHTH if crossed else y
 
 
 def weigh(s: FleetState, m: FleetModel) -> None:
@@ -461,7 +482,7 @@ def load(s: FleetState, m: FleetModel) -> None:
         x, y, z = into_body(r, s.velocity[0][k] - s.wind[0][k], s.velocity[1][k] - s.wind[1][k], down)
         x, y, z = m.resistance[0][k] * x, m.resistance[1][k] * y, m.resistance[2][k] * z + (pitching + rolling)
         s.force[0][k], s.force[1][k], s.force[2][k] = into_world(r, x, y, z)
-        s.moment[0][k], s.moment[1][k] = m.arm[k] * (left - right), -m.arm[k] * (front - back)
+        s.moment[0][k], s.moment[1][k] = turned_out(m, k, m.arm[k] * (left - right), -m.arm[k] * (front - back))
         s.moment[2][k] = m.yaw_arm[k] * (rolling - pitching)
     for k in range(len(s.lift)):
         x, y, z = precession(s, m, k)

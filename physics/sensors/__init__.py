@@ -10,6 +10,7 @@ class                              reading   quantity
 `motion.WheelOdometry`             Odometry  pose and speeds from the turns of two wheels
 `motion.Altimeter`                 Measured  ``height_m`` above the floor
 `motion.Compass`                   Measured  ``yaw_rad`` from east
+`motion.Magnetometer`              Measured  ``x_ut``, ``y_ut``, ``z_ut`` of the earth's field in the body frame
 `detectors.Bumper`                 Measured  contact of each segment of the hull, 0 or 1
 `detectors.NeighbourRange`         Measured  distance to each other vehicle within reach, m, by its name
 `detectors.TargetSensor`           Looks     detections of targets in the ground cells within reach

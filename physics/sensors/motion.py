@@ -1,4 +1,4 @@
-"""Sensors of a vehicle's own motion: altimeter, compass, inertial unit, wheel odometry."""
+"""Sensors of a vehicle's own motion: altimeter, compass, magnetometer, inertial unit, wheel odometry."""
 
 import math
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ import numpy as np
 
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import arc, wrap, yaw_of
-from vcmvsp.cosim.types import Count, Imu, Measured, NonNegative, Odometry, Positive, Rate
+from vcmvsp.cosim.types import Count, Imu, Measured, NonNegative, Odometry, Positive, Rate, Vec3
 from vcmvsp.physics.sensors.sensor import Errors, Noise, Sensor
 from vcmvsp.physics.world.world import Scene
 
@@ -52,6 +52,29 @@ class Compass(Sensor):
         w, x, y, z = scene.attitude[row].tolist()
         (yaw,) = self._errors.read(np.array([yaw_of((w, x, y, z))]), scene.now_ns, rng).tolist()
         return Measured(time_ns=scene.now_ns, values={"yaw_rad": wrap(yaw)})
+
+
+_FIELD = Noise(sigma=0.3, bias_sd=1.0)  # assumed, as after a calibration
+
+
+@dataclass(kw_only=True)
+class Magnetometer(Sensor):
+    """``x_ut``, ``y_ut``, ``z_ut``: the magnetic field of the earth along the body axes, microtesla.
+
+    The default field is that near Zurich: 48 uT, 3 degrees east of north, 63.5 degrees downwards (geo_magnetic_tables.hpp of PX
+    """
+
+    rate_hz: Rate = 60.0  # readings a second
+    field_ut: Vec3 = (1.1, 21.4, -43.0)  # of the earth, uT, east, north, up
+    noise: Noise = _FIELD  # of each component, uT
+
+    def __post_init__(self) -> None:
+        self._errors, self._field = Errors([self.noise] * 3), np.array(self.field_ut)
+
+    def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Measured:
+        """The field."""
+        x, y, z = self._errors.read(self._field @ scene.rotation(row), scene.now_ns, rng).tolist()
+        return Measured(time_ns=scene.now_ns, values={"x_ut": x, "y_ut": y, "z_ut": z})
 
 
 _FORCE = Noise(bias_sd=0.05, drift_sd=0.01, drift_time_s=300.0, quantum=9.81 / 4096)  # m/s2; quantum: MPU-6000 at 8 g

@@ -1,9 +1,9 @@
 """Vehicle models that a scenario can name, as sets of parameters; the engines implement their motion.
 
 The position of a vehicle is that of its reference point: the middle of the wheel axle, projected onto the floor; the centre of
-mass of an aerial vehicle. Rotors of a quadrotor are in plus configuration: in front (+x), left (+y), behind, right; front and
-back turn counter-clockwise seen from above, so that their drag turns the body clockwise. Vehicles from a user's own files are
-in `physics.vehicles.urdf`. Sources:
+mass of an aerial vehicle. Rotors of a quadrotor are in plus configuration: in front (+x), left (+y), behind, right; in an x all
+are an eighth of a turn further to the right. Front and back turn counter-clockwise seen from above, so that their drag turns
+the body clockwise. Vehicles from a user's own files are in `physics.vehicles.urdf`. Sources:
 
 * p2dx.p, amigo.p: robot parameter files of ARIA (ActivMedia/MobileRobots), where the effective track is 2 / DiffConvFactor.
 * Stage, Gazebo: vehicle definitions of the Player/Stage and of the Gazebo simulator.
@@ -18,7 +18,7 @@ in `physics.vehicles.urdf`. Sources:
 import math
 from dataclasses import dataclass
 from math import inf
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from vcmvsp.cosim.types import NonNegative, Positive
 from vcmvsp.physics.world.solids import Hull
@@ -212,6 +212,7 @@ class Quadrotor:
     radius_m: Positive = 0.267  # of the cylinder around it: 0.165 m arm and half a propeller of 0.2032 m
     height_m: Positive = 0.08  # of that cylinder, which the centre of mass is in the middle of
     mass_kg: Positive = 0.80  # all of it; Duffy, with a smaller battery
+    frame: Literal["plus", "x"] = "plus"  # of the rotors: first one ahead, or ahead to the right (an x; with firmware)
     arm_m: Positive = 0.165  # from the centre to each rotor: 0.33 m from motor to motor
     inertia: tuple[Positive, Positive, Positive] = (0.0040, 0.0040, 0.0073)  # kg m2, about x, y, z; parts
     rotor_radius_m: Positive = 0.1016  # half a propeller of 8 inches

@@ -58,7 +58,11 @@ class Around:
     files: Mapping[str, str | bytes] = field(default_factory=dict)
 
 
+FIRMWARE = '[physics]\nrate_hz = 400.0\n[[vehicle]]\nname = "uav1"\nkind = "quadrotor"\n'
 AROUND = {
+    ("docs/howto/firmware.md", "--defaults {folder}/copter.parm"): Around(before=FIRMWARE),
+    ("docs/howto/firmware.md", 'kind = "px4"'): Around(before=FIRMWARE),
+    ("docs/howto/firmware.md", "mavlink ="): Around(before=FIRMWARE),
     ("docs/tutorial.md", "# mine.toml"): Around(files={"my_follower.py": block_of("docs/tutorial.md", "class MyFollower")}),
     ("README.md", "# gap.toml"): Around(files={"keep_gap.py": KEEP_GAP["keep_gap.py"]}),
     ("docs/reference/agents.md", 'changes = [[30.0, "column"]'): Around(TEAM),

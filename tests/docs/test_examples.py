@@ -52,13 +52,13 @@ def test_learning_writes_policies_that_fly_and_the_figure(tmp_path: Path) -> Non
     assert done.returncode == 0, done.stderr
     assert "training with it saves" in done.stdout
     assert (tmp_path / "train.png").stat().st_size > 10_000
-    content = '''
+    content = """
         name = "learned"
         duration_s = 3.0
         physics.kind = "kinematic"
         agents = { kind = "policy", file = "lossy-1.npz", period_s = 0.1 }
         vehicle = [{ name = "v", kind = "point", count = 3, spacing = [0.0, 1.5], columns = 1, agent = {} }]
-    '''
+    """
     (tmp_path / "learned.toml").write_text(content)
     assert vcmvsp.run(tmp_path / "learned.toml").states.num_rows == 31 * 3
 

@@ -114,6 +114,10 @@ SHOWN = {
         "cosim/transport/test_endpoints.py::test_beyond_this_machine_certificates_are_a_must",
     ],
     "observer": ["cosim/hosts/test_watch.py::test_with_certificates_only_observers_watch"],
+    "Foxglove stream": [
+        "cosim/view/test_foxglove.py::test_what_a_client_sends_changes_nothing",
+        "cosim/view/test_foxglove.py::test_an_address_beyond_loopback_is_said_to_be_open",
+    ],
     "page": [
         "cosim/view/test_auth.py::test_the_page_is_given_for_the_token_and_runs_no_scripts_but_its_own",
         "cosim/view/test_auth.py::test_whatever_is_asked_only_the_token_passes",

@@ -122,6 +122,16 @@ def yaw_flipped(yaw: float) -> float:
     return wrap(0.5 * math.pi - yaw)
 
 
+def attitude_flipped(attitude: Quaternion) -> Quaternion:
+    """``world_from_body`` in NED and FRD of one in ENU and FLU, or back: the product of the rotations T, ``attitude`` and D.
+
+    T is half a turn about (1, 1, 0), D half a turn about x; quaternions of opposite signs are the same rotation.
+    """
+    w, x, y, z = attitude
+    s = math.sqrt(0.5)
+    return s * (w + z), s * (x + y), s * (x - y), s * (w - z)
+
+
 def attitude_from_euler(roll: float, pitch: float, yaw: float) -> Quaternion:
     """``world_from_body`` in ENU and FLU of Euler angles of NED and FRD, rad: Rz(pi/2 - yaw) Ry(-pitch) Rx(roll)."""
     half = (0.5 * roll, -0.5 * pitch, 0.25 * math.pi - 0.5 * yaw)

@@ -12,16 +12,17 @@ from vcmvsp.physics.dynamics.bullet import p
 from vcmvsp.physics.dynamics.bullet.bodies import ExternalBodies, WorldBodies
 from vcmvsp.physics.dynamics.bullet.ground_robots import GroundRobots
 from vcmvsp.physics.dynamics.bullet.quadrotors import REACH_M, BulletQuadrotors
-from vcmvsp.physics.dynamics.engine import BodyMotion, Engine, Touch, gathered
+from vcmvsp.physics.dynamics.engine import BodyMotion, FleetEngine, Touch, gathered
 from vcmvsp.physics.dynamics.kinematic import ExternalEngine
 from vcmvsp.physics.dynamics.odometry import ENCODER_HZ
+from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
 from vcmvsp.physics.dynamics.wind import Gusts
 from vcmvsp.physics.vehicles.specification import VehicleSpec, roles_of
 from vcmvsp.physics.vehicles.urdf import UrdfDrive
 from vcmvsp.physics.world.world import World
 
 
-class BulletEngine(Engine):
+class BulletEngine(FleetEngine):
     """Moves differential drives and quadrotors in one Bullet world without a window.
 
     Args:
@@ -105,6 +106,11 @@ class BulletEngine(Engine):
         if self._external_bodies:
             bodies |= zip(self._external_rows, self._external_bodies.bodies, strict=True)
         return bodies
+
+    @property
+    def fleet(self) -> QuadrotorFleet:
+        """Its quadrotors."""
+        return self._flyers.fleet
 
     def command(self, row: int, linear: Vec3, yaw_rate: float) -> None:
         """Set a velocity, m/s, and a yaw rate, rad/s, which firmware or autopilot approach."""

@@ -18,7 +18,7 @@ import numpy as np
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.types import Array, Vec3
-from vcmvsp.physics.dynamics.engine import NO_BODIES, BodyMotion, Engine, Touch, gathered, on_time, without_wheels
+from vcmvsp.physics.dynamics.engine import NO_BODIES, BodyMotion, FleetEngine, Touch, gathered, on_time, without_wheels
 from vcmvsp.physics.dynamics.external_path import ExternalPath
 from vcmvsp.physics.dynamics.kinematic import ExternalEngine, Firmware
 from vcmvsp.physics.dynamics.mujoco.bodies import MOTOR_IMPEDANCE, MOTOR_STEPS, Builder, set_inertia
@@ -39,7 +39,7 @@ _SLIDING, _TANGENTS = 3, np.array([1, 2])  # rows of a contact: normal, and two 
 _SLIP = 0.05  # m/s: faster sliding is slowed down no more than this
 
 
-class MujocoEngine(Engine):
+class MujocoEngine(FleetEngine):
     """Moves differential drives and quadrotors in one MuJoCo world; arguments as for `BulletEngine`, without iterations."""
 
     stepped = True
@@ -112,6 +112,11 @@ class MujocoEngine(Engine):
         self._limit_slip()
         mj.mj_step2(self._model, self._data)
 
+    @property
+    def fleet(self) -> QuadrotorFleet:
+        """Its quadrotors."""
+        return self._flyers.fleet
+
     def command(self, row: int, linear: Vec3, yaw_rate: float) -> None:
         """Set a velocity, m/s, and a yaw rate, rad/s, which firmware or autopilot approach."""
         if row in self._robots.place_of:
@@ -172,7 +177,7 @@ class MujocoEngine(Engine):
     def _note_touches(self) -> None:
         """After a step: quadrotors in contact take the states of their bodies; note contacts that have begun."""
         before, self._touching = {(each.row, each.other) for each in self._touching}, self._touches()
-        self._flyers.take({row for each in self._touching for row in (each.row, each.other)})
+        self._flyers.take({row for each in self._touching for row in (each.row, each.other)} | self._on_floor())
         self._passing += [each for each in self._touching if (each.row, each.other) not in before]
 
     def _place(self, now_ns: int) -> None:
@@ -226,6 +231,17 @@ class MujocoEngine(Engine):
             if vehicle < self._count and self._data.efc_force[addresses[which]] > 0.0:
                 touches.append(Touch(vehicle, other, tuple(contact.pos[which].tolist())))
         return sorted(_inside(touches), key=lambda each: each.key)
+
+    def _on_floor(self) -> set[int]:
+        """Quadrotors that the floor bore in the last step."""
+        contact = self._data.contact
+        if not self._flyers.place_of or not len(contact.dist):
+            return set()
+        rows = np.sort(self._row_of_geom[contact.geom], axis=1)
+        addresses = contact.efc_address
+        borne = (rows[:, 0] == _FLOOR) & (addresses >= 0)
+        borne[borne] = self._data.efc_force[addresses[borne]] > 0.0
+        return {row for row in rows[borne, 1].tolist() if row in self._flyers.place_of}
 
     def _rows_of_geoms(self) -> Array:
         """Row of the vehicle or other body of each shape; links of a robot belong to its root."""

@@ -200,6 +200,55 @@ def test_it_recovers_from_any_attitude_and_comes_home(hz: float, monkeypatch: py
     assert np.cos(seen.yaw[-1] - 1.0) == pytest.approx(1.0, abs=1e-6)
 
 
+def test_rotors_as_an_x_fly_like_rotors_as_a_plus() -> None:
+    """The mixer knows the places of the rotors, and moments and drag are the same about both pairs of axes."""
+    plus, x = (
+        QuadrotorFleet([Quadrotor(frame=frame)] * 2, [(0.0, 0.0, 9.0), (9.0, 0.0, 9.0)], [0.3, 0.3]) for frame in ("plus", "x")
+    )
+    for fleet in (plus, x):
+        fleet.set_velocity(0, (2.0, -1.0, 0.5), 0.4)
+        fleet.set_waypoint(1, (5.0, 3.0, 8.0), yaw=1.0)
+        fly(fleet, 0.2, 240.0)
+    assert np.abs(x.rotor - plus.rotor).max() > 1.0  # by other speeds of the rotors
+    for fleet in (plus, x):
+        fly(fleet, 4.0, 240.0)
+    assert x.position == pytest.approx(plus.position, abs=3e-3)  # the lag of rotor speeds is not linear in their thrust
+    assert x.attitude == pytest.approx(plus.attitude, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("frame", "signs"),
+    [
+        ("plus", {0: (0, -1, -1), 1: (1, 0, 1), 2: (0, 1, -1), 3: (-1, 0, 1)}),
+        ("x", {0: (-1, -1, -1), 1: (1, -1, 1), 2: (1, 1, -1), 3: (-1, 1, 1)}),  # front right, front left, back left, back right
+    ],
+)
+def test_driven_rotors_turn_the_body_by_their_places_and_directions(frame: str, signs: dict[int, tuple[int, int, int]]) -> None:
+    """A rotor that is faster than hovering lifts its arm, and turns the body against its own direction, about x, y and z."""
+    hover = math.sqrt(0.25 * MODEL.mass_kg * 9.81 / MODEL.thrust_factor)
+    for rotor, about in signs.items():
+        fleet = QuadrotorFleet([Quadrotor(frame=frame)], [(0.0, 0.0, 9.0)], [0.0])  # type: ignore[arg-type]
+        speeds = [hover] * 4
+        speeds[rotor] += 50.0
+        fleet.drive(0, speeds)
+        fly(fleet, 0.05, 240.0)
+        rate = np.where(np.abs(fleet.rate[0]) < 0.01, 0.0, fleet.rate[0])  # rad/s; axes are coupled by the turn so far
+        assert np.sign(rate).tolist() == list(about)
+
+
+def test_a_vehicle_that_is_released_holds_its_place() -> None:
+    fleet = fleet_of(2)
+    for _ in range(20):
+        fleet.drive(0, [630.0] * 4)  # more than hovering takes
+        fly(fleet, 0.1, 240.0)
+    assert fleet.position[0, 2] > 11.0
+    assert fleet.position[1, 2] == pytest.approx(10.0, abs=0.01)  # the other one is not driven
+    there = fleet.position[0].copy()
+    fleet.release(0)
+    fly(fleet, 10.0, 240.0)
+    assert fleet.position[0] == pytest.approx(there, abs=0.02)
+
+
 def test_it_catches_itself_from_a_fall_straight_down() -> None:
     fleet = fleet_of(1, height=100.0)
     fleet.velocity[0, 2] = -30.0  # all the lift there is, and nothing to the side

@@ -21,7 +21,7 @@ from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, MujocoPhysi
 from vcmvsp.physics.sensor_scheduler import SensorScheduler
 from vcmvsp.physics.sensors import sensor as module
 from vcmvsp.physics.sensors.detectors import Bumper, NeighbourRange
-from vcmvsp.physics.sensors.motion import Altimeter, Compass, InertialUnit, WheelOdometry
+from vcmvsp.physics.sensors.motion import Altimeter, Compass, InertialUnit, Magnetometer, WheelOdometry
 from vcmvsp.physics.sensors.positioning import Gps, PositioningSensor, Uwb
 from vcmvsp.physics.sensors.sensor import Errors, Noise, Sensor, jump
 from vcmvsp.physics.vehicles.models import P2DX
@@ -127,7 +127,7 @@ def test_as_a_table_of_a_scenario() -> None:
         assert refused.value.key.startswith("vehicle.car.sensors.alt.noise")
 
 
-KINDS = (Altimeter, Bumper, Compass, Gps, InertialUnit, NeighbourRange, PositioningSensor, Uwb, WheelOdometry)
+KINDS = (Altimeter, Bumper, Compass, Gps, InertialUnit, Magnetometer, NeighbourRange, PositioningSensor, Uwb, WheelOdometry)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -158,6 +158,16 @@ def test_a_compass_tells_the_yaw_wrapped() -> None:
     said = [reading.values["yaw_rad"] for reading in readings(Compass(noise=Noise(sigma=0.3)), still(300, yaw=3.1))]
     assert -np.pi <= min(said) < -3.0
     assert 3.0 < max(said) < np.pi
+
+
+def test_a_magnetometer_tells_the_field_along_its_axes() -> None:
+    sensor = Magnetometer(noise=Noise(), field_ut=(1.0, 20.0, -40.0))  # east, north, up
+    (east,) = readings(sensor, [scene_of(yaw=0.0)])
+    (north,) = readings(sensor, [scene_of(yaw=0.5 * np.pi)])
+    assert east.values == {"x_ut": pytest.approx(1.0), "y_ut": pytest.approx(20.0), "z_ut": pytest.approx(-40.0)}
+    assert north.values == {"x_ut": pytest.approx(20.0), "y_ut": pytest.approx(-1.0), "z_ut": pytest.approx(-40.0)}
+    said = np.array([[*reading.values.values()] for reading in readings(Magnetometer(), still(2000))])
+    assert said.std(axis=0) == pytest.approx([0.3] * 3, rel=0.06)
 
 
 MODEL = P2DX()

@@ -84,6 +84,7 @@ ELSEWHERE = _in_the_gallery() | {
     "vcmvsp run formation-circle --set bridge.udp.first_port=18000": (
         "tests/docs/test_doors.py::test_ports_are_where_the_page_has_them"
     ),
+    "vcmvsp run copters.toml": "tests/hardware/firmware/test_flights.py::test_four_take_off_fly_to_way_points_and_land",
     "vcmvsp launch gap.toml --hosts hosts.toml --keys keys": STARTED,
     "vcmvsp launch my_scenario.toml --hosts hosts.toml --keys keys": STARTED,
     "vcmvsp keys init keys --name run": DEPLOYED,
@@ -118,6 +119,7 @@ ELSEWHERE = _in_the_gallery() | {
 
 NO_CONTAINERS = "there are no containers on machines that run these tests"
 UNRUN = {
+    "pip install 'vcmvsp[foxglove]'": "it fetches a library",
     "make test": "it runs the tests themselves",
     "make site": "it installs what builds the site; `tests/docs/test_site.py` builds it where that is there",
     "pip install 'vcmvsp[learn]'": "it installs from an index; the environment of the tests has what it installs",

@@ -183,7 +183,7 @@ def understood(words: Sequence[str]) -> None:
     if hasattr(command, "commands"):
         _options(command, rest)
     else:
-        command.make_context(command.name, cli._with_speed(rest))
+        command.make_context(command.name, cli._with_values(rest))
         _names(command, rest)
 
 

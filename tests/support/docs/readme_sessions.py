@@ -180,6 +180,7 @@ STORIES = (
         },
     ),
     Story("on a page", (Step("vcmvsp run recon-urban --view", f"{BRIEF} --view-port 0"),)),
+    Story("in Foxglove", (Step("vcmvsp run recon-urban --foxglove", f"0 {BRIEF}"),)),
     Story(
         "the channel alone",
         (

@@ -1,0 +1,104 @@
+"""What goes to firmware and comes from it, against the numbers of the published protocols."""
+
+import json
+import math
+import struct
+
+import numpy as np
+import pytest
+from pymavlink.quaternion import QuaternionBase  # type: ignore[import-untyped]
+
+from tests.hardware.firmware.test_flights import scenario
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.federate import FlightReadings
+from vcmvsp.cosim.frames import quaternion_from_yaw
+from vcmvsp.cosim.runs.api import check
+from vcmvsp.cosim.types import Imu, VehicleState
+from vcmvsp.hardware.drivers.mavlink.protocol import attitude_flipped, attitude_from_euler
+from vcmvsp.hardware.firmware import ardupilot, px4
+
+
+def packet(magic: int, number: int, pulses: list[int], channels: int) -> bytes:
+    return struct.pack(f"<HHI{channels}H", magic, 400, number, *pulses, *[0] * (channels - len(pulses)))
+
+
+@pytest.mark.parametrize(("magic", "channels"), [(18458, 16), (29569, 32)])
+def test_servo_outputs_of_both_sizes(magic: int, channels: int) -> None:
+    found = ardupilot.outputs_of(packet(magic, 7, [1000, 1500, 2000, 2100], channels))
+    assert found == (7, (0.0, 0.5, 1.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    "datagram", [b"", b"\x1aH", packet(18458, 1, [], 32), packet(29569, 1, [], 16), packet(18457, 1, [], 16), bytes(40)]
+)
+def test_other_datagrams_are_refused(datagram: bytes) -> None:
+    assert ardupilot.outputs_of(datagram) is None
+
+
+def readings(**state: object) -> FlightReadings:
+    """A vehicle that stands level."""
+    imu = Imu(acceleration=(0.0, 0.0, 9.81), angular_velocity=(0.1, 0.2, 0.3))
+    return FlightReadings(now_ns=2_500_000_000, state=VehicleState(position=(1.0, 2.0, 3.0), **state), imu=imu)  # type: ignore[arg-type]
+
+
+def test_the_line_of_readings_is_as_the_readme_of_the_interface_has_it() -> None:
+    line = ardupilot.line_of(readings(velocity=(0.5, 0.25, -0.125), attitude=quaternion_from_yaw(0.5 * math.pi)))
+    assert (line[:1], line[-1:], line.count(b"\n")) == (b"\n", b"\n", 2)
+    got = json.loads(line)
+    assert list(got) == ["timestamp", "imu", "position", "quaternion", "velocity"]
+    assert got["timestamp"] == 2.5
+    assert got["imu"] == {"gyro": [0.1, -0.2, -0.3], "accel_body": [0.0, -0.0, -9.81]}  # at rest, FRD
+    assert got["position"] == [2.0, 1.0, -3.0]
+    assert got["velocity"] == [0.25, 0.5, 0.125]
+    assert got["quaternion"] == pytest.approx([1.0, 0.0, 0.0, 0.0])  # it faces north
+
+
+@pytest.mark.parametrize("euler", [(0.0, 0.0, 0.0), (0.3, 0.0, 0.0), (0.0, -0.4, 0.0), (0.1, 0.2, 3.0), (-1.0, 1.2, -2.0)])
+def test_attitudes_are_those_of_pymavlink(euler: tuple[float, float, float]) -> None:
+    ours = np.array(attitude_flipped(attitude_from_euler(*euler)))
+    theirs = np.array(QuaternionBase(list(euler)).q)
+    assert ours * np.sign(ours @ theirs) == pytest.approx(theirs, abs=1e-12)
+    assert np.abs(attitude_flipped((*ours.tolist(),))) == pytest.approx(np.abs(attitude_from_euler(*euler)))  # its own inverse
+
+
+@pytest.mark.parametrize(("height_m", "hpa", "celsius"), [(0, 1013.25, 15.0), (500, 954.61, 11.75), (1000, 898.75, 8.5)])
+def test_pressure_is_that_of_the_standard_atmosphere(height_m: float, hpa: float, celsius: float) -> None:
+    assert px4.pressure_hpa(height_m) == pytest.approx(hpa, abs=0.01)  # ISO 2533:1975, table 5
+    assert px4.temperature_c(height_m) == pytest.approx(celsius, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("change", "key", "words"),
+    [
+        ({"physics": {"kind": "kinematic"}}, "vehicle.uav0.firmware", "needs rotors"),
+        ({"physics": {"kind": "bullet"}}, "physics.rate_hz", "at least 200 steps"),
+        ({"vehicle": {"kind": "p2dx"}}, "vehicle.uav0.firmware", "flies quadrotors, not a p2dx"),
+        ({"vehicle": {"agent": {"kind": "aerial_route"}}}, "vehicle.uav0.firmware.mavlink", "is missing"),
+        ({"firmware": {"kind": "inav"}}, "vehicle.uav0.firmware.kind", "ardupilot, px4"),
+        ({"firmware": {"instance": 60000}}, "vehicle.uav0.firmware.instance", "too large"),
+        ({"firmware": {"command": "arducopter {number}"}}, "vehicle.uav0.firmware.command", "{instance}, {vehicle}, {folder}"),
+        ({"firmware": {"command": "arducopter 'x"}}, "vehicle.uav0.firmware.command", "No closing quotation"),
+        ({"firmware": {"on_lost": "land"}}, "vehicle.uav0.firmware.on_lost", "'stop', 'fall', 'hold'"),
+        ({"firmware": {"origin": [91.0, 0.0, 0.0]}}, "vehicle.uav0.firmware.origin", "latitude"),
+        ({"firmware": {"timeout_s": 0.0}}, "vehicle.uav0.firmware.timeout_s", "0"),
+    ],
+)
+def test_bad_input_is_one_error(change: dict[str, dict[str, object]], key: str, words: str) -> None:
+    table = scenario("ardupilot", [3])
+    vehicle = table["vehicle"][0]
+    vehicle["firmware"] |= {"command": ""} | change.get("firmware", {})
+    vehicle |= change.get("vehicle", {})
+    table |= {"physics": change.get("physics", table["physics"])}
+    with pytest.raises(ScenarioError) as caught:
+        check(table)
+    assert caught.value.key == key
+    assert words in str(caught.value)
+
+
+def test_two_vehicles_at_one_port_are_an_error_and_numbers_count_by_kind() -> None:
+    with pytest.raises(ScenarioError, match="its port 9032 is that of uav0"):
+        check(scenario("ardupilot", [3, 3]))
+    table = scenario("px4", [0, 0])
+    for vehicle in table["vehicle"]:
+        del vehicle["firmware"]["instance"]
+    check(table)  # nothing is opened or started
