@@ -47,7 +47,7 @@ def test_the_figure_of_the_paper_has_bands_that_widen_with_loss(tmp_path: Path) 
 
 
 def test_learning_writes_policies_that_fly_and_the_figure(tmp_path: Path) -> None:
-    command = [sys.executable, FOLDER / LEARNING, tmp_path, "--generations", "3", "--trainings", "2"]
+    command = [sys.executable, str(FOLDER / LEARNING), str(tmp_path), "--generations", "3", "--trainings", "2"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "training with it saves" in done.stdout
