@@ -33,7 +33,7 @@ API: Mapping[str, tuple[str, ...]] = {
     "Commands": ("Velocity", "Waypoint"),
     "State and readings": ("VehicleState", "Odometry", "Fix", "Imu", "Scan", "Image", "Measured"),
     "Formation error": ("Follows",),
-    "Runs from Python": ("run", "study", "Result"),
+    "Runs from Python": ("run", "study", "Result", "start", "SteppedRun"),
     "Types for constructor parameters": ("Positive", "NonNegative", "Probability"),
     "Angles and frames": ("wrap", "arc", "rotate2", "yaw_of", "quaternion_from_yaw"),
     "Errors": ("VcmvspError", "ScenarioError", "UsageError", "FederateError", "AgentError", "Interrupted"),
