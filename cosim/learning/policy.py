@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
-from vcmvsp.cosim.errors import UsageError, words_of
+from vcmvsp.cosim.errors import ScenarioError, UsageError
 from vcmvsp.cosim.learning.mail import Mail
+from vcmvsp.cosim.learning.sensors import SensorVector
 from vcmvsp.cosim.learning.task import Floats, Layout, Task, Worlds, yaw_of_attitude
 from vcmvsp.cosim.learning.tasks import TASKS
 from vcmvsp.cosim.rng import stream
@@ -109,8 +110,10 @@ def load_network(path: str | Path) -> Network:
         return _onnx(path) if path.suffix == ".onnx" else _npz(path)
     except UsageError:
         raise
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror or error}") from error
     except Exception as error:  # readers of archives and networks raise many kinds
-        raise UsageError(f"{path}: is no policy: {words_of(error)}") from error
+        raise UsageError(f"{path}: is no policy, neither .npz nor .onnx ({type(error).__name__})") from error
 
 
 def _npz(path: Path) -> Network:
@@ -119,7 +122,10 @@ def _npz(path: Path) -> Network:
     if META not in arrays:
         raise UsageError(f"{path}: is no policy: it has no entry '{META}' (vcmvsp.policy.save_network writes one)")
     meta = msgspec.json.decode(arrays.pop(META).tobytes(), type=PolicyMeta)
-    return Network(meta, layers_of(arrays))
+    try:
+        return Network(meta, layers_of(arrays))
+    except ValueError as error:
+        raise UsageError(f"{path}: {error}") from error
 
 
 def _onnx(path: Path) -> Network:
@@ -173,7 +179,7 @@ class Policy(Agent):
             self._network = load_network(file)
             self._task = task_of_meta(self._network.meta, self.task_class)
         except (UsageError, ValueError) as error:
-            raise UsageError(f"{error}" if isinstance(error, UsageError) else f"{file}: {error}") from error
+            raise ScenarioError(str(error).removeprefix(f"{file}: "), key="file") from error
         self.sensors = self._task.sensors or ()
 
     def start(self, info: VehicleInfo) -> None:
@@ -191,6 +197,7 @@ class Policy(Agent):
         self._mail = Mail(1, n, task.message_floats)
         self._layout: Layout | None = None
         self._bounds: Any = None
+        self._sensors: SensorVector | None = None
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
         """The command of the network's action; the message is sent if it says so."""
@@ -201,9 +208,13 @@ class Policy(Agent):
             task.step(worlds)
         features = task.features(worlds)
         if self._layout is None:
-            self._layout = Layout(len(self._names), task.message_floats, features.shape[-1])
-            self._bounds = self._layout.bounds(task)
+            self._sensors = SensorVector(task.sensors, {obs.vehicle: obs}) if task.sensors else None
+            size, bounds = (0, None) if self._sensors is None else (self._sensors.size, self._sensors.bounds)
+            self._layout = Layout(len(self._names), task.message_floats, features.shape[-1], size)
+            self._bounds = self._layout.bounds(task, bounds)
         observation = self._layout.observations(worlds, features, self._bounds)[0, row]
+        if self._sensors is not None:
+            observation[self._layout.sensors] = self._sensors.values(obs.readings)
         action = self._network(observation).astype(np.float32)
         if action.shape != (task.motions + 1 + task.message_floats,):
             raise ValueError(

@@ -11,7 +11,7 @@ import vcmvsp
 from vcmvsp import ScenarioError, UsageError
 from vcmvsp.cosim.scenario.schema import Runs
 from vcmvsp.env import Formation, Search, Task, VehiclesEnv, parallel_env
-from vcmvsp.policy import META, load_network, meta_of, save_network
+from vcmvsp.policy import META, Policy, load_network, meta_of, save_network
 
 
 def _saved(path: Path, env: VehiclesEnv, **changes: Any) -> Path:
@@ -78,6 +78,35 @@ def test_the_settings_of_the_training_hold(tmp_path: Path) -> None:
     states: Any = vcmvsp.run(content).states.to_pandas().groupby("vehicle")[["x", "y"]]
     way = states.last() - states.first()
     assert np.hypot(way["x"], way["y"]).to_numpy() == pytest.approx(0.25 * 4.0, abs=0.02)
+
+
+class Seeing(Formation):
+    """With a range scanner."""
+
+    sensors = ("scan",)
+
+    def scenario(self) -> dict[str, Any]:
+        scan = {"kind": "range_scanner", "beams": 5, "field_of_view": 3.0, "range_max": 6.0}
+        return {**super().scenario(), "vehicles": {"sensors": {"scan": scan}}, "world": {"kind": "laboratory"}}
+
+
+class SeeingPolicy(Policy):
+    """Runs policies of the task."""
+
+    task_class = Seeing
+
+
+def test_a_task_of_ones_own_with_sensors(tmp_path: Path) -> None:
+    env = parallel_env(Seeing(), record=True, max_cycles=20)
+    file = _saved(tmp_path / "policy.npz", env)
+    network = load_network(file)
+    observations, _ = env.reset(seed=2)
+    while env.agents:
+        observations, *_ = env.step({name: network(each) for name, each in observations.items()})
+    episode = env.result()
+    run = vcmvsp.run(env.scenario.load(2)[0], agents={name: SeeingPolicy(file) for name in env.possible_agents})
+    assert run.radio.equals(episode.radio)
+    assert run.states.equals(episode.states)
 
 
 @pytest.mark.parametrize(
