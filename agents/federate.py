@@ -23,6 +23,7 @@ from vcmvsp.cosim.hosts.remote_host import Absence
 from vcmvsp.cosim.received import Mailboxes, ReceivedMessages
 from vcmvsp.cosim.types import RECEPTIONS, Follows, Note, Period, Readings, VehicleState, Velocity, Waypoint
 from vcmvsp.cosim.util.text import plain
+from vcmvsp.cosim.vehicle_clock import VehicleClocks
 
 NEVER_NS = 2**63
 COMMANDS = (Velocity, Waypoint)
@@ -70,8 +71,9 @@ class AgentRunner:
         self._dead = False
         self._absence: Absence | None = None
 
-    def start(self, run: RunInfo) -> None:
+    def start(self, run: RunInfo, clocks: VehicleClocks | None) -> None:
         """Start the agent with the data of its vehicle and of the run."""
+        self._clocks = clocks if clocks is not None and self.vehicle in clocks else None
         self._radio, self._started = Radio(self.vehicle, run.vehicles), True
         self._vehicles = run.vehicles
         about = VehicleInfo(
@@ -135,13 +137,14 @@ class AgentRunner:
             raise AgentError(
                 (self.vehicle,), self.spec.kind, "has no state to act on: no estimate of its vehicle was published"
             )
-        agent, radio = self.agent, self._radio
+        agent, radio, clocks = self.agent, self._radio, self._clocks
         observation = Observation(
             vehicle=self.vehicle,
             time_ns=now_ns,
             state=self._state,
-            readings=Readings(self._readings),
+            readings=Readings(self._readings) if clocks is None else self._measured(clocks),
             heard=received,
+            own_time_ns=None if clocks is None else clocks.reading_ns(self.vehicle, now_ns),
         )
         try:
             command = agent.act(observation, radio)
@@ -157,6 +160,11 @@ class AgentRunner:
             events.append(Event(f"{self.vehicle}/follows", when, self._place(self._follows)))
         if agent._notes or agent._shown or radio._outbox:  # noqa: SLF001  checked here: runs at every tick of every agent
             self._tell(when, events)
+
+    def _measured(self, clocks: VehicleClocks) -> Readings:
+        """The newest readings, with times of the vehicle's clock."""
+        newest = dict.items(self._readings)  # without computing those on demand
+        return Readings({name: clocks.measured(self.vehicle, reading) for name, reading in newest})
 
     def _tell(self, when: int, events: list[Event]) -> None:
         if notes := self.agent.drain_notes():
@@ -255,10 +263,11 @@ class AgentHost:
 
     def start(self, run: RunInfo) -> int | None:
         """Start all agents; the first tick of each is at time 0."""
-        self._mail = Mailboxes(run.vehicles, [seat.vehicle for seat in self._seats])
+        clocks = VehicleClocks(run.seed, run.clocks) if run.clocks else None
+        self._mail = Mailboxes(run.vehicles, [seat.vehicle for seat in self._seats], clocks)
         self._takes[RECEPTIONS] = self._mail.put
         for seat in self._seats:
-            seat.start(run)
+            seat.start(run, clocks)
         return 0
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:

@@ -158,6 +158,7 @@ class Resolution:
             pose_source=vehicle.pose_source,
             positioning=None if vehicle.positioning is None else _sensor(vehicle.positioning),
             radio=_radio(vehicle.radio),
+            clock=None if vehicle.clock is None else binding.plain(vehicle.clock),
             sensors=self.sensors[vehicle.name] or None,
         )
         full |= self.vehicles[vehicle.name] | self.real.get(vehicle.name, {})

@@ -331,6 +331,7 @@ def _info(scenario: Scenario, fleet: Fleet, agents: Sequence[AgentInfo]) -> RunI
         instants=_instants(scenario, agents),
         wanted=tuple(sorted(read | fleet.recorded())),
         periods_s={info.vehicle: float(info.ticks.period) / SECOND_NS for info in agents},
+        clocks={each.name: each.clock for each in scenario.vehicle if each.clock is not None},
     )
 
 

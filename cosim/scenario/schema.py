@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from vcmvsp.cosim.types import Count, Decibels, Name, NonNegative, OnLost, Period, Positive, Seconds, Seed, Value, Vec3
+from vcmvsp.cosim.vehicle_clock import VehicleClock
 
 Duration = Annotated[float, msgspec.Meta(ge=1e-6, le=1e9)]  # s
 Coordinate = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]  # m
@@ -62,6 +63,7 @@ class VehicleTable(msgspec.Struct, frozen=True, kw_only=True):
     safety: Mapping[str, Any] = {}  # keys of [safety] that are this vehicle's own
     sensors: Mapping[str, Mapping[str, Any]] = {}  # what else it carries, by names of one's own: a table with a kind each
     radio: Mapping[str, Any] = {}  # what its own radio has: tx_power_dbm, antenna_gain_dbi, ...
+    clock: VehicleClock | None = None  # its own clock; default: the time of the run
     agent: AgentTable | None = None  # None: it has no agent and stands still
     params: Mapping[str, Any] = {}
 
