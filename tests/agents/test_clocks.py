@@ -12,7 +12,7 @@ import pytest
 import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
 from vcmvsp.cosim.agent import Agent, Observation, Radio
-from vcmvsp.cosim.types import Reception
+from vcmvsp.cosim.types import Imu, Reception, Scan
 
 SPEED = 0.5  # m/s
 OFFSET_S, DRIFT_PPM = 0.3, 1000.0
@@ -116,7 +116,10 @@ def test_readings_have_the_time_of_their_vehicle() -> None:
     agents = witnesses(cars({"sensors": sensors, "clock": {"offset_s": 7.0}}, {"sensors": sensors}))
     own, same = (agents[name].seen[-1].readings for name in ("car1", "car2"))
     for sensor in sensors:
-        assert own[sensor].time_ns - same[sensor].time_ns == 7_000_000_000
+        mine, others = own[sensor], same[sensor]
+        assert isinstance(mine, Scan | Imu)
+        assert isinstance(others, Scan | Imu)
+        assert mine.time_ns - others.time_ns == 7_000_000_000
 
 
 # --- what it costs, and synchronisation ---
