@@ -21,13 +21,14 @@ from vcmvsp.cosim.errors import AgentError, ScenarioError, place_of, words_of
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.hosts.remote_host import Absence
 from vcmvsp.cosim.received import Mailboxes, ReceivedMessages
-from vcmvsp.cosim.types import RECEPTIONS, Follows, Note, Period, Readings, VehicleState, Velocity, Waypoint
+from vcmvsp.cosim.types import RECEPTIONS, Follows, Measured, Note, Period, Readings, VehicleState, Velocity, Waypoint
 from vcmvsp.cosim.util.text import plain
 from vcmvsp.cosim.vehicle_clock import VehicleClocks
 
 NEVER_NS = 2**63
 COMMANDS = (Velocity, Waypoint)
 ALWAYS = ("odometry", "fix")  # besides the sensors of the scenario
+BATTERY = "battery"
 
 
 class AgentRunner:
@@ -66,6 +67,9 @@ class AgentRunner:
             "estimate": self._locate,
             **{sensor: partial(self._readings.__setitem__, sensor) for sensor in sensors},
         }
+        if spec.battery:
+            self._reads_battery = BATTERY in sensors
+            self.sees[BATTERY] = self._take_charge
         self._follows: Follows | None = None
         self.fails_ns = NEVER_NS if spec.fails_s is None else seconds_to_ns(spec.fails_s)
         self._dead = False
@@ -103,6 +107,13 @@ class AgentRunner:
 
     def _locate(self, state: VehicleState) -> None:
         self._state = state
+
+    def _take_charge(self, reading: Measured) -> None:
+        """Take a reading of the vehicle's battery; the agent fails with its end."""
+        if self._reads_battery:
+            self._readings[BATTERY] = reading
+        if reading.values["charge"] <= 0.0:
+            self.fails_ns = min(self.fails_ns, reading.time_ns)
 
     def is_due(self, now_ns: int) -> bool:
         """Whether the agent has a tick now; ticks missed while the host was disconnected are skipped."""

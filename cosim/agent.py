@@ -108,6 +108,7 @@ class AgentSpec(Value, frozen=True, kw_only=True):
     sensors: tuple[str, ...] = ()  # names of the vehicle's sensors
     beside_m: Mapping[str, float] = msgspec.field(default_factory=dict)  # horizontal offset of sensors, m, unless 0
     body: Body | None = None
+    battery: bool = False  # whether the vehicle has a battery; the agent fails when it is empty
     fails_s: float | None = None  # time from which the agent is dead
     on_lost: OnLost = "stop"  # reaction of the run or the vehicle to a failed agent or a lost host
     hold_s: float = 0.0  # how long the last command holds then

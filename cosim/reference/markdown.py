@@ -135,6 +135,7 @@ BLOCKS: Mapping[str, Callable[[], str]] = {
     "radio": radio,
     "sensors": lambda: tables(f"{VEHICLE}.sensors"),
     "vehicle radio": lambda: tables(f"{VEHICLE}.radio"),
+    "vehicle battery": lambda: tables(f"{VEHICLE}.battery"),
     "vehicle clock": lambda: tables(f"{VEHICLE}.clock"),
     "own metrics": lambda: tables("metrics.own.METRIC"),
     "vehicle kinds": lambda: tables(VEHICLE, kinds=builtin_kinds.KINDS["vehicle"]),
@@ -164,7 +165,7 @@ PAGES: Mapping[str, Collection[str]] = {
     "scenario.md": ("routing", "doors", "sockets"),
     "scenario-world.md": ("physics", "world"),
     "scenario-radio.md": ("radio",),
-    "scenario-vehicles.md": ("sensors", "vehicle radio", "vehicle clock", "vehicle kinds"),
+    "scenario-vehicles.md": ("sensors", "vehicle radio", "vehicle battery", "vehicle clock", "vehicle kinds"),
     "scenario-agents.md": (
         *("leaders", "followers", "consensus", "team", "patrol", "time sync", "aerial", "avoid", "mission", "search"),
         *("track", "watching"),
