@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from vcmvsp.agents.federate import AgentHost, AgentRunner
 from vcmvsp.cosim.agent import Agent, AgentSpec, DrivenVehicle, Observation
 from vcmvsp.cosim.federate import Event, RunInfo
-from vcmvsp.cosim.received import ReceivedMessages, by_receiver
+from vcmvsp.cosim.received import ReceivedMessages
 from vcmvsp.cosim.types import Receptions, Velocity, Waypoint
 
 
@@ -79,7 +79,7 @@ class DrivenHost(AgentHost):
 
     def _observe(self, now_ns: int) -> None:
         self.received = self._mail.take(now_ns, [seat.vehicle for seat in self._open])
-        received, nothing = by_receiver(self.received, now_ns), ReceivedMessages.none(now_ns)
+        received, nothing = self._mail.by_receiver(self.received, now_ns), ReceivedMessages.none(now_ns)
         self.observations = {seat.vehicle: seat.observe(now_ns, received.get(seat.vehicle, nothing)) for seat in self._open}
 
     def release(self) -> None:

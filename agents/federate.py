@@ -21,12 +21,14 @@ from vcmvsp.cosim.errors import AgentError, ScenarioError, place_of, words_of
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.hosts.remote_host import Absence
 from vcmvsp.cosim.received import Mailboxes, ReceivedMessages
-from vcmvsp.cosim.types import RECEPTIONS, Follows, Note, Period, Readings, VehicleState, Velocity, Waypoint
+from vcmvsp.cosim.types import RECEPTIONS, Follows, Measured, Note, Period, Readings, VehicleState, Velocity, Waypoint
 from vcmvsp.cosim.util.text import plain
+from vcmvsp.cosim.vehicle_clock import VehicleClocks
 
 NEVER_NS = 2**63
 COMMANDS = (Velocity, Waypoint)
 ALWAYS = ("odometry", "fix")  # besides the sensors of the scenario
+BATTERY = "battery"
 
 
 class AgentRunner:
@@ -65,13 +67,17 @@ class AgentRunner:
             "estimate": self._locate,
             **{sensor: partial(self._readings.__setitem__, sensor) for sensor in sensors},
         }
+        if spec.battery:
+            self._reads_battery = BATTERY in sensors
+            self.sees[BATTERY] = self._take_charge
         self._follows: Follows | None = None
         self.fails_ns = NEVER_NS if spec.fails_s is None else seconds_to_ns(spec.fails_s)
         self._dead = False
         self._absence: Absence | None = None
 
-    def start(self, run: RunInfo) -> None:
+    def start(self, run: RunInfo, clocks: VehicleClocks | None) -> None:
         """Start the agent with the data of its vehicle and of the run."""
+        self._clocks = clocks if clocks is not None and self.vehicle in clocks else None
         self.radio, self._started = Radio(self.vehicle, run.vehicles), True
         self._vehicles = run.vehicles
         about = VehicleInfo(
@@ -101,6 +107,13 @@ class AgentRunner:
 
     def _locate(self, state: VehicleState) -> None:
         self._state = state
+
+    def _take_charge(self, reading: Measured) -> None:
+        """Take a reading of the vehicle's battery; the agent fails with its end."""
+        if self._reads_battery:
+            self._readings[BATTERY] = reading
+        if reading.values["charge"] <= 0.0:
+            self.fails_ns = min(self.fails_ns, reading.time_ns)
 
     def is_due(self, now_ns: int) -> bool:
         """Whether the agent has a tick now; ticks missed while the host was disconnected are skipped."""
@@ -136,12 +149,14 @@ class AgentRunner:
             raise AgentError(
                 (self.vehicle,), self.spec.kind, "has no state to act on: no estimate of its vehicle was published"
             )
+        clocks = self._clocks
         return Observation(
             vehicle=self.vehicle,
             time_ns=now_ns,
             state=self._state,
-            readings=Readings(self._readings),
+            readings=Readings(self._readings) if clocks is None else self._measured(clocks),
             heard=received,
+            own_time_ns=None if clocks is None else clocks.reading_ns(self.vehicle, now_ns),
         )
 
     def _act(self, now_ns: int, when: int, received: ReceivedMessages, events: list[Event]) -> None:
@@ -165,6 +180,11 @@ class AgentRunner:
             events.append(Event(f"{self.vehicle}/follows", when, self._place(self._follows)))
         if agent._notes or agent._shown or self.radio._outbox:  # noqa: SLF001  checked here: runs at every tick of every agent
             self._tell(when, events)
+
+    def _measured(self, clocks: VehicleClocks) -> Readings:
+        """The newest readings, with times of the vehicle's clock."""
+        newest = dict.items(self._readings)  # without computing those on demand
+        return Readings({name: clocks.measured(self.vehicle, reading) for name, reading in newest})
 
     def _tell(self, when: int, events: list[Event]) -> None:
         if notes := self.agent.drain_notes():
@@ -264,10 +284,11 @@ class AgentHost:
 
     def start(self, run: RunInfo) -> int | None:
         """Start all agents; the first tick of each is at time 0."""
-        self._mail = Mailboxes(run.vehicles, [seat.vehicle for seat in self._seats])
+        clocks = VehicleClocks(run.seed, run.clocks) if run.clocks else None
+        self._mail = Mailboxes(run.vehicles, [seat.vehicle for seat in self._seats], clocks)
         self._takes[RECEPTIONS] = self._mail.put
         for seat in self._seats:
-            seat.start(run)
+            seat.start(run, clocks)
         return 0
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:

@@ -46,15 +46,26 @@ class Observation(Value, frozen=True, kw_only=True):
     state: VehicleState  # the vehicle's own state as estimated by its pose source
     readings: dict[str, Reading]  # newest reading of each sensor, by name: "odometry", and the vehicle's sensors
     heard: ReceivedMessages = msgspec.field(default_factory=lambda: ReceivedMessages.none(0))  # since the last tick
+    own_time_ns: int | None = None  # by the vehicle's own clock; None: it has the time of the run
 
     def __post_init__(self) -> None:
         if not isinstance(self.heard, ReceivedMessages):  # a plain list, in a test of an agent
-            msgspec.structs.force_setattr(self, "heard", ReceivedMessages.of(self.heard, self.time_ns))
+            msgspec.structs.force_setattr(self, "heard", ReceivedMessages.of(self.heard, self.clock_ns))
 
     @property
     def time_s(self) -> float:
         """Simulated seconds since the start."""
         return self.time_ns / 1e9
+
+    @property
+    def clock_ns(self) -> int:
+        """Time by the vehicle's own clock, which its readings and the stamps of its radio have."""
+        return self.time_ns if self.own_time_ns is None else self.own_time_ns
+
+    @property
+    def clock_s(self) -> float:
+        """Seconds by the vehicle's own clock."""
+        return self.clock_ns / 1e9
 
 
 class Body(Value, frozen=True, kw_only=True):
@@ -97,6 +108,7 @@ class AgentSpec(Value, frozen=True, kw_only=True):
     sensors: tuple[str, ...] = ()  # names of the vehicle's sensors
     beside_m: Mapping[str, float] = msgspec.field(default_factory=dict)  # horizontal offset of sensors, m, unless 0
     body: Body | None = None
+    battery: bool = False  # whether the vehicle has a battery; the agent fails when it is empty
     fails_s: float | None = None  # time from which the agent is dead
     on_lost: OnLost = "stop"  # reaction of the run or the vehicle to a failed agent or a lost host
     hold_s: float = 0.0  # how long the last command holds then

@@ -24,6 +24,7 @@ import msgspec
 
 from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.types import AnyValue, Fix, Imu, Incident, Vec3, VehicleState, Velocity, Waypoint
+from vcmvsp.cosim.vehicle_clock import VehicleClock
 
 
 class Slot(IntEnum):
@@ -74,6 +75,7 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
     wanted: tuple[str, ...] = ()  # keys of readings on demand that will be requested
     paced: bool = False  # by the wall clock: long computations for an instant may begin earlier
     periods_s: Mapping[str, float] = {}  # periods of agents, by vehicle
+    clocks: Mapping[str, VehicleClock] = {}  # of vehicles that do not have the run's time
 
 
 class Needed:

@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 
 from vcmvsp.cosim.types import Array, Message, Reception, Receptions
+from vcmvsp.cosim.vehicle_clock import VehicleClocks
 
 _MUTABLE = frozenset({dict, list})  # types that MessagePack decodes to
 
@@ -23,7 +24,7 @@ class ReceivedMessages(Sequence[Reception]):
     Items are made when they are looked at; the columns need no items. Each item has its own copy of the message's body.
 
     Attributes:
-        now_ns: the tick.
+        now_ns: the tick, by the vehicle's clock.
     """
 
     def __init__(self, batch: "_SortedBatch", begin: int, end: int, now_ns: int) -> None:
@@ -94,18 +95,18 @@ class ReceivedMessages(Sequence[Reception]):
 
     @property
     def sent_ns(self) -> Array:
-        """Time of sending, (n,) ns."""
+        """Time of sending by the sender's clock, (n,) ns."""
         columns = self._batch.columns
         return columns.sent_ns[columns.message[self._begin : self._end]]
 
     @property
     def received_ns(self) -> Array:
-        """Time of arrival, (n,) ns."""
+        """Time of arrival by the receiver's clock, (n,) ns."""
         return self._batch.columns.arrival_ns[self._begin : self._end]
 
     @property
     def age_s(self) -> Array:
-        """Time since each message was sent, (n,) s."""
+        """Time since each message was sent, by both clocks, (n,) s."""
         return (self.now_ns - self.sent_ns) / 1e9
 
     def latest_by_sender(self) -> dict[str, Reception]:
@@ -180,8 +181,14 @@ def _copier(body: dict[str, Any] | bytes) -> Callable[[], Any]:
 class Mailboxes:
     """Receptions that some vehicles have not taken yet."""
 
-    def __init__(self, names: Sequence[str], vehicles: Collection[str]) -> None:
-        """Open a mailbox for each of ``vehicles``; ``names``: all vehicles, in the order of rows in batches."""
+    def __init__(self, names: Sequence[str], vehicles: Collection[str], clocks: VehicleClocks | None = None) -> None:
+        """Open a mailbox for each of ``vehicles``.
+
+        Args:
+            names: all vehicles, in the order of rows in batches.
+            clocks: of the vehicles, for the times that `open` gives; None: the time of the run.
+        """
+        self._clocks = clocks
         self._row = {name: row for row, name in enumerate(names)}
         self._vehicles = frozenset(vehicles)
         self._owned = None if len(self._vehicles) == len(names) else self._mask(vehicles)
@@ -220,25 +227,27 @@ class Mailboxes:
         return _rows_of(batch, np.lexsort((batch.arrival_ns, receiver)))
 
     def open(self, now_ns: int, vehicles: Collection[str] | None = None) -> dict[str, ReceivedMessages]:
-        """What `take` takes, by vehicle."""
-        return by_receiver(self.take(now_ns, vehicles), now_ns)
+        """What `take` takes, by vehicle, with the times of the vehicles' clocks."""
+        return self.by_receiver(self.take(now_ns, vehicles), now_ns)
+
+    def by_receiver(self, batch: Receptions | None, now_ns: int) -> dict[str, ReceivedMessages]:
+        """What `take` has taken, by vehicle, with the times of the vehicles' clocks."""
+        if batch is None:
+            return {}
+        clocks = self._clocks
+        batch = batch if clocks is None else clocks.stamped(batch)
+        sorted_batch, names, found, begin = _SortedBatch(batch), batch.names, dict[str, ReceivedMessages](), 0
+        for row, count in enumerate(np.bincount(batch.receiver).tolist()):
+            if count:
+                own_ns = now_ns if clocks is None else clocks.reading_ns(names[row], now_ns)
+                found[names[row]] = ReceivedMessages(sorted_batch, begin, begin + count, own_ns)
+                begin += count
+        return found
 
     def _mask(self, vehicles: Collection[str]) -> Array:
         mask = np.zeros(len(self._row), np.bool_)
         mask[[self._row[name] for name in vehicles]] = True
         return mask
-
-
-def by_receiver(batch: Receptions | None, now_ns: int) -> dict[str, ReceivedMessages]:
-    """The messages of a batch in order of receivers (`Mailboxes.take`), by vehicle; None: nothing."""
-    if batch is None:
-        return {}
-    sorted_batch, names, found, begin = _SortedBatch(batch), batch.names, dict[str, ReceivedMessages](), 0
-    for row, count in enumerate(np.bincount(batch.receiver).tolist()):
-        if count:
-            found[names[row]] = ReceivedMessages(sorted_batch, begin, begin + count, now_ns)
-            begin += count
-    return found
 
 
 def _rows_of(batch: Receptions, rows: Array) -> Receptions:

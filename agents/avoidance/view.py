@@ -128,10 +128,10 @@ class ScanReader:
         """
         scan: Any = obs.readings.get(self.scanner)
         view = view_of(scan)
-        if view is None or not 0 <= obs.time_ns - scan.time_ns <= self._stale_ns:
+        if view is None or not 0 <= obs.clock_ns - scan.time_ns <= self._stale_ns:
             self._since_ns = None
             return None
-        if not self._is_usual(_geometry(scan), obs.time_ns):
+        if not self._is_usual(_geometry(scan), obs.clock_ns):
             return None
         return view._replace(ranges=np.maximum(view.ranges - self._beside_m, 0.0)) if self._beside_m else view
 

@@ -270,7 +270,7 @@ class AerialFollower(FormationFollower):
         newest, velocity = self._hear(obs), obs.state.velocity
         speed, yaw_rate = along(velocity, obs.state.yaw), obs.state.angular_velocity[2]
         self._tell(obs, radio, speed, yaw_rate, **told(obs, velocity))
-        age_s = self._age_s(obs.time_ns, newest)
+        age_s = self._age_s(obs.clock_ns, newest)
         lead = None if newest is None or age_s >= self.timeout_s else self._airborne.flight(newest, age_s)
         if lead is None:
             decision = around(self._steering, obs, self._faded(obs.time_ns), self._turning(obs, None))

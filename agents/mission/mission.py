@@ -158,7 +158,7 @@ class SearchMission(Agent):
         if guard is not None:
             near = guard.nearest_m, guard.settings.reach_m, guard.second_m
             facts |= {"nearest_m": near[0], "first_m": near[1], "second_m": near[2], "closing": guard.closing}
-        return MissionFacts(now_ns=obs.time_ns, **facts)
+        return MissionFacts(now_ns=obs.clock_ns, **facts)
 
     def _turn(self, obs: Observation, before: str, after: str, facts: MissionFacts) -> None:
         if (end := getattr(self._tasks[before], "end", None)) is not None:

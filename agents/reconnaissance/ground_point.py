@@ -130,10 +130,10 @@ class Poses:
 
     def add(self, obs: Observation) -> None:
         """Add the pose at a tick; a pose that is not later than the last one is ignored."""
-        if self._states and obs.time_ns <= self._states[-1][0]:
+        if self._states and obs.clock_ns <= self._states[-1][0]:
             return
-        self._states.append((obs.time_ns, obs.state))
-        while self._states[0][0] < obs.time_ns - KEPT_NS:
+        self._states.append((obs.clock_ns, obs.state))
+        while self._states[0][0] < obs.clock_ns - KEPT_NS:
             self._states.popleft()
 
     def at(self, time_ns: int) -> VehicleState | None:

@@ -94,12 +94,12 @@ class Roster:
 
     def hear(self, obs: Observation) -> None:
         """Process received statuses, once a tick. Any message of a member is a sign of life, except one of bytes."""
-        self._start_ns = obs.time_ns if self._start_ns is None else self._start_ns
+        self._start_ns = obs.clock_ns if self._start_ns is None else self._start_ns
         for sender, body in obs.heard.bodies(self._sector_of):
             if sender == self.me:
                 continue
-            self._there_ns[sender] = obs.time_ns
-            status = _parsed(body, (obs.time_ns + self._clock_bound_ns) // 1_000_000)
+            self._there_ns[sender] = obs.clock_ns
+            status = _parsed(body, (obs.clock_ns + self._clock_bound_ns) // 1_000_000)
             before = self._heard.get(sender)
             if status is not None and (before is None or status.ms > before.ms):
                 self._heard[sender] = status
@@ -107,10 +107,10 @@ class Roster:
     def tell(self, obs: Observation, radio: Radio, task: Task, claim: Claim | None) -> None:
         """Send the own status if it is due, once a tick."""
         now = task, None if claim is None else claim.target
-        if now == self._told and obs.time_ns - self._told_ns < self._report_ns:
+        if now == self._told and obs.clock_ns - self._told_ns < self._report_ns:
             return
-        self._told, self._told_ns = now, obs.time_ns
-        body: dict[str, Any] = {"do": task, "ms": obs.time_ns // 1_000_000}
+        self._told, self._told_ns = now, obs.clock_ns
+        body: dict[str, Any] = {"do": task, "ms": obs.clock_ns // 1_000_000}
         if claim is not None:
             body |= {"tg": claim.target, "at": list(claim.place), "since": claim.since_ns // 1_000_000}
         radio.send(body)

@@ -160,9 +160,9 @@ class Search(Agent):
     def facts(self, obs: Observation) -> Mapping[str, Any]:
         """Facts for the mission: whether the sector is shared, and the surest unclaimed place."""
         roster = self._tick(obs)
-        claims = roster.claims(obs.time_ns).values()
-        likely, place = self.map.surest([*(claim.place for claim in claims), *roster.given_up(obs.time_ns)])
-        return {"shared": roster.shared(obs.time_ns), "probability": likely, "place": place}
+        claims = roster.claims(obs.clock_ns).values()
+        likely, place = self.map.surest([*(claim.place for claim in claims), *roster.given_up(obs.clock_ns)])
+        return {"shared": roster.shared(obs.clock_ns), "probability": likely, "place": place}
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
         """Look, share, and fly on."""
@@ -182,9 +182,9 @@ class Search(Agent):
     def _tick(self, obs: Observation) -> Roster:
         """Update everything, once a tick, at the first call."""
         assert self.roster is not None  # noqa: S101
-        if obs.time_ns == self._now_ns:
+        if obs.clock_ns == self._now_ns:
             return self.roster
-        self._now_ns = obs.time_ns
+        self._now_ns = obs.clock_ns
         if self._kept is None:
             self._kept = self.height if self.height is not None else obs.state.position[2], obs.state.yaw
             if self.swath_m is not None:
@@ -194,12 +194,12 @@ class Search(Agent):
         self.map.hear(obs)
         look = self._camera(obs) if self.sensor == CAMERA else self._detector(obs)
         if look is not None:
-            self.map.look(*look, obs.time_ns)
+            self.map.look(*look, obs.clock_ns)
             self._agreed = True
         if self._own_roster or self.sensor != CAMERA:  # otherwise the tracker reports recognised targets
             self._note_found()
-        if obs.time_ns >= self._show_at_ns:
-            self._show_at_ns = obs.time_ns + SHOW_NS
+        if obs.clock_ns >= self._show_at_ns:
+            self._show_at_ns = obs.clock_ns + SHOW_NS
             self.show(self.map.shown())
         return self.roster
 
@@ -228,13 +228,13 @@ class Search(Agent):
         return of_reading(self.grid, looks)
 
     def _share(self, obs: Observation, radio: Radio) -> None:
-        if obs.time_ns < self._share_at_ns:
+        if obs.clock_ns < self._share_at_ns:
             return
-        self._share_at_ns = obs.time_ns + self._share_ns
+        self._share_at_ns = obs.clock_ns + self._share_ns
         if not self._agreed:  # a consensus takes a step at each look; messages hold its result
-            self.map.look(*NOTHING, obs.time_ns)
+            self.map.look(*NOTHING, obs.clock_ns)
         self._agreed = False
-        frames_sent = sum(radio.send(body) for body in self.map.messages(obs.time_ns, self.most))
+        frames_sent = sum(radio.send(body) for body in self.map.messages(obs.clock_ns, self.most))
         if frames_sent:
             self._bytes += frames_sent
             self.note(map_bytes=self._bytes)
@@ -259,7 +259,7 @@ class Search(Agent):
             if self._way is not None:
                 self._way.pause()
         else:
-            vx, vy = self._way.velocity(obs.time_ns, (x, y), roster.sectors(obs.time_ns))
+            vx, vy = self._way.velocity(obs.clock_ns, (x, y), roster.sectors(obs.clock_ns))
         return Velocity(linear=(vx, vy, climb), yaw_rate=turn)
 
     def _lay(self, swaths: Point) -> None:

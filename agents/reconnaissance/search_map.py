@@ -38,7 +38,7 @@ class SearchMap:
 
     def hear(self, obs: Observation) -> None:
         """Merge maps from messages; other messages are ignored."""
-        accepted = [self._mind.take(each.message.sender, each.message.body, obs.time_ns) for each in obs.heard]
+        accepted = [self._mind.take(each.message.sender, each.message.body, obs.clock_ns) for each in obs.heard]
         if any(accepted):
             self._changed()
 

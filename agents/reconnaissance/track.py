@@ -140,17 +140,17 @@ class TrackTarget(Agent):
     def facts(self, obs: Observation) -> Mapping[str, Any]:
         """Facts from the newest picture: confirmed targets or, while tracking, the state of tracking."""
         watch, roster = self._ready()
-        self._asked_ns = obs.time_ns
+        self._asked_ns = obs.clock_ns
         frame = watch.look(obs)
         self._candidate = None
         if frame is not None:
             self._take(obs, frame, roster)
-        if self._sheet is not None and (mosaic := self._sheet.shown(obs.time_ns)) is not None:
+        if self._sheet is not None and (mosaic := self._sheet.shown(obs.clock_ns)) is not None:
             self.show(mosaic)
         if self.claim is not None:
-            self._aim(obs.time_ns, watch)
+            self._aim(obs.clock_ns, watch)
             self._note_target()
-            return {"seen_ns": self._tracker.seen_ns, "taken": roster.taken(self.claim, obs.time_ns)}
+            return {"seen_ns": self._tracker.seen_ns, "taken": roster.taken(self.claim, obs.clock_ns)}
         return {} if self._candidate is None else {"recognised": True, "place": self._candidate.place}
 
     def begin(self, obs: Observation, place: Point | None) -> None:
@@ -161,9 +161,13 @@ class TrackTarget(Agent):
         if candidate is not None and math.dist(candidate.place, place) <= self._tracker.within_m:
             self._target, last_seen_ns, there_ns = candidate.target, candidate.since_ns, 0
         else:
-            self._target, last_seen_ns, there_ns = "", obs.time_ns, obs.time_ns + seconds_to_ns(DETOUR * way_m / self.max_speed)
+            self._target, last_seen_ns, there_ns = (
+                "",
+                obs.clock_ns,
+                obs.clock_ns + seconds_to_ns(DETOUR * way_m / self.max_speed),
+            )
         self._tracker.begin(last_seen_ns, place)
-        self._since_ns, self._there_ns = obs.time_ns, there_ns
+        self._since_ns, self._there_ns = obs.clock_ns, there_ns
         self._height = obs.state.position[2] if self.height is None else self.height
         self._note_target()
 
@@ -171,9 +175,9 @@ class TrackTarget(Agent):
         """End tracking; its last place is given up if the target was lost or another vehicle tracks it."""
         watch, roster = self._ready()
         claim = self.claim
-        lost = self._tracker.phase(obs.time_ns) in ("spiral", "lost")
-        if claim is not None and (lost or roster.taken(claim, obs.time_ns)):
-            roster.give_up(claim.place, obs.time_ns)
+        lost = self._tracker.phase(obs.clock_ns) in ("spiral", "lost")
+        if claim is not None and (lost or roster.taken(claim, obs.clock_ns)):
+            roster.give_up(claim.place, obs.clock_ns)
         self._tracker.end()
         self._forget()
         self._home, watch.region = None, None
@@ -183,19 +187,19 @@ class TrackTarget(Agent):
         """Stay above the target; on its own, find one first."""
         if self._alone:
             self._decide(obs, radio)
-        elif self._asked_ns != obs.time_ns:
+        elif self._asked_ns != obs.clock_ns:
             self.facts(obs)
         if self._since_ns is None:
             x, y, z = obs.state.position
             self._home = self._home or Waypoint(position=(x, y, z if self.height is None else self.height))
             return self._home
-        vx, vy = self._tracker.command(obs.time_ns, obs.state.position)
+        vx, vy = self._tracker.command(obs.clock_ns, obs.state.position)
         climb = max(-CLIMB, min(GAIN * (self._height - obs.state.position[2]), CLIMB))
         return Velocity(linear=(vx, vy, climb))
 
     def stand_by(self, obs: Observation, radio: Radio) -> None:
         """Continue to examine pictures."""
-        if self._asked_ns != obs.time_ns:
+        if self._asked_ns != obs.clock_ns:
             self.facts(obs)
 
     def _ready(self) -> tuple[Watch, Roster]:
@@ -207,7 +211,7 @@ class TrackTarget(Agent):
         roster.hear(obs)
         facts = self.facts(obs)
         if self._since_ns is not None:
-            if facts["taken"] or self._tracker.phase(obs.time_ns) == "lost":
+            if facts["taken"] or self._tracker.phase(obs.clock_ns) == "lost":
                 self.end(obs)
         elif "place" in facts:
             self.begin(obs, facts["place"])
@@ -235,7 +239,7 @@ class TrackTarget(Agent):
             place = tracker.predicted(frame.time_ns)
             self._target = self._target or next(each.target for each in frame.sightings if each.place == place)
             self._there_ns = 0
-        elif obs.time_ns < self._there_ns:
+        elif obs.clock_ns < self._there_ns:
             place = tracker.predicted(frame.time_ns)
             if math.dist(place, obs.state.position[:2]) > tracker.within_m:
                 tracker.begin(frame.time_ns, place)
@@ -248,8 +252,8 @@ class TrackTarget(Agent):
             if not (frame.whole or name == self._target):
                 continue  # it was not looked at
             place = confirmation.frame(each.place for each in frame.sightings if each.target == name)
-            since_ns = self._since_ns if name == self._target and self._since_ns is not None else obs.time_ns
-            if place is not None and not roster.taken(Claim(name, place, since_ns), obs.time_ns):
+            since_ns = self._since_ns if name == self._target and self._since_ns is not None else obs.clock_ns
+            if place is not None and not roster.taken(Claim(name, place, since_ns), obs.clock_ns):
                 claims.append((name in self._found, math.dist(place, (x, y)), Claim(name, place, frame.time_ns)))
         return min(claims)[2] if claims else None
 

@@ -96,9 +96,9 @@ class Watch:
         Must be called at least once a tick, to record the poses; further calls of a tick return the same. `TypeError`: the
         sensor is no camera.
         """
-        if obs.time_ns == self._asked_ns:
+        if obs.clock_ns == self._asked_ns:
             return self._frame
-        self._asked_ns = obs.time_ns
+        self._asked_ns = obs.clock_ns
         self._poses.add(obs)
         self._frame = self._looked(obs.readings.get(self.settings.camera))
         return self._frame

@@ -52,6 +52,10 @@ def _described(
     from vcmvsp.physics.vehicles.specification import flies
 
     key, flying = f"vehicle.{vehicle.name}", flies(model)
+    if vehicle.battery is not None:
+        raise source.error("a real vehicle has a real battery: leave this table out", f"{key}.battery")
+    if vehicle.clock is not None:
+        raise source.error("a real vehicle has a real clock: leave this table out", f"{key}.clock")
     build = _builder(vehicle.name, source, resolution, flies=flying)
     driver_table = vehicle.driver or {}
     kind, params = build("driver", driver_table, f"{key}.driver")

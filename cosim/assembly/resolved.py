@@ -160,6 +160,8 @@ class Resolution:
             pose_source=vehicle.pose_source,
             positioning=None if vehicle.positioning is None else _sensor(vehicle.positioning),
             radio=_radio(vehicle.radio),
+            battery=None if vehicle.battery is None else binding.plain(vehicle.battery),
+            clock=None if vehicle.clock is None else binding.plain(vehicle.clock),
             sensors=self.sensors[vehicle.name] or None,
             firmware=self.firmware.get(vehicle.name),
         )

@@ -221,6 +221,7 @@ def assemble(
         given["firmware"] = flown
     physics = _physics(scenario, resolution, tell, **given)
     operator = _operator(scenario, source, physics, air)
+    energy = _energy(scenario, source, fleet, getattr(physics, "gravity", GRAVITY))
     metrics = _own_metrics(scenario, source, resolution)
     built(Parts(scenario, source, world, air, has_outside=robots is not None or programs.bridge is not None))
     about = {"scenario": scenario.name, "seed": scenario.seed, "duration_s": scenario.duration_s, "vehicles": [*radius_m]}
@@ -246,7 +247,7 @@ def assemble(
     except BaseException:
         hosts.close()
         raise
-    others = [each for each in (programs.in_run_time, programs.bridge, programs.playback, outside) if each is not None]
+    others = [each for each in (energy, programs.in_run_time, programs.bridge, programs.playback, outside) if each is not None]
     return AssembledRun(
         scenario=scenario,
         source=source,
@@ -268,6 +269,8 @@ def assemble(
     )
 
 
+GRAVITY = 9.81  # m/s2, of physics without such a key
+NO_DRAG = (0.0, 0.0, 0.0)
 SLOWEST = 1e-6
 """Lowest speed, simulated seconds per wall second; the highest is its inverse."""
 
@@ -318,6 +321,34 @@ def _physics(scenario: Scenario, resolution: Resolution, tell: Tell, **given: ob
     return physics
 
 
+def _energy(scenario: Scenario, source: Source, fleet: Fleet, gravity: float) -> Federate | None:
+    """The batteries of the vehicles that have one; None: no vehicle has."""
+    tables = {each.name: each.battery for each in scenario.vehicle if each.battery is not None}
+    if not tables:
+        return None
+    from vcmvsp.physics.energy import Energy, flight_power, rolling_power
+    from vcmvsp.physics.vehicles.specification import flies
+
+    batteries = {}
+    for name, table in tables.items():
+        model = fleet.models[name]
+
+        def number(key: str, vehicle: str = name, model: Any = model, table: Any = table) -> float:
+            value: float | None = getattr(table, key) or getattr(model, key, None)
+            if value is None:
+                problem = f"is needed here: the kind {type(model).__name__} has none"
+                raise source.error(problem, f"vehicle.{vehicle}.battery.{key}")
+            return value
+
+        mass_kg = number("mass_kg")
+        if flies(model):
+            drag = getattr(model, "drag", NO_DRAG)
+            batteries[name] = table, flight_power(table, mass_kg, number("rotor_radius_m"), drag, gravity)
+        else:
+            batteries[name] = table, rolling_power(table, mass_kg, gravity)
+    return Energy(batteries)
+
+
 def _operator(scenario: Scenario, source: Source, physics: Federate, air: "RadioFederate") -> Operator:
     planned, vehicles = scenario.intervention, [each.name for each in scenario.vehicle]
     check = checks(vehicles, getattr(physics, "check_move", nothing_moves), air.check_change)
@@ -347,6 +378,7 @@ def _info(scenario: Scenario, fleet: Fleet, agents: Sequence[AgentInfo]) -> RunI
         instants=_instants(scenario, agents),
         wanted=tuple(sorted(read | fleet.recorded())),
         periods_s={info.vehicle: float(info.ticks.period) / SECOND_NS for info in agents},
+        clocks={each.name: each.clock for each in scenario.vehicle if each.clock is not None},
     )
 
 

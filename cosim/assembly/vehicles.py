@@ -21,6 +21,8 @@ TOPICS = (
     *SHOWN.values(),
 )
 """Topics of every vehicle; no sensor may have such a name."""
+BATTERY = "battery"
+"""Name of the reading of a vehicle's battery."""
 _NOT_SHARED = {"name", "pose", "position", "agent", "driver", "firmware", "localisation", "params"}
 """Keys of a vehicle for which [vehicles] has no default."""
 
@@ -90,6 +92,9 @@ class Fleet:
         fitted, tables = {}, {}
         for name, content in vehicle.sensors.items():
             where = f"vehicle.{vehicle.name}.sensors.{name}"
+            if name == BATTERY and vehicle.battery is not None:
+                problem = f"'{BATTERY}' is the reading of the table vehicle.{vehicle.name}.battery: choose another name"
+                raise self._source.error(problem, where)
             if not name.replace("_", "").replace("-", "").isalnum() or name in TOPICS:
                 problem = f"'{name}' is not a valid sensor name: use letters, digits, _ and -, but none of {', '.join(TOPICS)}"
                 raise self._source.error(problem, where)
@@ -230,6 +235,7 @@ class Placement:
         replaced = {n: names for each in given for key, n in each if (names := self._source.replaced(key)) is not None}
         latency = agents.latency_s if fate.latency_s is None else fate.latency_s
         sensors = self._fleet.sensors[vehicle.name]
+        battery = () if vehicle.battery is None else (BATTERY,)
         return AgentSpec(
             vehicle=vehicle.name,
             kind=kind,
@@ -240,7 +246,8 @@ class Placement:
             period_s=fate.period_s or agents.period_s,
             latency_s=latency,
             source=self._source.name,
-            sensors=tuple(sensors),
+            sensors=(*sensors, *battery),
+            battery=bool(battery),
             beside_m={
                 name: beside
                 for name, each in sensors.items()

@@ -142,8 +142,8 @@ def _alone(scenario: Scenario, fleet: Fleet) -> "list[tuple[str, str]]":
         key = f"vehicle.{each.name}"
         if each.pose_source != "truth":
             found.append((f"{key}.pose_source", "an estimated pose"))
-        if each.is_real or each.sensors:
-            found.append((f"{key}.sensors", "sensors and real vehicles"))
+        if each.is_real or each.sensors or each.clock or each.battery or each.firmware:
+            found.append((f"{key}.sensors", "sensors, clocks, batteries, firmware and real vehicles"))
         if each.agent is not None:
             found.append((f"{key}.agent", "an agent of the scenario"))
         if not isinstance(fleet.models[each.name], GroundVehicle | Point | Quadrotor) or getattr(

@@ -95,6 +95,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "leader_follower": "vcmvsp.agents.formation.followers.leader_follower:LeaderFollower",
         "consensus": "vcmvsp.agents.formation.followers.consensus:Consensus",
         "patrol": "vcmvsp.agents.patrol:Patrol",
+        "time_sync": "vcmvsp.agents.time_sync:TimeSync",
         "aerial_route": "vcmvsp.agents.formation.aerial:AerialRoute",
         "aerial_follower": "vcmvsp.agents.formation.aerial:AerialFollower",
         "avoid": "vcmvsp.agents.avoidance.avoid:Avoid",

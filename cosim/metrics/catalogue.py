@@ -14,6 +14,7 @@ MANY = ("per_follower", "per_vehicle")  # tables of the same numbers, one for ea
 UNITS = {  # by the ends of names, longest first
     "m_s2": "m/s²", "rad_s2": "rad/s²", "m2_s": "m²/s", "m_s": "m/s", "rad_s": "rad/s", "1_s": "1/s", "s": "s", "m": "m",
     "hz": "Hz", "dbm": "dBm", "db": "dB", "rad": "rad", "deg": "degrees", "kg": "kg", "seconds": "s", "bytes": "bytes",
+    "j": "J",
 }  # fmt: skip
 
 
@@ -36,6 +37,7 @@ GROUPS = {
     "routing": ("Routing", "A message counts once for each addressed vehicle, whichever way it took."),
     "control": ("Commands", "Commanded velocities; a command holds until the next one."),
     "connectivity": ("Connectivity", "Vehicles are connected if either received a frame of the other within a second."),
+    "energy": ("Energy", "Of the vehicles with a battery."),
     "safety": ("Safety", ""),
     "mission": ("Mission", "A find counts if the true place of a target is within 3 m."),
     "hardware": ("Real vehicles", ""),
@@ -136,6 +138,11 @@ METRICS = {  # ``*`` stands for a name
     ),
     "connectivity.min": Metric("least algebraic connectivity"),
     "connectivity.connected_share": Metric("share of seconds with a connected graph (directly or over other vehicles)"),
+    "energy.*.charge_left": Metric("charge at the end as a share of the capacity"),
+    "energy.*.used_j": Metric("energy taken from the battery"),
+    "energy.*.motion_j": Metric("energy for the motion"),
+    "energy.*.radio_j": Metric("additional energy for sending and receiving"),
+    "energy.*.empty_s": Metric("time at which the battery was empty", "No value: never."),
     "safety.collisions": Metric("contacts of vehicles with vehicles or obstacles; points without a body have none"),
     "safety.min_separation_m": Metric(
         "smallest distance of the centres of two vehicles", "At recorded instants.", "smallest distance of two vehicles"

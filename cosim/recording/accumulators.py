@@ -28,6 +28,7 @@ from vcmvsp.cosim.federate import RunInfo
 from vcmvsp.cosim.metrics.age import age_metrics
 from vcmvsp.cosim.metrics.agents import agent_metrics, control_metrics, hardware_metrics
 from vcmvsp.cosim.metrics.catalogue import SCHEMA
+from vcmvsp.cosim.metrics.energy import BatteryReadings
 from vcmvsp.cosim.metrics.formation import Noted, errors_table, formation_metrics
 from vcmvsp.cosim.metrics.mission import Mission
 from vcmvsp.cosim.metrics.motion import Window, motion, safety_metrics
@@ -78,7 +79,7 @@ class Accumulators:
         self._ticks = {agent.vehicle: agent.ticks for agent in agents}
         self._states, self._frames = StateRows(run.vehicles, folder), Frames(run.vehicles, folder)
         self._follows: list[Placement] = []
-        self._noted, self._mission = Noted(), Mission()
+        self._noted, self._mission, self._batteries = Noted(), Mission(), BatteryReadings()
         self._notes = NoteRows(run.vehicles, folder)
         self._routing = Routing(run.vehicles)
         self._commands = {name: bytearray() for name in run.vehicles}  # packed `_COMMAND` records
@@ -105,6 +106,7 @@ class Accumulators:
             types.RealStatus: lambda key, time_ns, status: self._statuses[vehicle_of(key)].append((time_ns, status)),
             types.Incident: lambda key, _time_ns, incident: self._incidents.append((vehicle_of(key), incident)),
             types.Fix: lambda key, _time_ns, _fix: self._fixes.update((vehicle_of(key),)),
+            types.Measured: lambda key, _time_ns, reading: self._batteries.take(key, reading),
             types.Scan: lambda key, time_ns, scan: self._add((key, time_ns, scan.time_ns), scan.ranges),
             types.Pushed: lambda key, time_ns, pushed: self._add((key, time_ns), pushed.position, pushed.attitude),
             types.Image: lambda key, time_ns, image: self._add((key, time_ns, image.time_ns), image.pixels),
@@ -199,6 +201,7 @@ class Accumulators:
             "connectivity": connectivity_metrics(got, vehicles, window, end_ns),
             "agents": agent_metrics(self._presences, self._ticks, end_ns, self._run.duration_ns),
             **({"hardware": hardware} if self._statuses else {}),
+            **({"energy": self._batteries.metrics()} if self._batteries else {}),
             "safety": safety_metrics(moved, self._contacts.total(), clearance_m),
             **({} if mission is None else {"mission": mission}),
             "digest": digest([states, radio], self._others.digest()),

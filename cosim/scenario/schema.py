@@ -10,9 +10,11 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from vcmvsp.cosim.types import Count, Decibels, Name, NonNegative, OnLost, Period, Positive, Seconds, Seed, Value, Vec3
+from vcmvsp.cosim.vehicle_clock import VehicleClock
 
 Duration = Annotated[float, msgspec.Meta(ge=1e-6, le=1e9)]  # s
 Coordinate = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]  # m
+Efficiency = Annotated[float, msgspec.Meta(gt=0, le=1)]
 Runs = Literal["inprocess", "process", "zenoh"]
 SIMULATED = "none"  # kind of an absent driver or localisation; without a driver, the vehicle is simulated
 PoseSource = Literal["truth", "odometry", "positioning", "fusion"]
@@ -46,6 +48,22 @@ class AgentTable(msgspec.Struct, frozen=True, kw_only=True):
     params: Mapping[str, Any] = {}
 
 
+class BatteryTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A vehicle's ``battery``: its energy, and what takes it. At its end the agent fails, as at ``fails_s``."""
+
+    capacity_wh: Positive  # energy of the full battery, W h
+    charge: Annotated[float, msgspec.Meta(gt=0, le=1)] = 1.0  # at the start, as a share of the capacity
+    electronics_w: NonNegative = 0.0  # constant power of computer, sensors and a waiting radio, W
+    tx_w: NonNegative = 0.0  # additional power while its radio sends, W
+    rx_w: NonNegative = 0.0  # additional power while it receives a frame that arrives, W
+    mass_kg: Positive | None = None  # of the vehicle; default: that of the kind, if it has one
+    rotor_radius_m: Positive | None = None  # of each of four rotors; default: the kind's, if it has one
+    rotor_efficiency: Efficiency = 0.54  # ideal power by momentum theory over shaft power; 190 g from 16.8 W with 8 inches
+    drive_efficiency: Efficiency = 0.75  # shaft or wheel power over power from the battery; assumed
+    rolling_resistance: NonNegative = 0.02  # force over weight, on wheels; rubber on a hard floor, assumed
+    period_s: Period = 1.0  # s between readings
+
+
 class VehicleTable(msgspec.Struct, frozen=True, kw_only=True):
     """A ``[[vehicle]]``; every key not listed is a parameter of its kind. ``[vehicles]`` holds defaults for all of them."""
 
@@ -63,6 +81,8 @@ class VehicleTable(msgspec.Struct, frozen=True, kw_only=True):
     safety: Mapping[str, Any] = {}  # keys of [safety] that are this vehicle's own
     sensors: Mapping[str, Mapping[str, Any]] = {}  # what else it carries, by names of one's own: a table with a kind each
     radio: Mapping[str, Any] = {}  # what its own radio has: tx_power_dbm, antenna_gain_dbi, ...
+    battery: BatteryTable | None = None  # its energy; default: it never ends
+    clock: VehicleClock | None = None  # its own clock; default: the time of the run
     agent: AgentTable | None = None  # None: it has no agent and stands still
     params: Mapping[str, Any] = {}
 

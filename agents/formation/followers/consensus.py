@@ -158,10 +158,10 @@ class Consensus(Agent):
         x, y, _ = obs.state.position
         if self.handle is not None:
             x, y = hand_point(x, y, obs.state.yaw, self.handle)
-        return NeighbourPoint(obs.time_ns, x, y)
+        return NeighbourPoint(obs.clock_ns, x, y)
 
     def _listen(self, obs: Observation) -> None:
-        latest_ns = obs.time_ns + self._clock_bound_ns
+        latest_ns = obs.clock_ns + self._clock_bound_ns
         for sender, body in obs.heard.bodies(self._places):
             member = _parse(body, latest_ns)
             if member is None:

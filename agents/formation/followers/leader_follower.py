@@ -116,13 +116,13 @@ class LeaderFollower(FormationFollower):
         """Speeds without avoidance, m/s and rad/s; while it follows, also the leader's motion."""
         newest = self._hear(obs)
         if self.feed == "leader":
-            self._take_lead(obs.time_ns, newest)
+            self._take_lead(obs.clock_ns, newest)
         self._report(obs, radio)
-        age_s = self._age_s(obs.time_ns, newest)
+        age_s = self._age_s(obs.clock_ns, newest)
         if newest is None or age_s >= self.timeout_s:
             return *self._fade(obs.time_ns, 0.0 if newest is None else age_s - self.timeout_s), None
         (x, y, _), yaw = obs.state.position, yaw_of(obs.state.attitude)
-        leader = self._fed(self.estimator.predict(newest, age_s), obs.time_ns)
+        leader = self._fed(self.estimator.predict(newest, age_s), obs.clock_ns)
         v, w, z1, z2 = formation_law((x, y, yaw), leader, self.place, self.k1, self.k2)
         if self.feed_forward_s:
             trust = max(0.0, min(1.0, 1.0 - (age_s - self.horizon_s) / self.fade_s))

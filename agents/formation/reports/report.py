@@ -4,7 +4,7 @@
 key       type   meaning
 ========= ====== ===================================================================================
 ``seq``   int    0, 1, 2, ... of this sender
-``t_ns``  int    when the pose was valid, ns of simulated time
+``t_ns``  int    when the pose was valid, ns, by the sender's clock
 ``x y``   float  its own estimate of its position, m, world
 ``th``    float  its own estimate of its yaw, rad
 ``v w``   float  speeds from then on, m/s and rad/s: the command of this tick (a leader) or measured (a follower)
@@ -61,7 +61,7 @@ class Report(NamedTuple):
 def send_report(radio: Radio, seq: int, obs: Observation, v: float, w: float, **more: Any) -> None:
     """Broadcast the report of this tick; ``more`` as in the second part of the table."""
     x, y, _ = obs.state.position
-    radio.send(seq=seq, t_ns=obs.time_ns, x=x, y=y, th=yaw_of(obs.state.attitude), v=v, w=w, **more)
+    radio.send(seq=seq, t_ns=obs.clock_ns, x=x, y=y, th=yaw_of(obs.state.attitude), v=v, w=w, **more)
 
 
 def measured_speeds(obs: Observation) -> tuple[float, float]:
@@ -141,7 +141,7 @@ class ReportReceiver:
         reports = []
         for sender, body in obs.heard.bodies(self._senders):
             self._there_ns[sender] = obs.time_ns
-            report = parse(body, obs.time_ns + self._clock_bound_ns)
+            report = parse(body, obs.clock_ns + self._clock_bound_ns)
             if report is None:
                 self.refused += "ack" not in body  # answers to own reports are for the Reporter
                 continue

@@ -72,7 +72,7 @@ class Reporter:
         if self.sending.acknowledge:
             self._hear(obs)
             more["ak"] = 1
-        now = Report(obs.time_ns, LeaderState(x, y, yaw_of(obs.state.attitude), v, w), more)
+        now = Report(obs.clock_ns, LeaderState(x, y, yaw_of(obs.state.attitude), v, w), more)
         if self._due(now):
             send_report(radio, self._seq, obs, v, w, **more)
             self._sent[self._seq] = now

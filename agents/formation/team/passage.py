@@ -101,7 +101,7 @@ class VisibleMembers:
             height = height_of(report)
             if height is None:
                 height = 0.0 if self._body.flies else z  # of one on wheels
-            if obs.time_ns - report.t_ns <= self._report_ns and abs(height - z) <= 2.0 * self._body.radius_m:
+            if obs.clock_ns - report.t_ns <= self._report_ns and abs(height - z) <= 2.0 * self._body.radius_m:
                 then = moved_to(obs, report, estimator)
                 mates.append(Mate(*rotate2(then.x - x, then.y - y, -yaw), then.v * math.cos(then.th - yaw)))
         return mates
@@ -124,7 +124,7 @@ class VisibleMembers:
 
 def moved_to(obs: Observation, report: Report, estimator: Estimator) -> LeaderState:
     """Estimated present state of the sender of a report."""
-    return estimator.predict(report, max(0, obs.time_ns - report.t_ns) / 1e9)
+    return estimator.predict(report, max(0, obs.clock_ns - report.t_ns) / 1e9)
 
 
 class Widening:
