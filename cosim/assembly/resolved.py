@@ -14,8 +14,9 @@ from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.config import registry as component
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.scenario.schema import ClockTable, Scenario, VehicleTable
+from vcmvsp.cosim.scenario.schema import BatteryTable, ClockTable, Scenario, VehicleTable
 from vcmvsp.cosim.util import limits
+from vcmvsp.cosim.vehicle_clock import VehicleClock
 
 
 class Resolution:
@@ -149,6 +150,9 @@ class Resolution:
         shared.pop("sensors", None)  # the vehicles' own tables are complete
         if "radio" in shared:
             shared["radio"] = _radio(shared["radio"])
+        for name, table in (("battery", BatteryTable), ("clock", VehicleClock)):
+            if name in shared:
+                shared[name] = binding.plain(binding.convert(shared[name], table, key=f"vehicles.{name}"))
         return shared
 
     def _vehicle(self, vehicle: VehicleTable, shared: Mapping[str, Any]) -> dict[str, Any]:

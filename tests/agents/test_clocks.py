@@ -203,6 +203,18 @@ def test_the_resolved_scenario_gives_the_same_bytes(tmp_path: Path) -> None:
     assert (tmp_path / "first" / "run.mcap").read_bytes() == (tmp_path / "again" / "run.mcap").read_bytes()
 
 
+def test_a_clock_and_a_battery_for_all_are_resolved_once(tmp_path: Path) -> None:
+    shared = {"clock": {"drift_ppm": 20.0, "step": {"at_s": 1.0, "by_s": 0.1}}, "battery": {"capacity_wh": 1.0}}
+    scenario = cars(
+        *({"agent": {"kind": "patrol", "way": [[5.0, 0.0, 0.0]]}} for _ in range(2)), duration_s=2.0, vehicles=shared
+    )
+    result = vcmvsp.run(scenario, out=tmp_path / "first")
+    assert set(result.metrics["energy"]) == {"car1", "car2"}
+    assert (tmp_path / "first" / "scenario.toml").read_text().count("drift_ppm") == 1
+    vcmvsp.run(tmp_path / "first" / "scenario.toml", out=tmp_path / "again")
+    assert (tmp_path / "first" / "run.mcap").read_bytes() == (tmp_path / "again" / "run.mcap").read_bytes()
+
+
 # --- refusals ---
 
 
