@@ -1,5 +1,6 @@
 """Paths of the radio wave between given points in the world of a scenario, computed by the rays of a run's channel."""
 
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -57,9 +58,7 @@ def save(table: "pa.Table", path: Path) -> None:
 
 def summary(table: "pa.Table", path: Path) -> str:
     """The number of paths by kind, as text."""
-    kinds: dict[str, int] = {}
-    for kind in table.column("kinds").to_pylist():
-        kinds[kind] = kinds.get(kind, 0) + 1
+    kinds = Counter(str(kind) for kind in table.column("kinds").to_pylist())
     pairs = len(set(zip(table.column("a").to_pylist(), table.column("b").to_pylist(), strict=True)))
     lines = [f"{table.num_rows} paths between {pairs} pairs of points: {path}"]
     lines += [f"  {count:6d}  {kind}" for kind, count in sorted(kinds.items(), key=lambda item: (-item[1], item[0]))]

@@ -63,11 +63,9 @@ def radio_command(
     of_map = {"at": at, "size": size, "height": height, "resolution": resolution, "out": out, "seed": seed, "set": set_ or None}
     given: dict[str, Any] = {name: value for name, value in of_map.items() if value is not None}
     if paths is not None:
-        for name, value in (("link", link), ("frame", frame), ("coverage", coverage)):
-            if value is not None:
-                raise UsageError(f"--paths and --{name}: use either the one or the other")
-        for name in given:
-            if name not in ("out", "seed", "set"):
+        others = {"link": link, "frame": frame, "coverage": coverage, **given}
+        for name, value in others.items():
+            if value is not None and name not in ("out", "seed", "set"):
                 raise UsageError(f"--{name} has no place beside --paths")
         answer, text = _traced(what, paths, given, json=json, trust=trust)
     elif coverage is None:

@@ -12,17 +12,17 @@ from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.propagation.path_loss import SPEED_OF_LIGHT
 from vcmvsp.netsim.propagation.rays.loss import Rays, Traced
 
-SCHEMA = pa.schema(
-    [
-        ("a", pa.int64()),
-        ("b", pa.int64()),
-        ("kinds", pa.string()),
-        ("gain_db", pa.float64()),
-        ("phase_rad", pa.float64()),
-        ("delay_ns", pa.float64()),
-        ("points", pa.list_(pa.list_(pa.float64()))),
-    ]
-)
+_COLUMNS: dict[str, Any] = {
+    "a": pa.int64(),
+    "b": pa.int64(),
+    "kinds": pa.string(),
+    "gain_db": pa.float64(),
+    "phase_rad": pa.float64(),
+    "delay_ns": pa.float64(),
+    "points": pa.list_(pa.list_(pa.float64())),
+}
+
+SCHEMA = pa.schema(_COLUMNS)
 """Rows counted from 0; interactions in order; of the factor from sent to received wave, exp(+j w t); m."""
 
 _BLOCK = 1024  # pairs at a time
@@ -73,7 +73,7 @@ def _rows(found: Traced, a: Floats, b: Floats, first: int) -> list[dict[str, Any
 def _steps(found: Traced, path: int, a: Floats, b: Floats) -> tuple[list[str], list[list[float]]]:
     """Kinds and points of the interactions of a path, in order."""
     table = found.table
-    pair, count = table.pair[path], int(table.count[path])
+    pair, count = table.pair[path], int(table.steps[path])
     corners = [a[pair], *table.point[path, :count], b[pair]]
     steps = [
         (float(leg + 1), "reflection" if table.element[path, leg] >= 0 else "diffraction", corners[leg + 1])

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vcmvsp.cosim.types import Array
-from vcmvsp.cosim.util.polygons import area_m2, convex_parts, outward
+from vcmvsp.cosim.util.polygons import area_m2, outward
 from vcmvsp.physics.raycast.line_of_sight import SHEET_M, Sightline, is_closed
 from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Mesh, Prism, Upright
 

@@ -52,11 +52,14 @@ def half_space(cosine: Floats, permittivity: Complex) -> Pair:
     """
     inside = np.sqrt(permittivity - (1.0 - cosine * cosine))
     outside = permittivity * cosine
-    return Pair((cosine - inside) / (cosine + inside), (outside - inside) / (outside + inside))
+    perpendicular, parallel = (cosine - inside) / (cosine + inside), (outside - inside) / (outside + inside)
+    return Pair(np.asarray(perpendicular, np.complex128), np.asarray(parallel, np.complex128))
 
 
 def slab(cosine: Floats, permittivity: Complex, size_turns: Floats, echoes: Echoes) -> tuple[Pair, Pair]:
-    """Reflection and transmission of a slab (ITU-R P.2040-3, equations 43 and 44)::
+    """Reflection and transmission of a slab (ITU-R P.2040-3, equations 43 and 44).
+
+    ::
 
         q = 2 pi d / lambda sqrt(eta - sin^2)
         R = R' (1 - exp(-2 j q)) / (1 - R'^2 exp(-2 j q)),   T = (1 - R'^2) exp(-j q) / (1 - R'^2 exp(-2 j q))
@@ -190,7 +193,9 @@ def _transition(n: Floats, sign: float, angle: Floats, distance: Floats) -> Comp
 
 
 def fresnel_transition(root: Floats) -> Complex:
-    """Transition function F(x) of the square roots of x::
+    """Transition function F(x) of the square roots of x.
+
+    ::
 
         F(x) = 2 j sqrt(x) exp(j x) int_sqrt(x)^inf exp(-j t^2) dt = sqrt(pi x) exp(j pi / 4) w(exp(3 j pi / 4) sqrt(x))
 

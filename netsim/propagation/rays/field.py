@@ -4,8 +4,8 @@ The gain is the factor from the sent to the received wave, exp(+j w t), with fre
 
     gain = lambda / (4 pi) A exp(-j k L) e_b . D_n ... D_1 e_a
 
-e is the unit vector of the antenna's polarisation, D the dyad of each interaction, L the whole length and A the spreading: 1 / L,
-or behind an edge ``sqrt(1 / (s' s (s' + s)))`` with the lengths s' and s before and behind it.
+e is the unit vector of the antenna's polarisation, D the dyad of each interaction, L the whole length and A the spreading:
+1 / L, or behind an edge ``sqrt(1 / (s' s (s' + s)))`` with the lengths s' and s before and behind it.
 """
 
 import math
@@ -60,7 +60,7 @@ def gains(world: RayWorld, table: PathTable, a: Floats, b: Floats, wave: Wave) -
             field[path] = _passed(world, facet, rays[path, k], field[path], wave)
         if k == most:
             break
-        active = table.count > k
+        active = table.steps > k
         (reflected,) = np.nonzero(active & (table.element[:, k] >= 0))
         if len(reflected):
             facet = table.element[reflected, k]
@@ -72,7 +72,7 @@ def gains(world: RayWorld, table: PathTable, a: Floats, b: Floats, wave: Wave) -
             ends = rays[diffracted, k], rays[diffracted, k + 1]
             field[diffracted] = _diffracted(world, edge, ends, (before, behind), field[diffracted], wave)
             spreading[diffracted] = 1.0 / np.sqrt(before * behind * (before + behind))
-    last = rays[np.arange(n), table.count]
+    last = rays[np.arange(n), table.steps]
     received = (field * _polarisation(last)).sum(axis=1)
     turns = length / wave.length_m
     travel = np.exp(-2j * math.pi * (turns - np.floor(turns)))

@@ -30,19 +30,10 @@ _MOST_POINTS = 512  # for more points only the links of the radio in question ar
 class LinkPaths(NamedTuple):
     """The paths of n links, m in all, link by link."""
 
-    count: Ints  # (n,) paths of each link, at least one
+    paths: Ints  # (n,) number of paths of each link, at least one
+    power: Floats  # (n,) sum of the powers of the paths, as a ratio
     gain: Complex  # (m,)
     length_m: Floats  # (m,)
-
-    @property
-    def link(self) -> Ints:
-        """Link of each path, (m,)."""
-        return np.repeat(np.arange(len(self.count)), self.count)
-
-    @property
-    def power(self) -> Floats:
-        """Sum of the powers of the paths, as a ratio, (n,)."""
-        return np.bincount(self.link, np.abs(self.gain) ** 2, len(self.count))
 
 
 class OverRoofs(NamedTuple):
@@ -69,8 +60,8 @@ class Rays:
     """The paths of the wave among the solids of the world: reflected, diffracted, passed through walls.
 
     Image method; coefficients of ITU-R P.2040-3; uniform theory of diffraction (Kouyoumjian and Pathak 1974). The level is the
-    sum of the powers of the paths; with ``fading = { kind = "geometric" }`` that of their waves. It takes the place of path loss
-    and walls. See docs/explanation/rays.md.
+    sum of the powers of the paths; with ``fading = { kind = "geometric" }`` that of their waves. It takes the place of path
+    loss and walls.
     """
 
     solids: Solids
@@ -106,6 +97,10 @@ class Rays:
     def _cache(self) -> "LinkCache":
         return LinkCache(self._links)
 
+    def prepare(self) -> None:
+        """Compile the search now, before a run in wall-clock time."""
+        self._tracer.prepare()
+
     def loss_db(self, paths: Paths) -> Floats:
         """Loss of each link, (n,) dB, from the sum of the powers of its paths."""
         return np.asarray(-10.0 * np.log10(self.paths(paths).power))
@@ -138,10 +133,11 @@ class Rays:
             order = np.argsort(pair, kind="stable")
             gain = np.concatenate([found.gains.gain[found.kept], found.roofs.gain])[order]
             length = np.concatenate([found.gains.length_m[found.kept], found.roofs.length_m])[order]
-            blocks.append((np.bincount(pair, minlength=len(here[first : first + _BLOCK])), gain, length))
-        if not blocks:
-            return LinkPaths(np.zeros(0, np.int64), np.zeros(0, np.complex128), np.zeros(0))
-        return LinkPaths(*(np.concatenate(columns) for columns in zip(*blocks, strict=True)))
+            count = len(here[first : first + _BLOCK])
+            power = np.bincount(pair[order], np.abs(gain) ** 2, count).astype(np.float64)
+            blocks.append(LinkPaths(np.bincount(pair, minlength=count).astype(np.int64), power, gain, length))
+        nothing = LinkPaths(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.complex128), np.zeros(0))
+        return LinkPaths(*(np.concatenate(columns) for columns in zip(nothing, *blocks, strict=True)))
 
     def holder(self, points: Floats) -> list[str]:
         """For each point the solid that it is inside, in words; empty: none."""
@@ -201,11 +197,11 @@ class LinkCache:
 
 def _picked(links: LinkPaths, which: Ints) -> LinkPaths:
     """Some of the links."""
-    first = np.cumsum(links.count) - links.count
-    count = links.count[which]
+    first = np.cumsum(links.paths) - links.paths
+    count = links.paths[which]
     within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
     rows = np.repeat(first[which], count) + within
-    return LinkPaths(count, links.gain[rows], links.length_m[rows])
+    return LinkPaths(count, links.power[which], links.gain[rows], links.length_m[rows])
 
 
 @dataclass(frozen=True)
@@ -235,10 +231,11 @@ _FAINTEST = 2.0**-54  # so that every gain is finite in dB
 
 def band_power(links: LinkPaths, bandwidth_hz: float) -> Floats:
     """Power of the sum of all waves of each link, averaged over a band, as a ratio, (n,)."""
-    squares = links.count**2
-    link = np.repeat(np.arange(len(links.count)), squares)
+    squares = links.paths**2
+    link = np.repeat(np.arange(len(links.paths)), squares)
     within = np.arange(squares.sum()) - np.repeat(np.cumsum(squares) - squares, squares)
-    first, count = (np.cumsum(links.count) - links.count)[link], links.count[link]
+    first, count = (np.cumsum(links.paths) - links.paths)[link], links.paths[link]
     i, k = first + within // count, first + within % count
     apart = (links.length_m[i] - links.length_m[k]) * (bandwidth_hz / SPEED_OF_LIGHT)
-    return np.bincount(link, (links.gain[i] * links.gain[k].conj()).real * np.sinc(apart), len(links.count))
+    products = (links.gain[i] * links.gain[k].conj()).real * np.sinc(apart)
+    return np.bincount(link, products, len(links.paths)).astype(np.float64)

@@ -30,7 +30,7 @@ def over_roofs(world: RayWorld, a: Floats, b: Floats, wavelength_m: float) -> Ro
 
         nu = h sqrt(2 / lambda (1 / d1 + 1 / d2)),   J = 6.9 + 20 log10(sqrt((nu - 0.1)^2 + 1) + nu - 0.1)
 
-    Each body in the plane has two edges, at the ends of its roof.
+    Each body in the plane has two edges, at the ends of its roof; a thin one has one, in its middle.
     """
     pair, share, height = _profile(world, a, b)
     level = a[pair, 2] + share * (b[pair, 2] - a[pair, 2])
@@ -82,8 +82,11 @@ def _profile(world: RayWorld, a: Floats, b: Floats) -> tuple[Ints, Floats, Float
             begin = np.maximum(begin, np.maximum.reduceat(enter, starts, axis=1))
             finish = np.minimum(finish, np.minimum.reduceat(leave, starts, axis=1))
         row, column = np.nonzero(finish > begin)
-        for share in (begin[row, column], finish[row, column]):
-            within = (share > 0.0) & (share < 1.0)
+        enters, leaves = begin[row, column], finish[row, column]
+        is_thin = found.thin[column]
+        enters = np.where(is_thin, 0.5 * (enters + leaves), enters)
+        for share, counts in ((enters, enters > 0.0), (leaves, ~is_thin)):
+            within = counts & (share < 1.0)
             pairs.append(first + row[within])
             shares.append(share[within])
             heights.append(found.top[column[within]])

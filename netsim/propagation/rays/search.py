@@ -3,8 +3,8 @@
 The code runs interpreted or compiled, see `cosim.compiled`: it works on single numbers, and allocates nothing.
 
 A path is a row of interactions, each a facet that reflects or an edge that diffracts, with its point. Candidates come from
-lists that were made once: the facets and edges which anything in the cell of an end may see, and those which each facet may
-see. Each candidate is then constructed exactly and its legs are tested against the obstacles near them, which a grid over the
+lists that were made once: the facets and edges which anything in the cell of an end may see, and whether those may see each
+other. Each candidate is then constructed exactly and its legs are tested against the obstacles near them, which a grid over the
 plan gives
 (J. Amanatides, A. Woo, A fast voxel traversal algorithm for ray tracing, Eurographics 1987).
 """
@@ -12,16 +12,24 @@ plan gives
 import math
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from vcmvsp.netsim.interfaces.layers import Floats, Ints
 
-TRACE, LOOK, LOOK_FROM_SITES = 0, 1, 2
+Flags = NDArray[np.uint8]
+
+TRACE, LOOK, LOOK_FROM_SITES, BEAMS = 0, 1, 2, 3
 """What `run` is to do."""
 
 DONE, FULL = 0, 1
 """What `run` returns: all done, or the output is full."""
 
-NEXT, PATHS, PASSES, LEGS, PAIRS, OVERFLOW, SOURCE, CORNERS = range(8)
+NEXT, PATHS, PASSES, LEGS, PAIRS, OVERFLOW, SOURCE, CORNERS, SIDES = range(9)
 """Places in `Work.counts`."""
+
+UNKNOWN, SEEN, HIDDEN = range(3)
+"""Values of `Work.sees`."""
 
 OPEN, OPAQUE, SHEET, SKIN = range(4)  # as `physics.raycast.surfaces` numbers them
 NEAR_M = 1e-6  # what a line touches for less than this, or at its end, does not stop it
@@ -82,18 +90,20 @@ class Work(NamedTuple):
     site_cell: Ints  # (N,) the cell of each
     a: Ints  # (P,) site of one end of each pair
     b: Ints  # (P,) of the other
-    cell_facet_first: Ints  # (C + 1,) what each cell may see
-    cell_facet: Ints
-    cell_edge_first: Ints
-    cell_edge: Ints
+    view_first: Ints  # (C + 1,) what each cell may see: facets, and edges numbered behind all facets
+    view_target: Ints
     site_facet_first: Ints  # (N + 1,) what each site may see
     site_facet: Ints
     site_edge_first: Ints
     site_edge: Ints
-    row_first: Ints  # (F + 1,) facets that each facet may see, with more than two reflections
-    row: Ints
-    facet_mark: Ints  # (F,)
+    partner_first: Ints  # (N + 1,) the other sites of the pairs of each site
+    partner: Ints
+    beam_first: Ints  # (facets of all sites + 1,) edges in the beam that each site has over each facet that it may see
+    beam_edge: Ints
     edge_mark: Ints  # (E,)
+    sees_row: int  # length of a row of ``sees``; 0: all facets have the same
+    sees: Flags  # (F * (F + E),) whether each facet may see each facet and edge: see `UNKNOWN`
+    facet_mark: Ints  # (F,)
     facet_leg: Ints  # (F,) the last leg that was tested against it
     body_leg: Ints  # (V,)
     cell: Ints  # (6,) of the walk over the grid
@@ -101,8 +111,9 @@ class Work(NamedTuple):
     end_x: Floats  # (2,) ends of the path under test
     end_y: Floats
     end_z: Floats
-    side_x: Floats  # (2,) see `bound`
-    side_y: Floats
+    beam_x: Floats  # see `bound`
+    beam_y: Floats
+    beam_z: Floats
     chosen: Ints  # facets of the sequence under test
     place: Ints
     image_x: Floats
@@ -117,8 +128,7 @@ class Work(NamedTuple):
     target_x: Floats  # corners of what is looked at
     target_y: Floats
     target_z: Floats
-    facet_seen: Ints  # (F,)
-    edge_seen: Ints  # (E,)
+    seen: Ints  # (F + E,) what the region may see
     path_pair: Ints  # (n,)
     path_count: Ints  # number of interactions
     path_element: Ints  # (n * most,) facets, and edges as ``-1 - edge``
@@ -139,6 +149,8 @@ def run(w: Terrain, s: Work, what: int) -> int:
     if what == LOOK_FROM_SITES:
         look_from_sites(w, s)
         return DONE
+    if what == BEAMS:
+        return find_beams(w, s)
     while s.counts[NEXT] < len(s.a):
         paths, passes = s.counts[PATHS], s.counts[PASSES]
         s.counts[OVERFLOW] = 0
@@ -163,16 +175,22 @@ def trace(w: Terrain, s: Work, p: int) -> None:
     if s.reflections > 0:
         reflect(w, s, p)
     if s.diffraction:
-        s.counts[PAIRS] += 1
-        for k in range(s.site_edge_first[b], s.site_edge_first[b + 1]):
-            s.edge_mark[s.site_edge[k]] = s.counts[PAIRS]
+        mark_edges(s, b)
         for k in range(s.site_edge_first[a], s.site_edge_first[a + 1]):
             e = s.site_edge[k]
             if s.edge_mark[e] == s.counts[PAIRS] and keller(w, s, e, 0) and all_clear(w, s, 1):
                 put(s, emit(s, p, 1), -1 - e, 0)
-        if s.reflections > 0:
-            diffract_and_reflect(w, s, p, 1)
-            diffract_and_reflect(w, s, p, 0)
+        for end in range(2 if s.reflections > 0 else 0):
+            if end == 1:
+                mark_edges(s, a)
+            diffract_and_reflect(w, s, p, end)
+
+
+def mark_edges(s: Work, site: int) -> None:
+    """Mark the edges that a site may see with a new stamp, ``counts[PAIRS]``."""
+    s.counts[PAIRS] += 1
+    for k in range(s.site_edge_first[site], s.site_edge_first[site + 1]):
+        s.edge_mark[s.site_edge[k]] = s.counts[PAIRS]
 
 
 def reflect(w: Terrain, s: Work, p: int) -> None:
@@ -193,20 +211,20 @@ def reflect(w: Terrain, s: Work, p: int) -> None:
         elif depth == s.reflections:
             ends = s.site_facet_first[b + 1]
         else:
-            ends = s.row_first[s.chosen[depth - 1] + 1]
+            ends = len(w.plane_at)
         if s.place[depth] == ends:
             depth -= 1
             continue
-        f = s.site_facet[s.place[depth]] if depth in (1, s.reflections) else s.row[s.place[depth]]
+        f = s.site_facet[s.place[depth]] if depth in (1, s.reflections) else s.place[depth]
         s.place[depth] += 1
-        if not mirror(w, s, f, depth):
+        if (depth > 1 and not may_see(w, s, s.chosen[depth - 1], f)) or not mirror(w, s, f, depth):
             continue
         s.chosen[depth] = f
         if s.facet_mark[f] == s.counts[PAIRS]:
             retrace(w, s, p, depth)
         if depth < s.reflections:
             depth += 1
-            s.place[depth] = s.site_facet_first[b] if depth == s.reflections else s.row_first[f]
+            s.place[depth] = s.site_facet_first[b] if depth == s.reflections else 0
 
 
 def mirror(w: Terrain, s: Work, f: int, depth: int) -> bool:
@@ -260,19 +278,18 @@ def holds(w: Terrain, f: int, x: float, y: float, z: float) -> bool:
 
 
 def diffract_and_reflect(w: Terrain, s: Work, p: int, end: int) -> None:
-    """Paths with an edge and a reflection, which is nearer to a (end 0) or to b (1)."""
-    near, far = (s.a[p], s.b[p]) if end == 0 else (s.b[p], s.a[p])
+    """Paths with an edge, marked, and a reflection, which is nearer to a (end 0) or to b (1)."""
+    near = s.a[p] if end == 0 else s.b[p]
     s.image_x[0], s.image_y[0], s.image_z[0] = s.end_x[end], s.end_y[end], s.end_z[end]
     for i in range(s.site_facet_first[near], s.site_facet_first[near + 1]):
         f = s.site_facet[i]
         if not mirror(w, s, f, 1):
             continue
-        bound(w, s, f)
         # The image takes the place of the end: the edge is met between it and the other end.
         s.end_x[end], s.end_y[end], s.end_z[end] = s.image_x[1], s.image_y[1], s.image_z[1]
-        for k in range(s.site_edge_first[far], s.site_edge_first[far + 1]):
-            e = s.site_edge[k]
-            if beside(w, s, e) or not keller(w, s, e, 1 - end):
+        for k in range(s.beam_first[i], s.beam_first[i + 1]):
+            e = s.beam_edge[k]
+            if s.edge_mark[e] != s.counts[PAIRS] or not keller(w, s, e, 1 - end):
                 continue
             if not cross(w, s, f, s.point_x[1 - end], s.point_y[1 - end], s.point_z[1 - end], 1, end):
                 continue
@@ -285,34 +302,77 @@ def diffract_and_reflect(w: Terrain, s: Work, p: int, end: int) -> None:
         s.end_x[end], s.end_y[end], s.end_z[end] = s.image_x[0], s.image_y[0], s.image_z[0]
 
 
-LEFT, RIGHT = 0, 1
-"""Places in `Work.side_x` and `side_y`."""
+def find_beams(w: Terrain, s: Work) -> int:
+    """Set the beams of the sites from ``counts[NEXT]`` on; returns `DONE` or `FULL`.
+
+    A beam holds the edges that a partner of the site may see, that the facet may see, and that the image of the site sees
+    through the facet, at least in part.
+    """
+    while s.counts[NEXT] < len(s.site_x):
+        n = s.counts[NEXT]
+        wanted = edges_of_partners(w, s, n)
+        s.image_x[0], s.image_y[0], s.image_z[0] = s.site_x[n], s.site_y[n], s.site_z[n]
+        for i in range(s.site_facet_first[n], s.site_facet_first[n + 1]):
+            s.beam_first[i + 1] = s.beam_first[i]
+            f = s.site_facet[i]
+            if not mirror(w, s, f, 1):
+                continue
+            if s.beam_first[i] + wanted > len(s.beam_edge):
+                return FULL
+            bound(w, s, f)
+            at, row = s.beam_first[i], f * s.sees_row + len(w.plane_at)
+            for k in range(wanted):
+                e = s.seen[k]
+                if s.sees[row + e] != HIDDEN and not beside(w, s, e) and may_see(w, s, f, len(w.plane_at) + e):
+                    s.beam_edge[at] = e
+                    at += 1
+            s.beam_first[i + 1] = at
+        s.counts[NEXT] += 1
+    return DONE
+
+
+def edges_of_partners(w: Terrain, s: Work, n: int) -> int:
+    """Put the edges that a partner of a site may see into `Work.seen`, in order; returns their number."""
+    s.counts[PAIRS] += 1
+    for i in range(s.partner_first[n], s.partner_first[n + 1]):
+        for k in range(s.site_edge_first[s.partner[i]], s.site_edge_first[s.partner[i] + 1]):
+            s.edge_mark[s.site_edge[k]] = s.counts[PAIRS]
+    wanted = 0
+    for e in range(len(w.length)):
+        if s.edge_mark[e] == s.counts[PAIRS]:
+            s.seen[wanted] = e
+            wanted += 1
+    return wanted
 
 
 def bound(w: Terrain, s: Work, f: int) -> None:
-    """Set the directions, seen from above, from the image to both ends of a wall; zero: there is no bound."""
-    s.side_x[LEFT] = s.side_y[LEFT] = s.side_x[RIGHT] = s.side_y[RIGHT] = 0.0
-    first, last = w.facet_first[f], w.facet_first[f + 1]
-    if first == last or abs(w.normal_z[f]) > 0.5:
+    """Set the planes through the image and the sides of a facet, ``counts[SIDES]`` of them, with normals into the beam."""
+    first, count = w.facet_first[f], w.facet_first[f + 1] - w.facet_first[f]
+    s.counts[SIDES] = 0
+    if count > len(s.beam_x):
         return
-    s.side_x[LEFT] = s.side_x[RIGHT] = w.corner_x[first] - s.image_x[1]
-    s.side_y[LEFT] = s.side_y[RIGHT] = w.corner_y[first] - s.image_y[1]
-    for k in range(first + 1, last):
-        x, y = w.corner_x[k] - s.image_x[1], w.corner_y[k] - s.image_y[1]
-        if s.side_x[LEFT] * y - s.side_y[LEFT] * x > 0.0:
-            s.side_x[LEFT], s.side_y[LEFT] = x, y
-        if s.side_x[RIGHT] * y - s.side_y[RIGHT] * x < 0.0:
-            s.side_x[RIGHT], s.side_y[RIGHT] = x, y
+    ix, iy, iz = s.image_x[1], s.image_y[1], s.image_z[1]
+    for k in range(count):
+        a, b, c = first + k, first + (k + 1) % count, first + (k + 2) % count
+        ax, ay, az = w.corner_x[a] - ix, w.corner_y[a] - iy, w.corner_z[a] - iz
+        bx, by, bz = w.corner_x[b] - ix, w.corner_y[b] - iy, w.corner_z[b] - iz
+        x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        inside = x * (w.corner_x[c] - ix) + y * (w.corner_y[c] - iy) + z * (w.corner_z[c] - iz)
+        sign = 1.0 if inside > 0.0 else -1.0
+        s.beam_x[k], s.beam_y[k], s.beam_z[k] = sign * x, sign * y, sign * z
+    s.counts[SIDES] = count
 
 
 def beside(w: Terrain, s: Work, e: int) -> bool:
-    """Whether an edge lies, seen from above, aside of the bounds."""
-    x, y = w.start_x[e] - s.image_x[1], w.start_y[e] - s.image_y[1]
-    to_x, to_y = x + w.length[e] * w.along_x[e], y + w.length[e] * w.along_y[e]
-    lx, ly, rx, ry = s.side_x[LEFT], s.side_y[LEFT], s.side_x[RIGHT], s.side_y[RIGHT]
-    if lx * y - ly * x > 0.0 and lx * to_y - ly * to_x > 0.0:
-        return True
-    return rx * y - ry * x < 0.0 and rx * to_y - ry * to_x < 0.0
+    """Whether an edge lies outside one side of the beam."""
+    x, y, z = w.start_x[e] - s.image_x[1], w.start_y[e] - s.image_y[1], w.start_z[e] - s.image_z[1]
+    to_x, to_y, to_z = x + w.length[e] * w.along_x[e], y + w.length[e] * w.along_y[e], z + w.length[e] * w.along_z[e]
+    for k in range(s.counts[SIDES]):
+        here = s.beam_x[k] * x + s.beam_y[k] * y + s.beam_z[k] * z
+        there = s.beam_x[k] * to_x + s.beam_y[k] * to_y + s.beam_z[k] * to_z
+        if here < 0.0 and there < 0.0:
+            return True
+    return False
 
 
 def keller(w: Terrain, s: Work, e: int, k: int) -> bool:
@@ -356,15 +416,13 @@ def outside(w: Terrain, e: int, x: float, y: float, z: float) -> bool:
 def all_clear(w: Terrain, s: Work, count: int) -> bool:
     """Whether nothing stops a path over the first ``count`` points; what it passes is noted."""
     passes = s.counts[PASSES]
+    s.point_x[count], s.point_y[count], s.point_z[count] = s.end_x[1], s.end_y[1], s.end_z[1]
     x, y, z = s.end_x[0], s.end_y[0], s.end_z[0]
-    for k in range(count):
+    for k in range(count + 1):
         if not is_clear(w, s, x, y, z, s.point_x[k], s.point_y[k], s.point_z[k], k):
             s.counts[PASSES] = passes
             return False
         x, y, z = s.point_x[k], s.point_y[k], s.point_z[k]
-    if not is_clear(w, s, x, y, z, s.end_x[1], s.end_y[1], s.end_z[1], count):
-        s.counts[PASSES] = passes
-        return False
     return True
 
 
@@ -538,56 +596,71 @@ def put(s: Work, path: int, element: int, k: int) -> None:
 
 
 def look(w: Terrain, s: Work) -> None:
-    """Set `Work.facet_seen` and `Work.edge_seen` for a region.
+    """Set `Work.seen` for all facets, and the edges behind them, and a region.
 
     The region is the convex hull of the first ``counts[CORNERS]`` corners, or everything if there are none;
     ``counts[SOURCE]`` is the facet that it is, or -1. What one body hides from all corners of the region at all corners of the
     target, it hides from all points of the region at all points of the target: only such targets, and those behind a plane, are
     left out.
     """
-    for f in range(len(w.plane_at)):
-        s.facet_seen[f] = 1 if sees_facet(w, s, f) else 0
-    for e in range(len(w.length)):
-        s.edge_seen[e] = 1 if sees_edge(w, s, e) else 0
+    for target in range(len(w.plane_at) + len(w.length)):
+        s.seen[target] = SEEN if sees(w, s, target) else HIDDEN
 
 
 def look_from_sites(w: Terrain, s: Work) -> None:
     """Set the lists of all sites: what each may see, of what its cell may see."""
     s.counts[SOURCE], s.counts[CORNERS] = -1, 1
-    facets = edges = 0
+    all_facets, facets, edges = len(w.plane_at), 0, 0
     for n in range(len(s.site_x)):
         s.region_x[0], s.region_y[0], s.region_z[0] = s.site_x[n], s.site_y[n], s.site_z[n]
-        cell = s.site_cell[n]
-        for k in range(s.cell_facet_first[cell], s.cell_facet_first[cell + 1]):
-            if sees_facet(w, s, s.cell_facet[k]):
-                s.site_facet[facets] = s.cell_facet[k]
+        for k in range(s.view_first[s.site_cell[n]], s.view_first[s.site_cell[n] + 1]):
+            target = s.view_target[k]
+            if not sees(w, s, target):
+                continue
+            if target < all_facets:
+                s.site_facet[facets] = target
                 facets += 1
-        for k in range(s.cell_edge_first[cell], s.cell_edge_first[cell + 1]):
-            if sees_edge(w, s, s.cell_edge[k]):
-                s.site_edge[edges] = s.cell_edge[k]
+            else:
+                s.site_edge[edges] = target - all_facets
                 edges += 1
         s.site_facet_first[n + 1], s.site_edge_first[n + 1] = facets, edges
 
 
-def sees_facet(w: Terrain, s: Work, f: int) -> bool:
-    """Whether the region may see a facet."""
-    first, count = w.facet_first[f], w.facet_first[f + 1] - w.facet_first[f]
-    if f == s.counts[SOURCE] or not faces(w, s, f) or not ahead(w, s, first, count):
-        return False
-    if count > len(s.target_x):
-        return True
-    for k in range(count):
-        s.target_x[k], s.target_y[k], s.target_z[k] = w.corner_x[first + k], w.corner_y[first + k], w.corner_z[first + k]
-    return not is_hidden(w, s, count)
+def may_see(w: Terrain, s: Work, f: int, target: int) -> bool:
+    """Whether a facet may see another one, or an edge (numbered behind the facets); looked up when it is asked first."""
+    at = f * s.sees_row + target
+    if s.sees[at] == UNKNOWN:
+        first, count = w.facet_first[f], w.facet_first[f + 1] - w.facet_first[f]
+        s.counts[SOURCE], s.counts[CORNERS] = f, 0
+        if count <= len(s.region_x):  # one of many corners counts as if it were everywhere
+            s.counts[CORNERS] = count
+            for k in range(count):
+                s.region_x[k], s.region_y[k] = w.corner_x[first + k], w.corner_y[first + k]
+                s.region_z[k] = w.corner_z[first + k]
+        s.sees[at] = SEEN if sees(w, s, target) else HIDDEN
+    return s.sees[at] == SEEN
 
 
-def sees_edge(w: Terrain, s: Work, e: int) -> bool:
-    """Whether the region may see an edge."""
-    s.target_x[0], s.target_y[0], s.target_z[0] = w.start_x[e], w.start_y[e], w.start_z[e]
-    s.target_x[1] = w.start_x[e] + w.length[e] * w.along_x[e]
-    s.target_y[1] = w.start_y[e] + w.length[e] * w.along_y[e]
-    s.target_z[1] = w.start_z[e] + w.length[e] * w.along_z[e]
-    return edge_ahead(w, s) and not is_hidden(w, s, 2)
+def sees(w: Terrain, s: Work, target: int) -> bool:
+    """Whether the region may see a facet, or an edge (numbered behind the facets)."""
+    count = 2
+    if target < len(w.plane_at):
+        first = w.facet_first[target]
+        count = w.facet_first[target + 1] - first
+        if target == s.counts[SOURCE] or not faces(w, s, target):
+            return False
+        if count == 0 or count > len(s.target_x):  # the ground, and facets of many corners
+            return True
+        for k in range(count):
+            s.target_x[k], s.target_y[k] = w.corner_x[first + k], w.corner_y[first + k]
+            s.target_z[k] = w.corner_z[first + k]
+    else:
+        e = target - len(w.plane_at)
+        s.target_x[0], s.target_y[0], s.target_z[0] = w.start_x[e], w.start_y[e], w.start_z[e]
+        s.target_x[1] = w.start_x[e] + w.length[e] * w.along_x[e]
+        s.target_y[1] = w.start_y[e] + w.length[e] * w.along_y[e]
+        s.target_z[1] = w.start_z[e] + w.length[e] * w.along_z[e]
+    return ahead(w, s, count) and not is_hidden(w, s, count)
 
 
 def faces(w: Terrain, s: Work, f: int) -> bool:
@@ -601,25 +674,14 @@ def faces(w: Terrain, s: Work, f: int) -> bool:
     return False
 
 
-def ahead(w: Terrain, s: Work, first: int, count: int) -> bool:
-    """Whether some of these corners of facets is before the facet that looks, if one does."""
-    f = s.counts[SOURCE]
-    if f < 0 or count == 0:
+def ahead(w: Terrain, s: Work, count: int) -> bool:
+    """Whether some corner of the target is before the facet that looks, if one does."""
+    if s.counts[SOURCE] < 0:
         return True
-    for k in range(first, first + count):  # noqa: SIM110  numba has no generators
-        if is_before(w, f, w.corner_x[k], w.corner_y[k], w.corner_z[k]):
+    for k in range(count):  # noqa: SIM110  numba has no generators
+        if is_before(w, s.counts[SOURCE], s.target_x[k], s.target_y[k], s.target_z[k]):
             return True
     return False
-
-
-def edge_ahead(w: Terrain, s: Work) -> bool:
-    """Whether an end of the edge in the targets is before the facet that looks, if one does."""
-    f = s.counts[SOURCE]
-    if f < 0:
-        return True
-    return is_before(w, f, s.target_x[0], s.target_y[0], s.target_z[0]) or is_before(
-        w, f, s.target_x[1], s.target_y[1], s.target_z[1]
-    )
 
 
 def is_before(w: Terrain, f: int, x: float, y: float, z: float) -> bool:

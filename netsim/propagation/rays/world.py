@@ -1,7 +1,7 @@
 """The world of the rays: facets, edges and bodies as arrays for `netsim.propagation.rays.search`, with a grid over the plan."""
 
 import math
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -75,6 +75,7 @@ class Roofs(NamedTuple):
     side_first: Ints  # (V + 1,)
     side: Floats  # (S, 3) as `Surfaces.side`
     top: Floats  # (V,) m
+    thin: Bools  # (V,) whether it is a slab
 
 
 def world_of(solids: Solids, frequency_hz: float, ground: str, slab_m: float, facet_limit: int) -> RayWorld:
@@ -121,7 +122,7 @@ def world_of(solids: Solids, frequency_hz: float, ground: str, slab_m: float, fa
 
 
 def _roofs(found: Surfaces) -> Roofs:
-    sides, tops = [found.side], [found.top]
+    sides, tops, thin = [found.side], [found.top], [~found.stops]
     first = found.side_first
     for solid in np.unique(found.solid[~np.isin(found.solid, found.body_solid)]).tolist():
         facets = np.flatnonzero(found.solid == solid)
@@ -129,8 +130,9 @@ def _roofs(found: Surfaces) -> Roofs:
         low, high = corners.min(axis=0), corners.max(axis=0)
         sides.append(np.array([(1.0, 0.0, high[0]), (0.0, 1.0, high[1]), (-1.0, 0.0, -low[0]), (0.0, -1.0, -low[1])]))
         tops.append(high[2:])
+        thin.append(np.zeros(1, bool))
         first = np.append(first, first[-1] + 4)
-    return Roofs(first, np.concatenate(sides), np.concatenate(tops))
+    return Roofs(first, np.concatenate(sides), np.concatenate(tops), np.concatenate(thin))
 
 
 def _terrain(found: Surfaces, normal: Floats, offset: Floats, passage: Ints, start: Floats, end: Floats) -> Terrain:
@@ -150,28 +152,31 @@ def _terrain(found: Surfaces, normal: Floats, offset: Floats, passage: Ints, sta
     boxes = _boxes(found, bodies, obstacles)
     items = np.concatenate([np.arange(len(bodies)), -1 - obstacles])
     return Terrain(
-        first,
-        *_columns(found.corner),
-        *_columns(inwards),
-        cut_at,
-        *_columns(normal),
-        offset,
-        (passage == SHEET).astype(np.int64),
-        passage.astype(np.int64),
-        *_columns(start),
-        *_columns(run / length[:, None]),
-        length,
-        *_columns(found.faces),
-        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
-        *_columns(found.side[sides]),
-        found.bottom[bodies],
-        found.top[bodies],
-        *_grid(boxes, items),
+        facet_first=first,
+        **_columns("corner", found.corner),
+        **_columns("cut", inwards),
+        cut_at=cut_at,
+        **_columns("normal", normal),
+        plane_at=offset,
+        both_sides=(passage == SHEET).astype(np.int64),
+        passage=passage.astype(np.int64),
+        **_columns("start", start),
+        **_columns("along", run / length[:, None]),
+        length=length,
+        first_face=found.faces[:, 0].copy(),
+        second_face=found.faces[:, 1].copy(),
+        side_first=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        side_x=found.side[sides, 0],
+        side_y=found.side[sides, 1],
+        side_at=found.side[sides, 2],
+        bottom=found.bottom[bodies],
+        top=found.top[bodies],
+        **_grid(boxes, items),
     )
 
 
-def _columns(table: Floats | Ints) -> list[np.ndarray]:
-    return [np.ascontiguousarray(column) for column in table.T]
+def _columns(name: str, table: Floats) -> dict[str, Any]:
+    return {f"{name}_{axis}": table[:, k].copy() for k, axis in enumerate("xyz")}
 
 
 def _boxes(found: Surfaces, bodies: Ints, facets: Ints) -> Floats:
@@ -194,10 +199,10 @@ def _plan(sides: Floats) -> Floats:
     return np.stack(corners)
 
 
-def _grid(boxes: Floats, items: Ints) -> tuple[Ints, Ints, int, int, float, float, float]:
+def _grid(boxes: Floats, items: Ints) -> dict[str, Any]:
     """Which items lie over which square of the plan: squares about as many as items."""
     if not len(boxes):
-        return np.zeros(2, np.int64), np.zeros(0, np.int64), 1, 1, 0.0, 0.0, 1.0
+        boxes = np.zeros((1, 4))
     west, south = boxes[:, :2].min(axis=0) - _MARGIN_M
     wide, high = boxes[:, 2:].max(axis=0) + _MARGIN_M - (west, south)
     cell_m = max(math.sqrt(wide * high / min(_MOST_CELLS, len(boxes) / _PER_CELL)), wide / 256.0, high / 256.0)
@@ -205,13 +210,21 @@ def _grid(boxes: Floats, items: Ints) -> tuple[Ints, Ints, int, int, float, floa
     cells: list[list[int]] = [[] for _ in range(columns * rows)]
     low = np.floor((boxes[:, :2] - _MARGIN_M - (west, south)) / cell_m).astype(np.int64).clip(0)
     top = np.floor((boxes[:, 2:] + _MARGIN_M - (west, south)) / cell_m).astype(np.int64).clip(0, (columns - 1, rows - 1))
-    for item, (column, row), (last_column, last_row) in zip(items.tolist(), low.tolist(), top.tolist(), strict=True):
+    for item, (column, row), (last_column, last_row) in zip(items.tolist(), low.tolist(), top.tolist(), strict=False):
         for y in range(row, last_row + 1):
             for x in range(column, last_column + 1):
                 cells[y * columns + x].append(item)
     first = np.concatenate([[0], np.cumsum([len(cell) for cell in cells])]).astype(np.int64)
     every = np.array([item for cell in cells for item in cell], np.int64)
-    return first, every, columns, rows, float(west), float(south), float(cell_m)
+    return {
+        "cell_first": first,
+        "cell_item": every,
+        "columns": columns,
+        "rows": rows,
+        "west": float(west),
+        "south": float(south),
+        "cell_m": float(cell_m),
+    }
 
 
 def holding(world: RayWorld, points: Floats) -> Ints:
