@@ -98,13 +98,17 @@ def test_a_knife_edge_where_nothing_else_arrives() -> None:
     assert rays.loss_db(paths)[0] == pytest.approx(free + loss, abs=1e-9)
 
 
-@pytest.mark.skipif(not available(), reason="nothing is compiled here")
-def test_compiled_and_interpreted_search_agree_to_the_bit() -> None:
+@pytest.mark.slow
+def test_compiled_and_interpreted_search_agree_to_the_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VCMVSP_COMPILED", "1")
+    if not available():
+        pytest.skip("nothing is compiled here")
     rays = rays_among(WALL, Box(center=(3.0, -6.0, 2.0), size=(5.0, 3.0, 4.0)), ground="concrete")
     rng = np.random.default_rng(1)
     a, b = rng.uniform([-9.0, -3.0, 0.2], [9.0, 4.0, 3.0], (2, 20, 3))
     tables = []
     for compiled in (False, True):
+        monkeypatch.setenv("VCMVSP_COMPILED", str(int(compiled)))
         tracer = Tracer(rays.world, 2, diffraction=True, transmission=True)
         if compiled:
             tracer.prepare()
