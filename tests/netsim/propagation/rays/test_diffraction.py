@@ -65,7 +65,7 @@ def round_edge(rays: Rays, edge: int, radius_m: float) -> tuple[Floats, Floats]:
 @pytest.mark.parametrize("material", MATERIALS)
 @pytest.mark.parametrize("number", [0, 1, 2])
 def test_field_is_continuous_across_all_boundaries(material: str, number: int) -> None:
-    """Where direct or reflected paths begin or end, 1 mm changes the level by no more than 0.1 dB beyond its slope beside it."""
+    """Where direct or reflected paths begin or end, 1 mm changes the level by at most 0.1 dB beyond the slope beside it."""
     rays = rays_among(BUILDINGS[material][number])
     edges = {round(abs(float(rays.world.edge_along[k, 2]))): k for k in range(len(rays.world.edge_angle))}  # level and upright
     for edge in edges.values():
