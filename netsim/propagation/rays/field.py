@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vcmvsp.cosim.util.surfaces import SHEET
 from vcmvsp.netsim.interfaces.layers import Floats, Ints
 from vcmvsp.netsim.propagation.path_loss import SPEED_OF_LIGHT
 from vcmvsp.netsim.propagation.rays.coefficients import Complex, Echoes, Surface, Wedge, diffraction, half_space, slab
-from vcmvsp.netsim.propagation.rays.search import SHEET
 from vcmvsp.netsim.propagation.rays.tracer import PathTable, legs_of, lengths_of
 from vcmvsp.netsim.propagation.rays.world import RayWorld
 

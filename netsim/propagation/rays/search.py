@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from vcmvsp.cosim.util.surfaces import OPAQUE, SKIN
 from vcmvsp.netsim.interfaces.layers import Floats, Ints
 
 Flags = NDArray[np.uint8]
@@ -31,7 +32,6 @@ NEXT, PATHS, PASSES, LEGS, PAIRS, OVERFLOW, SOURCE, CORNERS, SIDES = range(9)
 UNKNOWN, SEEN, HIDDEN = range(3)
 """Values of `Work.sees`."""
 
-OPEN, OPAQUE, SHEET, SKIN = range(4)  # as `physics.raycast.surfaces` numbers them
 NEAR_M = 1e-6  # what a line touches for less than this, or at its end, does not stop it
 APART_M = 1e-9  # least distance of a point from the plane that reflects it
 

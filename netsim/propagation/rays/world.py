@@ -6,36 +6,14 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.util.surfaces import SHEET, Surfaces
 from vcmvsp.netsim.interfaces.layers import Bools, Floats, Ints
 from vcmvsp.netsim.propagation.rays.coefficients import MATERIALS, Complex, permittivity
-from vcmvsp.netsim.propagation.rays.search import SHEET, Terrain
+from vcmvsp.netsim.propagation.rays.search import Terrain
 
 _MARGIN_M = 1e-3  # of the grid around what it holds
 _PER_CELL = 1.0  # obstacles, about
 _MOST_CELLS = 1 << 16
-
-
-class Surfaces(Protocol):
-    """Facets, edges and bodies of m solids: see `physics.raycast.surfaces`."""
-
-    first: Ints
-    corner: Floats
-    normal: Floats
-    offset: Floats
-    passage: Ints
-    solid: Ints
-    thickness_m: Floats
-    start: Floats
-    end: Floats
-    faces: Ints
-    tangent: Floats
-    angle: Floats
-    side_first: Ints
-    side: Floats
-    bottom: Floats
-    top: Floats
-    body_solid: Ints
-    stops: Bools
 
 
 class Solids(Protocol):

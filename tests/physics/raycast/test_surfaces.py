@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from vcmvsp.physics.raycast.surfaces import BODY, SHEET, SKIN, surfaces_of
+from vcmvsp.cosim.util.surfaces import BODY, SHEET, SKIN, Surfaces
+from vcmvsp.physics.raycast.surfaces import surfaces_of
 from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Prism
 
 L_SHAPE = Prism(outline=((0, 0), (3, 0), (3, 1), (1, 1), (1, 3), (0, 3)), height=2.0)
@@ -39,8 +40,8 @@ def test_boxes_side_by_side_are_one_wall() -> None:
     found = surfaces_of(halves, 0.5, ground=True)
     whole = surfaces_of([Box(center=(0.0, 0.0, 3.0), size=(8.0, 10.0, 6.0))], 0.5, ground=True)
 
-    def length(surfaces: object) -> float:
-        return float(np.linalg.norm(surfaces.end - surfaces.start, axis=1).sum())  # type: ignore[attr-defined]
+    def length(surfaces: Surfaces) -> float:
+        return float(np.linalg.norm(surfaces.end - surfaces.start, axis=1).sum())
 
     assert length(found) == pytest.approx(length(whole), abs=1e-4)
 

@@ -38,7 +38,7 @@ def test_brewster_angle_of_a_lossless_medium() -> None:
 def test_a_lossless_slab_keeps_the_power(thickness: float) -> None:
     size, eta = np.full(len(COSINES), thickness), np.full(len(COSINES), 5.0 + 0j)
     for echoes in ("phases", "averaged"):
-        reflected, through = slab(COSINES, eta, size, echoes)  # type: ignore[arg-type]
+        reflected, through = slab(COSINES, eta, size, echoes)
         for there, back in zip(through, reflected, strict=True):
             assert np.abs(there) ** 2 + np.abs(back) ** 2 == pytest.approx(np.ones(len(COSINES)), abs=1e-12)
 

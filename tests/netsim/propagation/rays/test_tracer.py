@@ -78,8 +78,8 @@ def test_a_mesh_and_a_box_have_the_same_paths() -> None:
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     triangles = np.array([[a, b, c] for p, q, r, s in quads for a, b, c in ((p, q, r), (p, r, s))])
     mesh = Mesh(triangles=corner[triangles], material="brick")
-    ends = [(-7.0, 1.3, 1.0), (5.1, 11.0, 1.5)], [(6.3, 0.4, 2.0), (-8.0, 2.0, 0.7)]
-    of_box, of_mesh = (traced(rays_among(solid, ground="concrete"), *ends) for solid in (box, mesh))
+    a, b = np.array([(-7.0, 1.3, 1.0), (5.1, 11.0, 1.5)]), np.array([(6.3, 0.4, 2.0), (-8.0, 2.0, 0.7)])
+    of_box, of_mesh = (traced(rays_among(solid, ground="concrete"), a, b) for solid in (box, mesh))
     assert sorted(np.abs(of_mesh.gains.gain)) == pytest.approx(sorted(np.abs(of_box.gains.gain)), rel=1e-9)
 
 
