@@ -1,7 +1,8 @@
 """Radio coverage map of a vehicle in a scenario, computed by the channel of a run at a grid of positions."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -116,12 +117,8 @@ def coverage(
     """
     if resolution_m is not None and not (math.isfinite(resolution_m) and resolution_m > 0.0):
         raise UsageError(f"a resolution of {resolution_m:g} m: must be a positive number")
-    folder = Path(what) if isinstance(what, str | Path) and Path(what).is_dir() else None
-    if folder is not None and not (folder / "scenario.toml").is_file():
-        raise UsageError(f"{folder}: no scenario.toml here; name a scenario, or the folder of a run")
-    parsed, source = scenario.load(folder / "scenario.toml" if folder else what, settings=set, seed=seed)
-    with only(None if trust or folder is None else NO_CODE):
-        site = _site(folder, parsed, source)
+    folder = _run_folder(what)
+    parsed, _, site = site_of(what, settings=set, seed=seed, trust=trust)
     if vehicle not in site.places:
         raise UsageError(binding.unknown("vehicle", vehicle, site.places))
     if at_s is not None:
@@ -131,10 +128,27 @@ def coverage(
     return _map(site, parsed, vehicle, size_bytes, height_m, resolution_m)
 
 
+def site_of(
+    what: str | Path | Mapping[str, Any], *, settings: Mapping[str, Any] | None, seed: int | None, trust: bool
+) -> tuple[Scenario, Source, Site]:
+    """The scenario, and its radio environment, of a scenario or of the directory of a run."""
+    folder = _run_folder(what)
+    parsed, source = scenario.load(folder / "scenario.toml" if folder else what, settings=settings, seed=seed)
+    with only(None if trust or folder is None else NO_CODE):
+        return parsed, source, _site(folder, parsed, source)
+
+
+def _run_folder(what: str | Path | Mapping[str, Any]) -> Path | None:
+    folder = Path(what) if isinstance(what, str | Path) and Path(what).is_dir() else None
+    if folder is not None and not (folder / "scenario.toml").is_file():
+        raise UsageError(f"{folder}: no scenario.toml here; name a scenario, or the folder of a run")
+    return folder
+
+
 def _map(site: Site, parsed: Scenario, vehicle: str, size_bytes: int, height_m: float, resolution_m: float | None) -> Map:
     from vcmvsp.cosim.assembly.parts.channel_trial import coverage as measured
 
-    x, y = _grid(site, measured.range_m(site.channel, vehicle, height_m), vehicle, resolution_m)
+    x, y = _grid(site, partial(measured.range_m, site.channel, vehicle, height_m), vehicle, resolution_m)
     antennas = np.stack([*(axis.ravel() for axis in np.meshgrid(x, y)), np.full(len(x) * len(y), height_m)], axis=-1)
     position = np.array(site.places[vehicle])
     found = measured.coverage(site.channel, vehicle, position, antennas, size_bytes=size_bytes, seed=parsed.seed)
@@ -161,14 +175,15 @@ def _map(site: Site, parsed: Scenario, vehicle: str, size_bytes: int, height_m: 
     )
 
 
-def _grid(site: Site, range_m: float | None, vehicle: str, resolution_m: float | None) -> tuple[Array, Array]:
+def _grid(site: Site, range_of: Callable[[], float | None], vehicle: str, resolution_m: float | None) -> tuple[Array, Array]:
     points = np.array([place[:2] for place in site.places.values()])
     corners = [corner for solid in site.solids for piece in solid.uprights() for corner in piece.corners]
     if corners:
         points = np.concatenate([points, corners])
     low, high = points.min(axis=0), points.max(axis=0)
     margin = max(2.0, 0.1 * float((high - low).max()))
-    if not corners and range_m is not None:
+    range_m = None if corners else range_of()
+    if range_m is not None:
         centre = np.array(site.places[vehicle][:2])
         low, high, margin = np.minimum(low, centre - range_m), np.maximum(high, centre + range_m), 0.1 * range_m
     low, high = low - margin, high + margin

@@ -124,6 +124,7 @@ def build(
     from vcmvsp.netsim.channel import user_layers
     from vcmvsp.netsim.channel.channel import Channel
     from vcmvsp.physics.raycast.line_of_sight import Sightline
+    from vcmvsp.physics.raycast.surfaces import SolidSurfaces
 
     for name in radio:
         if name not in ("preset", *LAYERS):
@@ -133,7 +134,8 @@ def build(
     if preset not in PRESETS:
         raise source.error(binding.unknown("preset", str(preset), PRESETS), binding.join(key, "preset"))
     base, layers, resolved = preset_of(preset), {}, {"preset": preset}
-    offered: dict[str, Any] = {"sightline": Sightline(solids)}
+    offered: dict[str, Any] = {"sightline": Sightline(solids), "solids": SolidSurfaces(solids)}
+    _check_rays(base, radio, key, source)
     try:
         for name in LAYERS:
             where, own = binding.join(key, name), radio.get(name, {})
@@ -144,6 +146,8 @@ def build(
                 name, content, key=where, source=source, portable=portable, offered=offered, keep=keep, guard=guard
             )
             user_layers.check_attributes(name, layers[name])
+            if name == "path_loss":
+                offered["rays"] = layers[name]
             if name == "phy":
                 offered["noise_dbm"] = getattr(layers["phy"], "noise_dbm", None)
         _check_mac(layers, key, source)
@@ -151,6 +155,24 @@ def build(
         return Channel(**layers, radios=radios), resolved
     except user_layers.LayerError as error:
         raise source.error(error.cause, binding.join(key, error.layer)) from error
+
+
+def _check_rays(base: dict[str, dict[str, Any]], radio: Mapping[str, Any], key: str, source: Source) -> None:
+    """Leave out the preset's walls beside rays, which pass through walls themselves; check what needs rays, or has no place."""
+
+    def kind_of(layer: str) -> object:
+        own = radio.get(layer, {})
+        return _merged(layer, base[layer], own).get("kind") if isinstance(own, dict) else None
+
+    rays = kind_of("path_loss") == "rays"
+    if rays:
+        base["walls"] = {"kind": "none"}
+        if radio.get("walls", base["walls"]) != base["walls"]:
+            problem = "walls have no place beside path_loss.kind = 'rays', which passes through walls itself"
+            raise source.error(f"{problem}: leave them out", binding.join(key, "walls"))
+    elif kind_of("fading") == "geometric":
+        problem = f"kind = 'geometric' needs path_loss.kind = 'rays', not {kind_of('path_loss')!r}"
+        raise source.error(problem, binding.join(key, "fading.kind"))
 
 
 def _meant(layer: str, base: Mapping[str, Any], own: object, where: str) -> str:

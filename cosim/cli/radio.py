@@ -37,6 +37,9 @@ def radio_command(
     frame: Annotated[
         str | None, typer.Option(metavar="N", help="Link budget of frame N, of the first 'lost' or of the 'worst' frame.")
     ] = None,
+    paths: Annotated[
+        Path | None, typer.Option(metavar="POINTS.csv", help="Write all paths of rays between points, x,y,z (m) a line.")
+    ] = None,
     coverage: Annotated[str | None, typer.Option(metavar="VEHICLE", help="Draw a coverage map of this vehicle.")] = None,
     at: Annotated[float | None, typer.Option(metavar="S", help="Map: time in the run, s [at its start].")] = None,
     size: Annotated[int | None, typer.Option(metavar="BYTES", min=0, help="Map: payload of the frames [100].")] = None,
@@ -44,20 +47,29 @@ def radio_command(
     resolution: Annotated[
         float | None, typer.Option(metavar="M", help="Map: distance of places [about 150 along the longer side].")
     ] = None,
-    out: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Map: file [coverage-VEHICLE.png].")] = None,
-    seed: Annotated[int | None, typer.Option(help="Map: seed [the scenario's].")] = None,
-    set_: Annotated[Changes, changes("Map: change a key of the scenario.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Map: file [coverage-VEHICLE.png]; paths: file [paths.parquet].")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Map, paths: seed [the scenario's].")] = None,
+    set_: Annotated[Changes, changes("Map, paths: change a key of the scenario.")] = None,
     json: AsJson = False,
     trust: Trust = False,
 ) -> None:
-    """Explain the radio: delivery, losses and link budgets of a run; coverage of a scenario.
+    """Explain the radio: delivery, losses and link budgets of a run; coverage, and paths of rays, of a scenario.
 
     Examples: vcmvsp radio runs/formation-circle-1 --link car1/car2 --frame worst;
-    vcmvsp radio formation-circle --coverage car1 --out map.png
+    vcmvsp radio formation-circle --coverage car1 --out map.png;
+    vcmvsp radio town.toml --paths points.csv --out paths.parquet
     """
     of_map = {"at": at, "size": size, "height": height, "resolution": resolution, "out": out, "seed": seed, "set": set_ or None}
     given: dict[str, Any] = {name: value for name, value in of_map.items() if value is not None}
-    if coverage is None:
+    if paths is not None:
+        others = {"link": link, "frame": frame, "coverage": coverage, **given}
+        for name, value in others.items():
+            if value is not None and name not in ("out", "seed", "set"):
+                raise UsageError(f"--{name} has no place beside --paths")
+        answer, text = _traced(what, paths, given, json=json, trust=trust)
+    elif coverage is None:
         if given:
             raise UsageError(f"--{next(iter(given))} needs --coverage VEHICLE")
         answer, text = _explained(Path(what), link, frame, trust=trust)
@@ -222,6 +234,20 @@ def _explained(folder: Path, link: str | None, frame: str | None, *, trust: bool
     if link is not None:
         rows = [links.link_report(log, (row["sender"], row["receiver"])) for row in rows]
     return {**head, "links": rows}, text
+
+
+def _traced(what: str, points: Path, given: dict[str, Any], *, json: bool, trust: bool) -> tuple[dict[str, Any], str]:
+    from vcmvsp.cosim.analysis import ray_paths
+    from vcmvsp.cosim.scenario import loader
+
+    settings = loader.settings_of(given.get("set", []))
+    table = ray_paths.ray_paths(what, points, seed=given.get("seed"), set=settings, trust=trust)
+    out = given.get("out")
+    if json and out is None:
+        return {"paths": table.to_pylist()}, ""
+    out = out or Path("paths.parquet")
+    ray_paths.save(table, out)
+    return {"file": str(out), "paths": table.num_rows}, ray_paths.summary(table, out)
 
 
 def _drawn(what: str, vehicle: str, given: dict[str, Any], *, json: bool, trust: bool) -> tuple[dict[str, Any], str]:

@@ -110,6 +110,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "log_distance": "vcmvsp.netsim.propagation.path_loss:LogDistance",
         "friis": "vcmvsp.netsim.propagation.path_loss:Friis",
         "two_ray_ground": "vcmvsp.netsim.propagation.path_loss:TwoRayGround",
+        "rays": "vcmvsp.netsim.propagation.rays.loss:Rays",
         "none": "vcmvsp.netsim.propagation.path_loss:NoPathLoss",
     },
     "walls": {
@@ -122,6 +123,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "rayleigh": "vcmvsp.netsim.propagation.fading:Rayleigh",
         "nakagami": "vcmvsp.netsim.propagation.fading:Nakagami",
         "rician": "vcmvsp.netsim.propagation.fading:Rician",
+        "geometric": "vcmvsp.netsim.propagation.rays.loss:Geometric",
         "none": NOTHING,
     },
     "script": {"script": "vcmvsp.netsim.impairments.script:Script", "none": NOTHING},

@@ -81,7 +81,7 @@ Described = Callable[..., object]
 REST = ("defaults", "params", "doors", *GIVEN)
 """Parameters that are not keys of the table itself."""
 
-OFFERED = ("sightline", "noise_dbm", "world", "outside", "firmware")
+OFFERED = ("sightline", "solids", "rays", "noise_dbm", "world", "outside", "firmware")
 """Parameters that come from the rest of the scenario (`cosim.assembly.radio`, `cosim.assembly.run`), not from a key."""
 
 OFFERED_TO = {"physics": ("vehicles",), "hardware": ("start", "now", "vehicle", "folder", "number")}

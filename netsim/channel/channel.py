@@ -191,6 +191,8 @@ class Channel:
     def expect(self, frames: int) -> None:
         """Hint of the number of frames; decides now whether to compile. Changes no result."""
         self._expected = frames
+        if hasattr(self.budgets.path_loss, "prepare"):
+            self.budgets.path_loss.prepare()
         medium = self.mac.open(self.phy, 2, np.zeros(2, np.uint64), self.hearing.noise_mw)  # a temporary medium
         if medium is not None:
             medium.expect(frames)

@@ -109,6 +109,8 @@ def _gains(channel: Channel, frame: Frame) -> list[Floats]:
     fading: Any = channel.fading
     if fading is None:
         return [np.zeros(len(frame.rssi_dbm))]
+    if getattr(fading, "by_place", False):
+        return [fading.gain_db(frame, lambda: np.zeros((len(frame.rssi_dbm), 2)))]
     if getattr(fading, "doppler_hz", None) is not None:
         fading = dataclasses.replace(fading, doppler_hz=None)
     gains = []

@@ -1,6 +1,8 @@
 """The channel alone from the command line: what it prints and leaves, and what it refuses."""
 
 import json
+import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -307,3 +309,70 @@ def test_antennas_over_ground_have_the_height_of_the_law() -> None:
 def test_no_distance_is_negative() -> None:
     refused(vcmvsp_command("pathloss", "--preset", "wss", "--distance", "-1:1:1"), "--distance -1:1:1", "negative")
     refused(vcmvsp_command("pathloss", "--preset", "wss", "--distance", "1:5"), "--distance 1:5", "START:STOP:STEP")
+
+
+CORNER = """
+name = "corner"
+duration_s = 1.0
+[world]
+kind = "boxes"
+boxes = [{ center = [10.0, 10.0, 5.0], size = [10.0, 10.0, 10.0], material = "concrete" }]
+[radio]
+preset = "wifi-g-6"
+path_loss = { kind = "rays" }
+[[vehicle]]
+name = "car1"
+kind = "p2dx"
+agent = { kind = "trajectory", path = "straight" }
+"""
+
+
+@pytest.fixture
+def corner(tmp_path: Path) -> Path:
+    (tmp_path / "corner.toml").write_text(CORNER, "utf-8")
+    (tmp_path / "points.csv").write_text("x,y,z\n0,0,1\n20,4,1\n2,22,1\n", "utf-8")
+    return tmp_path
+
+
+def test_paths_of_rays_between_points(corner: Path) -> None:
+    out = corner / "paths.parquet"
+    told = vcmvsp_command("radio", str(corner / "corner.toml"), "--paths", str(corner / "points.csv"), "--out", str(out))
+    assert told.code == 0, told.err
+    table = pq.read_table(out)
+    assert table.column_names == ["a", "b", "kinds", "gain_db", "phase_rad", "delay_ns", "points"]
+    rows = table.to_pylist()
+    assert {(row["a"], row["b"]) for row in rows} == {(0, 1), (0, 2), (1, 2)}
+    direct = [row for row in rows if row["kinds"] == "direct"]
+    assert [(row["a"], row["b"], row["points"]) for row in direct] == [(0, 1, []), (0, 2, [])]
+    assert direct[0]["delay_ns"] == pytest.approx(math.hypot(20.0, 4.0) / 0.299792458)
+    assert all(len(row["points"]) == row["kinds"].count("+") + 1 for row in rows if row["kinds"] != "direct")
+    first = out.read_bytes()
+    vcmvsp_command("radio", str(corner / "corner.toml"), "--paths", str(corner / "points.csv"), "--out", str(out))
+    assert out.read_bytes() == first
+
+
+@pytest.mark.parametrize(
+    ("change", "points", "words"),
+    [
+        ((), "10,10,1\n0,0,1\n", r"point 0 \(row 1 of the points\) is inside the box at \(10.0, 10.0, 5.0\)"),
+        ((), "0,0,1\n0,0,-1\n", r"point 1 .* is below the ground"),
+        (("radio.path_loss.kind=friis",), "0,0,1\n", r"radio.path_loss.kind: paths need path_loss.kind = 'rays'"),
+        (("radio.walls.kind=itu",), "0,0,1\n", r"radio.walls: walls have no place beside path_loss.kind = 'rays'"),
+        (("radio.path_loss.ground=cheese",), "0,0,1\n", r"radio.path_loss.ground: must be none or one of concrete"),
+        (("radio.path_loss.facet_limit=3",), "0,0,1\n", r"radio.path_loss.facet_limit: the world has 5 facets"),
+        (("world.boxes=[{center=[0,0,9],size=[1,1,1],material='cheese'}]",), "0,0,1\n", r"is of 'cheese'"),
+        (("radio.path_loss={}", "radio.fading.kind=geometric"), "0,0,1\n", r"needs path_loss.kind = 'rays'"),
+    ],
+)
+def test_what_rays_cannot_do_is_one_error(corner: Path, change: tuple[str, ...], points: str, words: str) -> None:
+    (corner / "points.csv").write_text(points, "utf-8")
+    sets = [word for each in change for word in ("--set", each)]
+    told = vcmvsp_command("radio", str(corner / "corner.toml"), "--paths", str(corner / "points.csv"), *sets)
+    assert told.code == 2
+    assert re.search(words, told.err), told.err
+    assert "Traceback" not in told.err
+
+
+def test_paths_are_asked_for_alone(corner: Path) -> None:
+    told = vcmvsp_command("radio", str(corner / "corner.toml"), "--paths", "points.csv", "--coverage", "car1")
+    assert (told.code, "--coverage has no place beside --paths" in told.err) == (2, True)

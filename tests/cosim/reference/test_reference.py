@@ -166,12 +166,13 @@ def test_the_keys_of_a_kind_are_those_that_a_scenario_can_set(layer: str, kind: 
     given = {name: REQUIRED.get(name, 0.1) for name, each in known.items() if each.required}
     source = Source("test", tmp_path)
     preset = {"dcf": "wifi-b-1", "csma154": "zigbee"}.get(kind, "ideal")  # a mac needs a phy of its standard
-    _, resolved = radio.build({"preset": preset, layer: {"kind": kind, **given}}, source, vehicles=("a", "b"))
+    others = {"path_loss": {"kind": "rays"}} if kind == "geometric" else {}
+    _, resolved = radio.build({"preset": preset, **others, layer: {"kind": kind, **given}}, source, vehicles=("a", "b"))
     assert set(resolved[layer]) == {"kind", *given, *(name for name, each in known.items() if each.default is not None)}
     for name in describe.OFFERED:
         if name in binding.parameters(registry.find(layer, kind)):  # comes from elsewhere, and is nobody's to set
             with pytest.raises(ScenarioError, match=f"unknown key '{name}'"):
-                radio.build({layer: {"kind": kind, **given, name: 0.1}}, source, vehicles=("a", "b"))
+                radio.build({**others, layer: {"kind": kind, **given, name: 0.1}}, source, vehicles=("a", "b"))
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -64,7 +64,21 @@ MINE = {
 CARS = {"cars.csv": "x,y,z\n0,0,0\n10,0,0\n0,20,0\n400,0,0\n"}
 PATHS = {"paths.csv": "t,name,x,y,z\n0,base,0,0,1\n0,car1,0,5,1\n30,car1,300,5,1\n"}
 
+CANYON = {
+    "canyon.toml": block("docs/explanation/rays.md", "# canyon.toml"),
+    "points.csv": block("docs/explanation/rays.md", "x,y,z"),
+}
+
 STORIES = (
+    Story(
+        "paths of rays",
+        (
+            Step("vcmvsp run canyon.toml", f"{HERE} --set duration_s=1"),
+            Step("vcmvsp radio canyon.toml --coverage car1 --out rays.png", "--resolution 5"),
+            Step("vcmvsp radio canyon.toml --paths points.csv --out paths.parquet"),
+        ),
+        CANYON,
+    ),
     Story(
         "a run and what is made of it",
         (

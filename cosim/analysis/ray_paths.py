@@ -1,0 +1,65 @@
+"""Paths of the radio wave between given points in the world of a scenario, computed by the rays of a run's channel."""
+
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from vcmvsp.cosim.analysis.coverage import site_of
+from vcmvsp.cosim.errors import ScenarioError, UsageError
+from vcmvsp.cosim.tables.schema import write_table
+from vcmvsp.cosim.util.files import replacing
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+
+def ray_paths(
+    what: str | Path | Mapping[str, Any],
+    points: Path,
+    *,
+    seed: int | None = None,
+    set: Mapping[str, Any] | None = None,  # noqa: A002  the word of the command line
+    trust: bool = False,
+) -> "pa.Table":
+    """All paths between points, a row a path.
+
+    Args:
+        what: a scenario with ``path_loss = { kind = "rays" }``, or the directory of its run.
+        points: CSV file with a line x,y,z (m, world) for each point.
+        seed: replaces the scenario's seed, on which a random world depends.
+        set: key path -> value, as for a run.
+        trust: for a run: import classes of its scenario that are not built in.
+
+    Raises:
+        ScenarioError: the radio of the scenario is invalid, or has no rays.
+        UsageError: an invalid file, or a point inside a solid.
+    """
+    from vcmvsp.cosim.assembly.parts import channel_trial
+
+    places = channel_trial.read_positions(points)
+    parsed, source, site = site_of(what, settings=set, seed=seed, trust=trust)
+    try:
+        return channel_trial.ray_paths(site.channel, places)
+    except ScenarioError as error:
+        raise ScenarioError(error.problem, key=error.key, source=source.of(error.key)) from error
+    except UsageError as error:
+        raise UsageError(f"{points}: {error}; scenario {parsed.name}") from error
+
+
+def save(table: "pa.Table", path: Path) -> None:
+    """Write the table as Parquet; equal tables give equal bytes."""
+    try:
+        with replacing(path) as place:
+            write_table(table, place)
+    except OSError as error:
+        raise UsageError(f"--out {path}: {error.strerror or error}") from error
+
+
+def summary(table: "pa.Table", path: Path) -> str:
+    """The number of paths by kind, as text."""
+    kinds = Counter(str(kind) for kind in table.column("kinds").to_pylist())
+    pairs = len(set(zip(table.column("a").to_pylist(), table.column("b").to_pylist(), strict=True)))
+    lines = [f"{table.num_rows} paths between {pairs} pairs of points: {path}"]
+    lines += [f"  {count:6d}  {kind}" for kind, count in sorted(kinds.items(), key=lambda item: (-item[1], item[0]))]
+    return "\n".join(lines) + "\n"

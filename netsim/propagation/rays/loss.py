@@ -1,0 +1,241 @@
+"""The layers of the channel that rays give: path loss by the powers of all paths, fading by their phases."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Annotated, NamedTuple
+
+import msgspec
+import numpy as np
+
+from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.types import NonNegative, Positive
+from vcmvsp.netsim.interfaces.layers import Draw, Floats, Frame, Ints, Paths
+from vcmvsp.netsim.propagation.path_loss import SPEED_OF_LIGHT, Frequency
+from vcmvsp.netsim.propagation.rays.coefficients import MATERIALS, Complex, Echoes
+from vcmvsp.netsim.propagation.rays.field import Gains, Wave, gains
+from vcmvsp.netsim.propagation.rays.roofs import gains_over_roofs, over_roofs
+from vcmvsp.netsim.propagation.rays.tracer import PathTable, Tracer
+from vcmvsp.netsim.propagation.rays.world import RayWorld, Solids, holding, world_of
+
+Order = Annotated[int, msgspec.Meta(ge=0, le=4)]
+Limit = Annotated[int, msgspec.Meta(ge=1, le=1_000_000)]
+
+ARRIVES = 1e-20  # power ratio: pairs with less are reached over the roofs only
+_WEAKEST = 1e-15  # size of a gain: paths with less are left out, e.g. those through metal
+_BLOCK = 1024  # pairs traced at a time
+_MOST_POINTS = 512  # for more points only the links of the radio in question are computed
+
+
+class LinkPaths(NamedTuple):
+    """The paths of n links, m in all, link by link."""
+
+    paths: Ints  # (n,) number of paths of each link, at least one
+    power: Floats  # (n,) sum of the powers of the paths, as a ratio
+    gain: Complex  # (m,)
+    length_m: Floats  # (m,)
+
+
+class OverRoofs(NamedTuple):
+    """Paths over roofs, for pairs that nothing else reaches."""
+
+    pair: Ints  # (k,)
+    gain: Complex  # (k,)
+    length_m: Floats  # (k,)
+    edge_of: Ints  # (m,) row among the k
+    edge: Floats  # (m, 3) m
+
+
+class Traced(NamedTuple):
+    """All paths of some pairs of points."""
+
+    table: PathTable
+    gains: Gains
+    kept: Ints  # rows of the table that are not too weak
+    roofs: OverRoofs
+
+
+@dataclass(frozen=True)
+class Rays:
+    """The paths of the wave among the solids of the world: reflected, diffracted, passed through walls.
+
+    Image method; coefficients of ITU-R P.2040-3; uniform theory of diffraction (Kouyoumjian and Pathak 1974). The level is the
+    sum of the powers of the paths; with ``fading = { kind = "geometric" }`` that of their waves. It takes the place of path
+    loss and walls.
+    """
+
+    solids: Solids
+    frequency_hz: Frequency = 2.4e9  # of the carrier
+    reflections: Order = 2  # greatest number of reflections of a path
+    diffraction: bool = True  # paths over one upright or level edge, also with one reflection before or behind it
+    transmission: bool = True  # paths through solids thinner than slab_m
+    ground: str = "concrete"  # material of the plane z = 0; none: there is no ground
+    slab_m: NonNegative = 0.5  # solids thinner than this are slabs, others let nothing through
+    echoes: Echoes = "phases"  # inside a slab: added with their phases, or their powers averaged over its thickness
+    facet_limit: Limit = 20_000  # greatest number of facets: cylinders have up to 66 each, meshes one a triangle
+
+    def __post_init__(self) -> None:
+        if self.ground != "none" and self.ground not in MATERIALS:
+            raise ScenarioError(f"must be none or one of {', '.join(MATERIALS)}, not {self.ground!r}", key="ground")
+        _ = self.world  # reports what is wrong with the solids now
+
+    @cached_property
+    def world(self) -> RayWorld:
+        """Facets, edges and bodies."""
+        return world_of(self.solids, self.frequency_hz, self.ground, self.slab_m, self.facet_limit)
+
+    @cached_property
+    def wave(self) -> Wave:
+        """The carrier."""
+        return Wave(self.frequency_hz, self.echoes)
+
+    @cached_property
+    def _tracer(self) -> Tracer:
+        return Tracer(self.world, self.reflections, diffraction=self.diffraction, transmission=self.transmission)
+
+    @cached_property
+    def _cache(self) -> "LinkCache":
+        return LinkCache(self._links)
+
+    def prepare(self) -> None:
+        """Compile the search now, before a run in wall-clock time."""
+        self._tracer.prepare()
+
+    def loss_db(self, paths: Paths) -> Floats:
+        """Loss of each link, (n,) dB, from the sum of the powers of its paths."""
+        return np.asarray(-10.0 * np.log10(self.paths(paths).power))
+
+    def paths(self, links: Paths) -> LinkPaths:
+        """The paths of each link."""
+        return self._cache.links(links.tx, links.rx)
+
+    def traced(self, a: Floats, b: Floats) -> Traced:
+        """All paths between points a (n, 3) m and b (n, 3) m."""
+        table = self._tracer.paths(a, b)
+        found = gains(self.world, table, a, b, self.wave)
+        size = np.abs(found.gain)
+        (kept,) = np.nonzero(size >= _WEAKEST)
+        power = np.bincount(table.pair[kept], size[kept] ** 2, len(a))
+        (dark,) = np.nonzero(power < ARRIVES)
+        over = over_roofs(self.world, a[dark], b[dark], self.wave.length_m)
+        straight = np.sqrt(((b - a)[dark] ** 2).sum(axis=1))
+        beyond = gains_over_roofs(over, straight, self.wave.length_m)
+        return Traced(table, found, kept, OverRoofs(dark, beyond, over.length_m, over.pair, over.edge))
+
+    def _links(self, a: Floats, b: Floats) -> LinkPaths:
+        """The paths of many links, each computed from the end that comes first, so that both directions are equal."""
+        swapped = _comes_first(b, a)
+        here, there = np.where(swapped[:, None], b, a), np.where(swapped[:, None], a, b)
+        blocks = []
+        for first in range(0, len(a), _BLOCK):
+            found = self.traced(here[first : first + _BLOCK], there[first : first + _BLOCK])
+            pair = np.concatenate([found.table.pair[found.kept], found.roofs.pair])
+            order = np.argsort(pair, kind="stable")
+            gain = np.concatenate([found.gains.gain[found.kept], found.roofs.gain])[order]
+            length = np.concatenate([found.gains.length_m[found.kept], found.roofs.length_m])[order]
+            count = len(here[first : first + _BLOCK])
+            power = np.bincount(pair[order], np.abs(gain) ** 2, count).astype(np.float64)
+            blocks.append(LinkPaths(np.bincount(pair, minlength=count).astype(np.int64), power, gain, length))
+        nothing = LinkPaths(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.complex128), np.zeros(0))
+        return LinkPaths(*(np.concatenate(columns) for columns in zip(nothing, *blocks, strict=True)))
+
+    def holder(self, points: Floats) -> list[str]:
+        """For each point the solid that it is inside, in words; empty: none."""
+        words = (*self.solids.words, "")
+        return [words[number] for number in holding(self.world, points).tolist()]
+
+
+def _comes_first(a: Floats, b: Floats) -> np.ndarray:
+    """Whether a comes before b, by x, then y, then z, (n,)."""
+    apart = a != b
+    column = np.argmax(apart, axis=1)
+    rows = np.arange(len(a))
+    return np.asarray(a[rows, column] < b[rows, column])
+
+
+class LinkCache:
+    """The links between radios that stand where they stood at the last question.
+
+    The first radio that asks has its own links computed; if another one asks before anyone has moved, all of them are.
+    """
+
+    def __init__(self, compute: Callable[[Floats, Floats], LinkPaths]) -> None:
+        self._compute = compute
+        self._points = b""
+        self._single: tuple[int, LinkPaths] | None = None
+        self._all: LinkPaths | None = None
+        self._first = np.zeros(1, np.int64)  # path of each pair in `_all`
+
+    def links(self, tx: Floats, rx: Floats) -> LinkPaths:
+        """Paths from one point (3,) m to others (n, 3) m."""
+        points = np.concatenate([tx[None], rx])
+        order = np.lexsort(points.T)
+        standing = points[order]
+        place = np.empty(len(points), np.int64)
+        place[order] = np.arange(len(points))
+        key = standing.tobytes()
+        if key != self._points:
+            self._points, self._single, self._all = key, None, None
+        if self._all is not None:
+            return self._row(self._all, place)
+        if self._single is not None and self._single[0] == place[0]:
+            return _picked(self._single[1], place[1:] - (place[1:] > place[0]))
+        if self._single is None or len(points) > _MOST_POINTS:
+            others = np.delete(standing, place[0], axis=0)
+            found = self._compute(np.broadcast_to(tx, others.shape).copy(), others)
+            self._single = int(place[0]), found
+            return _picked(found, place[1:] - (place[1:] > place[0]))
+        i, j = np.triu_indices(len(points), 1)
+        self._all = self._compute(standing[i], standing[j])
+        return self._row(self._all, place)
+
+    @staticmethod
+    def _row(every: LinkPaths, place: Ints) -> LinkPaths:
+        n, one, other = len(place), np.minimum(place[0], place[1:]), np.maximum(place[0], place[1:])
+        return _picked(every, one * (2 * n - one - 1) // 2 + other - one - 1)
+
+
+def _picked(links: LinkPaths, which: Ints) -> LinkPaths:
+    """Some of the links."""
+    first = np.cumsum(links.paths) - links.paths
+    count = links.paths[which]
+    within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    rows = np.repeat(first[which], count) + within
+    return LinkPaths(count, links.power[which], links.gain[rows], links.length_m[rows])
+
+
+@dataclass(frozen=True)
+class Geometric:
+    """Fading that follows from where the radios are: the waves of all paths with their phases, averaged over the bandwidth.
+
+    With gains a and lengths l of the paths, and the bandwidth B around the carrier::
+
+        gain = sum_ik a_i conj(a_k) sinc(B (l_i - l_k) / c) / sum_i |a_i|^2
+
+    It is the same in both directions and at every visit of a place. It needs ``path_loss = { kind = "rays" }``.
+    """
+
+    rays: Rays
+    bandwidth_hz: Positive = 20e6  # of the channel: 802.11 has 20 MHz, 802.15.4 has 2 MHz
+
+    by_place = True  # no draws: the gain depends on the places of the radios alone
+
+    def gain_db(self, frame: Frame, draw: Draw) -> Floats:
+        """Power gain at each receiver, (n,) dB."""
+        links = self.rays.paths(frame.paths)
+        return np.asarray(10.0 * np.log10(np.maximum(band_power(links, self.bandwidth_hz) / links.power, _FAINTEST)))
+
+
+_FAINTEST = 2.0**-54  # so that every gain is finite in dB
+
+
+def band_power(links: LinkPaths, bandwidth_hz: float) -> Floats:
+    """Power of the sum of all waves of each link, averaged over a band, as a ratio, (n,)."""
+    squares = links.paths**2
+    link = np.repeat(np.arange(len(links.paths)), squares)
+    within = np.arange(squares.sum()) - np.repeat(np.cumsum(squares) - squares, squares)
+    first, count = (np.cumsum(links.paths) - links.paths)[link], links.paths[link]
+    i, k = first + within // count, first + within % count
+    apart = (links.length_m[i] - links.length_m[k]) * (bandwidth_hz / SPEED_OF_LIGHT)
+    products = (links.gain[i] * links.gain[k].conj()).real * np.sinc(apart)
+    return np.bincount(link, products, len(links.paths)).astype(np.float64)

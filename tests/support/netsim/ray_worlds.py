@@ -1,0 +1,38 @@
+"""Rays among solids, and the field that they make."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from vcmvsp.netsim.interfaces.layers import Floats
+from vcmvsp.netsim.propagation.rays.coefficients import Complex
+from vcmvsp.netsim.propagation.rays.loss import Rays, Traced
+from vcmvsp.physics.raycast.surfaces import SolidSurfaces
+from vcmvsp.physics.world.solids import AnySolid
+
+
+def rays_among(*solids: AnySolid, **keys: Any) -> Rays:
+    """Rays among solids at 2.4 GHz, without a ground unless it is given."""
+    return Rays(SolidSurfaces(solids), **{"ground": "none", **keys})
+
+
+def traced(rays: Rays, a: Sequence[float] | Floats, b: Sequence[float] | Floats) -> Traced:
+    """Paths between points, (3,) or (n, 3) m each."""
+    here, there = np.broadcast_arrays(np.atleast_2d(np.array(a, float)), np.atleast_2d(np.array(b, float)))
+    return rays.traced(here.copy(), there.copy())
+
+
+def field(rays: Rays, a: Sequence[float] | Floats, b: Sequence[float] | Floats) -> Complex:
+    """Sum of the waves of all paths of each pair, without those over the roofs, (n,)."""
+    found = traced(rays, a, b)
+    pairs = max(len(np.atleast_2d(a)), len(np.atleast_2d(b)))
+    real, imaginary = (np.bincount(found.table.pair, part, pairs) for part in (found.gains.gain.real, found.gains.gain.imag))
+    return np.asarray(real + 1j * imaginary)
+
+
+def kinds(found: Traced) -> list[str]:
+    """Interactions of each path: S reflected, X diffracted."""
+    table = found.table
+    rows = zip(table.element.tolist(), table.steps.tolist(), strict=True)
+    return ["".join("S" if element >= 0 else "X" for element in row[:count]) for row, count in rows]
