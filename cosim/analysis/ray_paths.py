@@ -37,7 +37,7 @@ def ray_paths(
     """
     from vcmvsp.cosim.assembly.parts import channel_trial
 
-    places = channel_trial.read_positions(points)
+    places = channel_trial.read_positions(points).at(0)
     parsed, source, site = site_of(what, settings=set, seed=seed, trust=trust)
     try:
         return channel_trial.ray_paths(site.channel, places)
