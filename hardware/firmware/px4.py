@@ -10,6 +10,9 @@ Controls 1 to 4 are the motors of a quadrotor as an x (CA_ROTOR0 to 3 of the air
 left, counter-clockwise, front left and back right, clockwise; from 0 to 1 (PWMSim.cpp), 0 while disarmed. A rotor turns at that
 share of its greatest speed.
 
+HIL_SENSOR comes at 250 Hz at most, since PX4 answers no more often (IMU_GYRO_RATEMAX; so does PX4's bridge to Gazebo): at a
+higher rate of physics, steps between two messages keep the last outputs.
+
 Pressure follows the standard atmosphere (ISO 2533). The receiver's velocity is the true one.
 """
 
@@ -17,7 +20,7 @@ import math
 import socket
 
 from vcmvsp.cosim.federate import FlightReadings
-from vcmvsp.cosim.types import Vec3
+from vcmvsp.cosim.types import Fix, Vec3
 from vcmvsp.hardware.drivers.mavlink import protocol
 from vcmvsp.hardware.drivers.mavlink.protocol import Message, attitude_flipped, body_flipped, mavlink, world_flipped
 from vcmvsp.hardware.firmware.link import LOOPBACK, FirmwareLink, FirmwareLost
@@ -30,6 +33,7 @@ SATELLITES, FIX_3D = 10, 3
 STILL: Vec3 = (0.0, 0.0, 0.0)
 GRAVITY = 9.80665  # m/s2, standard
 BYTES = 65536
+LEAST_NS = 4_000_000  # between two messages of the sensors
 START_US = 1000  # a clock at 0 counts as not set
 
 
@@ -46,6 +50,11 @@ class Px4(FirmwareLink):
     _truth_ns = 0  # time of the next
     _height_m = 0.0  # of the last reading of the barometer
     _bytes = 0  # received
+    _next_ns = 0  # time of the next message of the sensors
+    _between = False  # whether this step has none
+    _field_ut: Vec3 | None = None  # readings since the last message
+    _fix: Fix | None = None
+    _has_height = False
 
     def listen(self) -> None:
         """Open the TCP port."""
@@ -65,11 +74,17 @@ class Px4(FirmwareLink):
         """Send the messages of a step, once it has connected."""
         if self._line is None:
             return
+        self._field_ut = readings.field_ut or self._field_ut
+        self._fix = readings.fix or self._fix
         if readings.height_m is not None:
-            self._height_m = readings.height_m
+            self._height_m, self._has_height = readings.height_m, True
+        self._between = readings.now_ns < self._next_ns
+        if self._between:
+            return
+        self._next_ns = readings.now_ns + LEAST_NS
         messages = [self._sensors(readings)]
-        if readings.fix is not None:
-            messages.append(self._gps(readings))
+        if self._fix is not None:
+            messages.append(self._gps(self._fix, readings))
         if self._truth_every_ns and readings.now_ns >= self._truth_ns:
             self._truth_ns = readings.now_ns + self._truth_every_ns
             messages.append(self._truth(readings))
@@ -85,6 +100,8 @@ class Px4(FirmwareLink):
         if self._line is None:
             self._accept()
             return False
+        if self._between and self.started:
+            return True
         try:
             data = self._line.recv(BYTES)
         except BlockingIOError:
@@ -139,10 +156,11 @@ class Px4(FirmwareLink):
         ax, ay, az = body_flipped(readings.imu.acceleration)
         gx, gy, gz = body_flipped(readings.imu.angular_velocity)
         updated, (mx, my, mz) = ACCEL | GYRO, STILL
-        if readings.field_ut is not None:
+        if self._field_ut is not None:
             updated |= MAG
-            mx, my, mz = body_flipped(readings.field_ut)
-        updated |= BARO if readings.height_m is not None else 0
+            mx, my, mz = body_flipped(self._field_ut)
+        updated |= BARO if self._has_height else 0
+        self._field_ut, self._has_height = None, False
         height_m = self.origin[2] + self._height_m
         return mavlink.MAVLink_hil_sensor_message(
             START_US + readings.now_ns // 1000,
@@ -155,9 +173,8 @@ class Px4(FirmwareLink):
             updated,
         )
 
-    def _gps(self, readings: FlightReadings) -> Message:
-        fix = readings.fix
-        assert fix is not None  # noqa: S101  for type checkers
+    def _gps(self, fix: Fix, readings: FlightReadings) -> Message:
+        self._fix = None
         latitude, longitude, height_m = self.plane.geodetic(*fix.position)
         north, east, down = (round(100.0 * each) for each in world_flipped(readings.state.velocity))
         course = round(math.degrees(math.atan2(east, north)) * 100.0) % 36000

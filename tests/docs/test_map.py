@@ -127,6 +127,10 @@ SHOWN = {
         "hardware/safety/test_sequences.py::test_no_sequence_breaks_a_law",
         "hardware/remote_robot/test_security.py::test_nobody_else_is_heard_hears_or_stands_for_it",
     ],
+    "firmware": [
+        "hardware/firmware/test_protocols.py::test_other_datagrams_are_refused",
+        "hardware/firmware/test_flights.py::test_datagrams_of_another_protocol_are_counted_and_named",
+    ],
     "bridge": [
         "cosim/cli/test_net.py::test_with_sudo_only_the_interfaces_are_made_with_the_rights_of_root",
         "netsim/bridge/gateways/test_ip.py::test_a_namespace_of_somebody_else_is_not_touched",

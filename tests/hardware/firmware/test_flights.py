@@ -105,6 +105,33 @@ def test_four_take_off_fly_to_way_points_and_land(kind: str) -> None:
     assert np.abs(end[["vx", "vy", "vz"]].to_numpy()).max() < 0.02  # they stand, with rotors off
 
 
+def test_px4_gets_readings_at_250_hz_at_quicker_physics() -> None:
+    table = scenario("px4", instances("px4"), duration_s=8.0)
+    table["physics"]["rate_hz"] = 500.0
+    at = track(vcmvsp.run(table), "uav0")
+    assert at(4.0) == pytest.approx([0.0, 0.0, 3.04], abs=0.2)
+    assert at(8.0) == pytest.approx([0.0, 4.0, 3.04], abs=0.2)
+
+
+def test_a_program_of_another_protocol_at_px4s_port_is_named() -> None:
+    (number,) = instances("px4")
+    talk = f"""import socket, time
+while True:
+    try:
+        link = socket.create_connection(("127.0.0.1", {4560 + number}))
+        break
+    except OSError:
+        time.sleep(0.01)
+link.sendall(b"GET / HTTP/1.1" * 10)
+time.sleep(30)"""
+    with subprocess.Popen([sys.executable, "-c", talk]) as process:
+        try:
+            with pytest.raises(FederateError, match="there were 140 bytes without a MAVLink message"):
+                vcmvsp.run(scenario("px4", [number], command="", start_s=2.0))
+        finally:
+            process.kill()
+
+
 def test_equal_firmware_gives_equal_bytes(tmp_path: Path) -> None:
     numbers = instances("ardupilot", 2)
     for name in ("one", "two"):

@@ -2,8 +2,10 @@
 
 import json
 import math
+import socket
 import struct
 
+import msgspec
 import numpy as np
 import pytest
 from pymavlink.quaternion import QuaternionBase  # type: ignore[import-untyped]
@@ -13,7 +15,8 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.federate import FlightReadings
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.runs.api import check
-from vcmvsp.cosim.types import Imu, VehicleState
+from vcmvsp.cosim.types import Fix, Imu, VehicleState
+from vcmvsp.hardware.drivers.mavlink import protocol
 from vcmvsp.hardware.drivers.mavlink.protocol import attitude_flipped, attitude_from_euler
 from vcmvsp.hardware.firmware import ardupilot, px4
 
@@ -102,3 +105,29 @@ def test_two_vehicles_at_one_port_are_an_error_and_numbers_count_by_kind() -> No
     for vehicle in table["vehicle"]:
         del vehicle["firmware"]["instance"]
     check(table)  # nothing is opened or started
+
+
+def test_messages_of_sensors_are_250_hz_at_most_and_lose_no_reading() -> None:
+    """At 1000 steps a second each fourth has a message, with the readings of the steps between."""
+    link = px4.Px4(vehicle="uav0", number=0, folder=".")
+    here, there = socket.socketpair()
+    with here, there:
+        link._line, link._encode = here, protocol.Encoder(protocol.Sender(system=1, component=1))
+        link.started = True
+        for step in range(12):
+            field = (1.0, 2.0, 3.0) if step == 5 else None
+            fix = Fix(time_ns=0, position=(0.0, 0.0, 0.0), sigma_m=1.0) if step == 6 else None
+            given = readings()
+            link.send(msgspec.structs.replace(given, now_ns=step * 1_000_000, field_ut=field, fix=fix, height_m=2.0))
+        messages = protocol.MessageReader().feed(there.recv(65536))
+    sensors = [each for each in messages if each.get_type() == "HIL_SENSOR"]
+    assert [each.time_usec for each in sensors] == [1000, 5000, 9000]
+    assert [each.get_type() for each in messages] == ["HIL_SENSOR", "HIL_SENSOR", "HIL_SENSOR", "HIL_GPS"]
+    assert [bool(each.fields_updated & px4.MAG) for each in sensors] == [False, False, True]
+    assert all(each.fields_updated & px4.ACCEL and each.fields_updated & px4.BARO for each in sensors)
+    assert (sensors[2].xmag, sensors[2].ymag, sensors[2].zmag) == pytest.approx((0.01, -0.02, -0.03))  # gauss, FRD
+    assert sensors[0].zacc == pytest.approx(-9.81)
+    assert sensors[0].abs_pressure == pytest.approx(px4.pressure_hpa(490.0))
+    latitude, longitude, height_m = px4.HOME
+    assert (1e-7 * messages[3].lat, 1e-7 * messages[3].lon) == pytest.approx((latitude, longitude), abs=1e-7)
+    assert 1e-3 * messages[3].alt == pytest.approx(height_m, abs=1e-3)
