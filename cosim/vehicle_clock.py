@@ -43,6 +43,17 @@ class VehicleClock(Value, frozen=True, kw_only=True, forbid_unknown_fields=True)
             shown_ns += seconds_to_ns(self.step.by_s)
         return shown_ns
 
+    def time_ns(self, shown_ns: int) -> int:
+        """The first time of the run at which it shows a time or a later one, without jitter; may be negative."""
+        time_ns = self._before_step_ns(shown_ns)
+        if self.step is not None and time_ns >= (step_ns := seconds_to_ns(self.step.at_s)):
+            time_ns = max(step_ns, self._before_step_ns(shown_ns - seconds_to_ns(self.step.by_s)))
+        return time_ns
+
+    def _before_step_ns(self, shown_ns: int) -> int:
+        passed_ns = shown_ns - seconds_to_ns(self.offset_s)
+        return -(-passed_ns * _PARTS // (_PARTS + round(self.drift_ppm * 1000.0)))  # rounded up
+
 
 class VehicleClocks:
     """The clocks of a run by vehicle; a vehicle without one has the time of the run.

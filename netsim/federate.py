@@ -73,7 +73,7 @@ class RadioFederate:
 
     def start(self, run: RunInfo) -> int | None:
         """Start with an idle channel."""
-        self._channel.start(run.seed)
+        self._channel.start(run.seed, run.clocks)
         if run.paced:  # no compilation during the run, which takes seconds
             self._channel.expect(MANY if self._programs else 0)
         self._end_ns, self._vehicles = run.duration_ns, run.vehicles

@@ -208,7 +208,7 @@ def _check_mac(layers: Mapping[str, Any], key: str, source: Source) -> None:
 
 def _check_names(layers: Mapping[str, Any], vehicles: Sequence[str], key: str, source: Source) -> None:
     """Check that layers name existing vehicles only."""
-    for layer in ("trace", "jammer"):
+    for layer in ("trace", "jammer", "mac"):
         for name in getattr(layers[layer], "names", tuple)():  # a user class may lack it
             if name not in vehicles:
                 raise source.error(binding.unknown("vehicle", name, vehicles), binding.join(key, layer))

@@ -139,6 +139,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "ideal": "vcmvsp.netsim.interfaces.medium:Ideal",
         "dcf": "vcmvsp.netsim.mac.dcf.parameters:Dcf",
         "csma154": "vcmvsp.netsim.mac.csma154.medium:Csma154",
+        "tdma": "vcmvsp.netsim.mac.tdma:Tdma",
     },
     "loss": {
         "bernoulli": "vcmvsp.netsim.impairments.loss:Bernoulli",

@@ -20,6 +20,7 @@ import numpy as np
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import FrameReport, Message
+from vcmvsp.cosim.vehicle_clock import VehicleClock
 from vcmvsp.netsim.channel.frames import Contention, FrameBatch, RxPower, SentFrame, Transmitter, decode
 from vcmvsp.netsim.channel.link_budget import AT_ONCE, Budgets, MeanBudget, ReceiverModel
 from vcmvsp.netsim.channel.reception import Bulk, Outcomes
@@ -42,7 +43,8 @@ from vcmvsp.netsim.interfaces.layers import (
     SenderLinks,
     unless_nothing,
 )
-from vcmvsp.netsim.interfaces.medium import Ideal, Mac, needs
+from vcmvsp.netsim.interfaces.medium import Ideal, Mac, Medium, needs
+from vcmvsp.netsim.mac.tdma import Tdma
 
 
 @dataclass(frozen=True)
@@ -159,9 +161,9 @@ class Channel:
         self.recorded: RecordedFrames | None = None  # source of the outcomes of recorded frames; all others are drawn
         self.start(seed=0)
 
-    def start(self, seed: int) -> None:
-        """Start a run: no frames, draws from ``seed``."""
-        self._seed = seed
+    def start(self, seed: int, clocks: Mapping[str, VehicleClock] | None = None) -> None:
+        """Start a run: no frames, draws from ``seed``; ``clocks``: of vehicles that do not have the run's time."""
+        self._seed, self._clocks = seed, clocks or {}
         self._frames = 0
         self._expected: int | None = None
         self._names: tuple[str, ...] = ()
@@ -338,7 +340,10 @@ class Channel:
         if self._contention is not None and self._contention.waiting:
             raise ValueError(f"the vehicles changed while frames were on the air; now: {', '.join(names)}")
         self._names = names
-        medium = self.mac.open(self.phy, len(names), SenderLinks(self._seed, "", names).keys, self.hearing.noise_mw)
+        if isinstance(self.mac, Tdma):
+            medium: Medium | None = self.mac.open_named(self.phy, names, self._clocks, self.hearing.noise_mw)
+        else:
+            medium = self.mac.open(self.phy, len(names), SenderLinks(self._seed, "", names).keys, self.hearing.noise_mw)
         if medium is not None and self._expected is not None:
             medium.expect(self._expected)
         self._contention = None

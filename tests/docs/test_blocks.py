@@ -76,7 +76,7 @@ AROUND = {
     ),
     ("docs/reference/agents.md", "[agents.algorithms.search]"): Around(SEARCHERS),
     ("hardware/README.md", 'kind = "arcos"'): Around(CARS),
-    ("netsim/README.md", 'preset = "wifi-g-6"'): Around(
+    ("netsim/README.md", "path_loss = { exponent = 2.5 }"): Around(
         '[[vehicle]]\nname = "car2"\nposition = [5.0, 0.0, 0.0]\n[vehicles]\nkind = "p2dx"\n'
     ),
     ("physics/README.md", 'picture = "mine.png"'): Around(
