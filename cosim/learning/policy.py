@@ -173,7 +173,10 @@ class Policy(Agent):
 
     task_class: ClassVar[type[Task] | None] = None
 
-    def __init__(self, file: Path) -> None:  # .npz or .onnx
+    def __init__(
+        self,
+        file: Path,  # trained policy, .npz or .onnx
+    ) -> None:
         self._file = file
         try:
             self._network = load_network(file)

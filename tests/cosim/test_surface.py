@@ -16,6 +16,8 @@ pytestmark = pytest.mark.processes
 PUBLIC = {
     "run": "runs.api",
     "Result": "runs.api",
+    "start": "runs.stepping",
+    "SteppedRun": "runs.stepping",
     "study": "studies.engine",
     "Agent": "agent",
     "Observation": "agent",
