@@ -1,9 +1,10 @@
 """The layers of the channel that rays give: path loss by the powers of all paths, fading by their phases."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -103,11 +104,12 @@ class Rays:
 
     def loss_db(self, paths: Paths) -> Floats:
         """Loss of each link, (n,) dB, from the sum of the powers of its paths."""
-        return np.asarray(-10.0 * np.log10(self.paths(paths).power))
+        links, which = self.links(paths)
+        return np.asarray(-10.0 * np.log10(links.power[which]))
 
-    def paths(self, links: Paths) -> LinkPaths:
-        """The paths of each link."""
-        return self._cache.links(links.tx, links.rx)
+    def links(self, paths: Paths) -> tuple[LinkPaths, Ints]:
+        """Links with their paths, and which of them these are, (n,); the same object until somebody has moved."""
+        return self._cache.links(paths.tx, paths.rx)
 
     def traced(self, a: Floats, b: Floats) -> Traced:
         """All paths between points a (n, 3) m and b (n, 3) m."""
@@ -164,10 +166,9 @@ class LinkCache:
         self._points = b""
         self._single: tuple[int, LinkPaths] | None = None
         self._all: LinkPaths | None = None
-        self._first = np.zeros(1, np.int64)  # path of each pair in `_all`
 
-    def links(self, tx: Floats, rx: Floats) -> LinkPaths:
-        """Paths from one point (3,) m to others (n, 3) m."""
+    def links(self, tx: Floats, rx: Floats) -> tuple[LinkPaths, Ints]:
+        """Links, and which of them are those from one point (3,) m to others (n, 3) m, (n,)."""
         points = np.concatenate([tx[None], rx])
         order = np.lexsort(points.T)
         standing = points[order]
@@ -176,32 +177,18 @@ class LinkCache:
         key = standing.tobytes()
         if key != self._points:
             self._points, self._single, self._all = key, None, None
+        one, other = np.minimum(place[0], place[1:]), np.maximum(place[0], place[1:])
+        row = one * (2 * len(place) - one - 1) // 2 + other - one - 1  # among all pairs
         if self._all is not None:
-            return self._row(self._all, place)
-        if self._single is not None and self._single[0] == place[0]:
-            return _picked(self._single[1], place[1:] - (place[1:] > place[0]))
-        if self._single is None or len(points) > _MOST_POINTS:
+            return self._all, row
+        if self._single is None or (self._single[0] != place[0] and len(points) > _MOST_POINTS):
             others = np.delete(standing, place[0], axis=0)
-            found = self._compute(np.broadcast_to(tx, others.shape).copy(), others)
-            self._single = int(place[0]), found
-            return _picked(found, place[1:] - (place[1:] > place[0]))
+            self._single = int(place[0]), self._compute(np.broadcast_to(tx, others.shape).copy(), others)
+        if self._single[0] == place[0]:
+            return self._single[1], place[1:] - (place[1:] > place[0])
         i, j = np.triu_indices(len(points), 1)
         self._all = self._compute(standing[i], standing[j])
-        return self._row(self._all, place)
-
-    @staticmethod
-    def _row(every: LinkPaths, place: Ints) -> LinkPaths:
-        n, one, other = len(place), np.minimum(place[0], place[1:]), np.maximum(place[0], place[1:])
-        return _picked(every, one * (2 * n - one - 1) // 2 + other - one - 1)
-
-
-def _picked(links: LinkPaths, which: Ints) -> LinkPaths:
-    """Some of the links."""
-    first = np.cumsum(links.paths) - links.paths
-    count = links.paths[which]
-    within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-    rows = np.repeat(first[which], count) + within
-    return LinkPaths(count, links.power[which], links.gain[rows], links.length_m[rows])
+        return self._all, row
 
 
 @dataclass(frozen=True)
@@ -222,8 +209,16 @@ class Geometric:
 
     def gain_db(self, frame: Frame, draw: Draw) -> Floats:
         """Power gain at each receiver, (n,) dB."""
-        links = self.rays.paths(frame.paths)
-        return np.asarray(10.0 * np.log10(np.maximum(band_power(links, self.bandwidth_hz) / links.power, _FAINTEST)))
+        links, which = self.rays.links(frame.paths)
+        if self._newest.get("links") is not links:
+            gains = np.maximum(band_power(links, self.bandwidth_hz) / links.power, _FAINTEST)
+            self._newest.update(links=links, gain_db=10.0 * np.log10(gains))
+        return np.asarray(self._newest["gain_db"][which])
+
+    @cached_property
+    def _newest(self) -> dict[str, Any]:
+        """The links that were asked for last, and their gains."""
+        return {}
 
 
 _FAINTEST = 2.0**-54  # so that every gain is finite in dB
@@ -231,11 +226,16 @@ _FAINTEST = 2.0**-54  # so that every gain is finite in dB
 
 def band_power(links: LinkPaths, bandwidth_hz: float) -> Floats:
     """Power of the sum of all waves of each link, averaged over a band, as a ratio, (n,)."""
-    squares = links.paths**2
-    link = np.repeat(np.arange(len(links.paths)), squares)
-    within = np.arange(squares.sum()) - np.repeat(np.cumsum(squares) - squares, squares)
-    first, count = (np.cumsum(links.paths) - links.paths)[link], links.paths[link]
-    i, k = first + within // count, first + within % count
-    apart = (links.length_m[i] - links.length_m[k]) * (bandwidth_hz / SPEED_OF_LIGHT)
-    products = (links.gain[i] * links.gain[k].conj()).real * np.sinc(apart)
-    return np.bincount(link, products, len(links.paths)).astype(np.float64)
+    end = np.repeat(np.cumsum(links.paths), links.paths)  # of the link of each path
+    later = end - np.arange(len(links.gain)) - 1  # paths behind each in its link
+    i = np.repeat(np.arange(len(links.gain)), later)
+    k = i + 1 + np.arange(len(i)) - np.repeat(np.cumsum(later) - later, later)
+    apart = np.abs(links.length_m[i] - links.length_m[k]) * (math.pi * bandwidth_hz / SPEED_OF_LIGHT)
+    apart = np.maximum(apart, _TOGETHER)
+    real, imaginary = links.gain.real, links.gain.imag
+    mixed = (real[i] * real[k] + imaginary[i] * imaginary[k]) * (np.sin(apart) / apart)
+    link = np.repeat(np.arange(len(links.paths)), links.paths)
+    return links.power + 2.0 * np.bincount(link[i], mixed, len(links.paths))
+
+
+_TOGETHER = 1e-9  # rad: the sine of less is its angle

@@ -389,8 +389,8 @@ def keller(w: Terrain, s: Work, e: int, k: int) -> bool:
         return False
     if not (outside(w, e, s.end_x[0], s.end_y[0], s.end_z[0]) and outside(w, e, s.end_x[1], s.end_y[1], s.end_z[1])):
         return False
-    a_apart = math.sqrt((ax - a * ux) ** 2 + (ay - a * uy) ** 2 + (az - a * uz) ** 2)
-    b_apart = math.sqrt((bx - b * ux) ** 2 + (by - b * uy) ** 2 + (bz - b * uz) ** 2)
+    a_apart = size(ax - a * ux, ay - a * uy, az - a * uz)
+    b_apart = size(bx - b * ux, by - b * uy, bz - b * uz)
     if a_apart < NEAR_M or b_apart < NEAR_M:
         return False
     at = (a * b_apart + b * a_apart) / (a_apart + b_apart)
@@ -398,6 +398,11 @@ def keller(w: Terrain, s: Work, e: int, k: int) -> bool:
         return False
     s.point_x[k], s.point_y[k], s.point_z[k] = w.start_x[e] + at * ux, w.start_y[e] + at * uy, w.start_z[e] + at * uz
     return True
+
+
+def size(x: float, y: float, z: float) -> float:
+    """Length of a vector; a power of 2 would not be the same to the bit interpreted and compiled."""
+    return math.sqrt(x * x + y * y + z * z)
 
 
 def outside(w: Terrain, e: int, x: float, y: float, z: float) -> bool:
@@ -538,8 +543,7 @@ def stopped(w: Terrain, v: int, ax: float, ay: float, az: float, bx: float, by: 
         if begin >= finish:
             return False
     inside = finish - begin
-    run2 = (bx - ax) ** 2 + (by - ay) ** 2 + (bz - az) ** 2
-    return inside > 0.0 and inside * inside * run2 > NEAR_M * NEAR_M
+    return inside > 0.0 and inside * size(bx - ax, by - ay, bz - az) > NEAR_M
 
 
 def passed(w: Terrain, s: Work, f: int, ax: float, ay: float, az: float, bx: float, by: float, bz: float, leg: int) -> bool:
@@ -549,7 +553,7 @@ def passed(w: Terrain, s: Work, f: int, ax: float, ay: float, az: float, bx: flo
     if here * there >= 0.0:
         return True
     share = here / (here - there)
-    length = math.sqrt((bx - ax) ** 2 + (by - ay) ** 2 + (bz - az) ** 2)
+    length = size(bx - ax, by - ay, bz - az)
     if min(share, 1.0 - share) * length < NEAR_M:
         return True
     if not holds(w, f, ax + share * (bx - ax), ay + share * (by - ay), az + share * (bz - az)):

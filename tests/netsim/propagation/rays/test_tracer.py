@@ -105,7 +105,7 @@ def test_compiled_and_interpreted_search_agree_to_the_bit(monkeypatch: pytest.Mo
         pytest.skip("nothing is compiled here")
     rays = rays_among(WALL, Box(center=(3.0, -6.0, 2.0), size=(5.0, 3.0, 4.0)), ground="concrete")
     rng = np.random.default_rng(1)
-    a, b = rng.uniform([-9.0, -3.0, 0.2], [9.0, 4.0, 3.0], (2, 20, 3))
+    a, b = rng.uniform([-9.0, -3.0, 0.2], [9.0, 4.0, 3.0], (2, 400, 3))
     tables = []
     for compiled in (False, True):
         monkeypatch.setenv("VCMVSP_COMPILED", str(int(compiled)))
