@@ -169,14 +169,14 @@ class Policy(Agent):
 
     With the true pose it gives the same actions as in `vcmvsp.env.parallel_env`. For a task of one's own, derive a class with
     its ``task_class``.
+
+    Args:
+        file: trained policy, .npz or .onnx.
     """
 
     task_class: ClassVar[type[Task] | None] = None
 
-    def __init__(
-        self,
-        file: Path,  # trained policy, .npz or .onnx
-    ) -> None:
+    def __init__(self, file: Path) -> None:
         self._file = file
         try:
             self._network = load_network(file)
