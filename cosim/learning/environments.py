@@ -8,26 +8,8 @@ from pettingzoo import AECEnv
 from pettingzoo.utils.conversions import parallel_to_aec
 
 from vcmvsp.cosim.learning.parallel_env import VehiclesEnv, task_of
-from vcmvsp.cosim.learning.single_env import VehicleEnv
-from vcmvsp.cosim.learning.task import Layout, Observed, Task, Worlds
-from vcmvsp.cosim.learning.tasks import Formation, Gates, Search
+from vcmvsp.cosim.learning.task import Task
 from vcmvsp.cosim.learning.vector_env import WorldsEnv
-
-__all__ = [
-    "Formation",
-    "Gates",
-    "Layout",
-    "Observed",
-    "Search",
-    "Task",
-    "VehicleEnv",
-    "VehiclesEnv",
-    "Worlds",
-    "WorldsEnv",
-    "env",
-    "parallel_env",
-    "vector_env",
-]
 
 
 def parallel_env(
