@@ -106,7 +106,8 @@ class Outcomes:
         code, sinr_db = self._jam(batch, self._name_weak_signals(batch))
         code = self._lose(batch, layer_frames, code)
         arrival_ns = sealed(np.where(code, -1, self._arrival_ns(batch, layer_frames)))  # code 0: received
-        rows = zip(code, arrival_ns, sealed(batch.snr_db), sealed(sinr_db), strict=True)
+        outcomes = self._words[code].tolist() if np.count_nonzero(code) else [[RECEIVED] * code.shape[1]] * len(code)
+        rows = zip(code, outcomes, arrival_ns, sealed(batch.snr_db), sealed(sinr_db), strict=True)
         return [self._report(batch, k, *row) for k, row in enumerate(rows)]
 
     def unfinished(self, sent: SentFrame) -> FrameReport:
@@ -183,17 +184,27 @@ class Outcomes:
             return None
         return np.stack([self._trace.traced(frame) for frame in layer_frames])
 
-    def _report(self, batch: FrameBatch, k: int, code: Codes, arrival_ns: Ints, snr_db: Floats, sinr_db: Floats) -> FrameReport:
+    def _report(
+        self,
+        batch: FrameBatch,
+        k: int,
+        code: Codes,
+        outcomes: list[str],
+        arrival_ns: Ints,
+        snr_db: Floats,
+        sinr_db: Floats,
+    ) -> FrameReport:
         """Report of frame k at its receivers, after delivery; rows (n,) of the batch, read-only."""
         sent, start_ns, end_ns = batch.frames[k], batch.start_ns[k], batch.end_ns[k]
         sender, mean, to, on_air = sent.sender, sent.mean, sent.destination, start_ns >= 0
         copy_ns = None
         if to.start is not None:
-            code, arrival_ns, snr_db, sinr_db = code[to], arrival_ns[to], snr_db[to], sinr_db[to]
+            code, outcomes = code[to], outcomes[to]
+            arrival_ns, snr_db, sinr_db = arrival_ns[to], snr_db[to], sinr_db[to]
         if self._delivery is not None:
             draw, rows, size = sent.draw(DELIVERY_SLOT), sender.others[to], sent.message.size_bytes
             arrival_ns, copy_ns = self._delivery.deliver(sender.row, rows, arrival_ns, size, lambda: draw()[to])
-            code = np.where((code == 0) & (arrival_ns < 0), np.uint8(len(self._words) - 1), code)
+            outcomes = self._words[np.where((code == 0) & (arrival_ns < 0), len(self._words) - 1, code)].tolist()
             arrival_ns, copy_ns = frozen(arrival_ns), frozen(copy_ns)
         columns = mean.report_columns(to)
         head_ns = max(sent.sent_ns, sender.free_ns)  # time at which it became the first of its sender's queue
@@ -209,7 +220,7 @@ class Outcomes:
             rssi_dbm=columns.level_dbm if sent.level_dbm is mean.level_dbm else frozen(sent.level_dbm[to]),
             received_ns=arrival_ns,
             copy_ns=copy_ns,
-            outcome=tuple(self._words[code].tolist()) if np.count_nonzero(code) else (RECEIVED,) * len(code),
+            outcome=tuple(outcomes),
             air_time_ns=sent.air_ns if on_air else 0,
             queue_ns=max(0, (head_ns if on_air else end_ns) - sent.sent_ns),
             access_ns=max(0, start_ns - head_ns) if on_air else 0,
