@@ -121,7 +121,7 @@ def spent(name: str) -> dict[str, float]:
         watch.change("end")
         return goes_on
 
-    Kernel.begin, Kernel.advance = clocked, last  # type: ignore[method-assign]  # of this process alone
+    Kernel.begin, Kernel.advance = clocked, last  # type: ignore[method-assign, assignment]  # of this process alone
     with tempfile.TemporaryDirectory() as folder:
         out = None if case.study else Path(folder) / "run"
         api.run(name, set=case.settings, agents="inprocess", mcap=not case.study, out=out)
