@@ -16,6 +16,7 @@ from vcmvsp.cosim.assembly import radio
 from vcmvsp.cosim.assembly.resolved import Resolution
 from vcmvsp.cosim.assembly.vehicles import Fleet
 from vcmvsp.cosim.clock import Ticks
+from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.federate import Instants, Needed, RunInfo
 from vcmvsp.cosim.scenario.schema import Scenario
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 CALM = np.zeros(3)  # m/s
+_NO_KEYS = ("world", "vehicles", "outside", "firmware")  # of the parameters of physics
 
 
 class WorldBatch:
@@ -51,7 +53,9 @@ class WorldBatch:
         self.names = tuple(each.name for each in scenario.vehicle)
         fleet = Fleet(scenario, source, self._resolution)
         self._models = [fleet.models[name] for name in self.names]
-        self._physics = scenario.physics
+        from vcmvsp.physics.federate import FlightPhysics
+
+        self._physics = {**binding.complete(FlightPhysics, {}, without=_NO_KEYS), **scenario.physics}
         for key, problem in _alone(scenario, fleet):
             raise source.error(f"{problem}: only one world at a time can have it (vcmvsp.env.parallel_env)", key)
         self._channel, _, _ = radio.channel_of(scenario, source, solids=())
@@ -88,7 +92,7 @@ class WorldBatch:
 
         in_air = np.array([flies(model) for model in self._models])
         has_rotors = np.array([isinstance(model, Quadrotor) for model in self._models]) & (self._physics["kind"] == "flight")
-        rates = {"rate_hz": self._physics.get("rate_hz", 120.0), "gravity": self._physics.get("gravity", 9.81)}
+        rates = {name: self._physics[name] for name in ("rate_hz", "gravity")}
         made: list[tuple[Any, NDArray[np.intp]]] = [
             (partial(GroundEngine, sensed=False), np.flatnonzero(~in_air)),
             (AerialEngine, np.flatnonzero(in_air & ~has_rotors)),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vcmvsp.cosim.agent import Observation
+from vcmvsp.cosim.agent import Agent, Observation
 from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.federate import Event
@@ -21,7 +21,6 @@ from vcmvsp.cosim.types import FrameReport, States, Velocity
 if TYPE_CHECKING:
     from vcmvsp.cosim.view.live.session import Viewing
 
-PERIOD_S = 0.1  # of tasks whose scenario has no ``agents.period_s``
 RECEIVED = "received"
 
 
@@ -47,7 +46,7 @@ class TaskScenario:
         self._is_posed = [each.pose is not None for each in parsed.vehicle]
         self._poses = np.array([[*position, heading] for position, heading in (each.start for each in parsed.vehicle)])
         self.poses_are_true = all(each.pose_source == "truth" for each in parsed.vehicle)
-        self.seed, self.period_s = parsed.seed, parsed.agents.period_s or PERIOD_S
+        self.seed, self.period_s = parsed.seed, parsed.agents.period_s or Agent.period
         duration_s = parsed.duration_s if max_cycles is None else max_cycles * self.period_s
         self._settings |= {"duration_s": duration_s, "agents.period_s": self.period_s}
         self.period_ns = seconds_to_ns(self.period_s)

@@ -109,7 +109,7 @@ class VehiclesEnv(ParallelEnv[str, Vector, Vector]):  # type: ignore[misc]  # Pe
         feature_count, readings = task.features(first).shape[-1], 0 if self._sensors is None else self._sensors.size
         self.layout = Layout(len(self.possible_agents), task.message_floats, feature_count, readings)
         self._bounds = self.layout.bounds(task, None if self._sensors is None else self._sensors.bounds)
-        actions = task.motions + 1 + task.message_floats
+        actions = task.action_size
         self._observation_spaces = {each: Box(*self._bounds, dtype=np.float32) for each in self.possible_agents}
         self._action_spaces = {each: Box(-1.0, 1.0, (actions,), np.float32) for each in self.possible_agents}
         bounds = np.tile([*(task.reach_m,) * 3, *_STATE_BOUNDS], len(self.possible_agents))
@@ -231,7 +231,7 @@ class VehiclesEnv(ParallelEnv[str, Vector, Vector]):  # type: ignore[misc]  # Pe
 
     def _checked(self, actions: Actions) -> Vector:
         """Actions of all vehicles within their bounds, (n, a)."""
-        size = self.task.motions + 1 + self.task.message_floats
+        size = self.task.action_size
         for name in self.agents:
             if name not in actions:
                 raise UsageError(f"step(): no action for {name}")

@@ -219,10 +219,8 @@ class Policy(Agent):
         if self._sensors is not None:
             observation[self._layout.sensors] = self._sensors.values(obs.readings)
         action = self._network(observation).astype(np.float32)
-        if action.shape != (task.motions + 1 + task.message_floats,):
-            raise ValueError(
-                f"the policy gives {len(action)} numbers; the task {task.name} needs {task.motions + 1 + task.message_floats}"
-            )
+        if action.shape != (task.action_size,):
+            raise ValueError(f"the policy gives {len(action)} numbers; the task {task.name} needs {task.action_size}")
         if action[task.motions] > 0.0:
             radio.send(action[task.motions + 1 :].astype("<f4").tobytes())
         x, y, z, turn = task.motion(action[: task.motions].astype(float)).tolist()
@@ -243,7 +241,7 @@ class Policy(Agent):
             yaw=yaw,
             yaw_rate=yaw_rate,
             memory=self._memory,
-            **self._mail.ages(obs.time_ns),
+            **self._mail.ages(obs.clock_ns),
         )
 
 

@@ -93,12 +93,17 @@ class Task:
     def baseline(self, observations: "Observed") -> Floats:
         """Actions (..., n, a) of a simple rule, for vehicles that do not learn; by default they stand still and are silent."""
         shape = observations.values.shape[:-1]
-        return np.zeros((*shape, self.motions + 1 + self.message_floats))
+        return np.zeros((*shape, self.action_size))
 
     @property
     def motions(self) -> int:
         """Numbers of an action that are motion."""
         return 4 if self.flies else 2
+
+    @property
+    def action_size(self) -> int:
+        """Numbers of an action: motion, whether to send, message."""
+        return self.motions + 1 + self.message_floats
 
     def motion(self, actions: Floats) -> Floats:
         """Commands (..., 4) of actions (..., a) in [-1, 1]: m/s in x, y, z (on the ground: forward, 0, 0), and rad/s."""

@@ -108,7 +108,7 @@ class Formation(Task):
         velocity = np.where(leader[:, None], known[..., 2:4], message[..., 2:4])
         there = leader | (observations.heard[..., 0] > 0)
         way = point + observations.features[..., :2] - observations.own[..., :2] + velocity  # a second ahead
-        actions = np.zeros((*shape, self.motions + 1 + self.message_floats))
+        actions = np.zeros((*shape, self.action_size))
         if self.flies:
             actions[..., :2] = way / self.max_speed
         else:
@@ -205,7 +205,7 @@ class Search(Task):
         cost += 100.0 * (near & (observations.heard[..., None] > 0)).any(axis=-2)
         aim = np.argmin(cost, axis=-1)
         target = np.take_along_axis(way, aim[..., None, None], axis=-2)[..., 0, :]
-        actions = np.zeros((*shape, self.motions + 1 + self.message_floats))
+        actions = np.zeros((*shape, self.action_size))
         actions[..., :2] = target / np.maximum(np.hypot(target[..., 0], target[..., 1]), self.max_speed * PERIOD_S)[..., None]
         actions[..., 2] = self.height_m - observations.own[..., 2]
         actions[..., 4] = 1.0
@@ -308,7 +308,7 @@ class Gates(Task):
         far_m = np.sqrt((way**2).sum(axis=-1))
         finished = observations.features[..., 6] >= 1.0
         way = np.where(finished[..., None], (3.0, 0.0, 0.0), way)  # fly on, out of the way
-        actions = np.zeros((*distance_m.shape, self.motions + 1 + self.message_floats))
+        actions = np.zeros((*distance_m.shape, self.action_size))
         actions[..., :3] = way / np.maximum(far_m, 1.0)[..., None]
         actions[..., 4] = 1.0
         actions[..., 5:8] = observations.own[..., :3] / self.reach_m

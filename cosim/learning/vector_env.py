@@ -59,7 +59,7 @@ class WorldsEnv:
         feature_count = task.features(self.worlds).shape[-1]
         self.layout = Layout(len(self.names), task.message_floats, feature_count)
         self._bounds = self.layout.bounds(task)
-        self._actions = task.motions + 1 + task.message_floats
+        self._actions = task.action_size
         self.single_observation_space = Box(*self._bounds, dtype=np.float32)
         self.single_action_space = Box(-1.0, 1.0, (self._actions,), np.float32)
 

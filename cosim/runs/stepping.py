@@ -16,7 +16,7 @@ from vcmvsp.cosim.kernel.kernel import Kernel, Observer
 from vcmvsp.cosim.runs.api import Result, Simulation
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.types import Receptions, Velocity, Waypoint
-from vcmvsp.cosim.util.files import Folder
+from vcmvsp.cosim.util.files import Folder, writing
 from vcmvsp.cosim.util.text import Tell
 
 if TYPE_CHECKING:
@@ -50,9 +50,14 @@ class SteppedRun:
     """
 
     def __init__(
-        self, run: AssembledRun, vehicles: Mapping[str, DrivenVehicle], steps: Steps, simulation: Simulation | None
+        self,
+        run: AssembledRun,
+        vehicles: Mapping[str, DrivenVehicle],
+        steps: Steps,
+        simulation: Simulation | None,
+        folder: Path | None = None,
     ) -> None:
-        self._run, self.vehicles, self._simulation = run, vehicles, simulation
+        self._run, self.vehicles, self._simulation, self._folder = run, vehicles, simulation, folder
         self._host = cast("Observes", next(each for each in run.federates if each.name == DRIVEN))
         self._steps: Steps | None = steps
         self._started, self._cpu_s = datetime.now(UTC), time.process_time()
@@ -145,7 +150,8 @@ class SteppedRun:
     def _finish(self, failure: VcmvspError | None) -> None:
         if self._simulation is not None:
             cpu_s = time.process_time() - self._cpu_s
-            self._result, failure = self._simulation.result(failure, self._started, cpu_s)
+            with writing(self._folder):
+                self._result, failure = self._simulation.result(failure, self._started, cpu_s)
             if failure is not None:
                 failure.result = self._result
         if failure is not None:
@@ -201,7 +207,7 @@ def start(
     if not record:
         return SteppedRun(run, vehicles, _unrecorded(run, observe or (lambda _: None)), None)
     simulation = Simulation(run, folder, mcap=mcap or folder is not None, progress=None, tell=tell, observe=observe, view=view)
-    return SteppedRun(run, vehicles, simulation.steps(), simulation)
+    return SteppedRun(run, vehicles, simulation.steps(), simulation, None if folder is None else folder.path)
 
 
 def _unrecorded(run: AssembledRun, observe: Observer) -> Steps:

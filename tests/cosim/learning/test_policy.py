@@ -80,6 +80,14 @@ def test_the_settings_of_the_training_hold(tmp_path: Path) -> None:
     assert np.hypot(way["x"], way["y"]).to_numpy() == pytest.approx(0.25 * 4.0, abs=0.02)
 
 
+def test_an_offset_that_all_clocks_have_changes_nothing(tmp_path: Path) -> None:
+    env = parallel_env("formation")
+    content = episode_scenario(env, 1, _saved(tmp_path / "policy.npz", env))
+    late = [{**each, "clock": {"offset_s": 5.0}} for each in content["vehicle"]]
+    both = [vcmvsp.run({**content, "vehicle": vehicles}) for vehicles in (content["vehicle"], late)]
+    assert both[0].states.equals(both[1].states)
+
+
 class Seeing(Formation):
     """With a range scanner."""
 
