@@ -129,7 +129,7 @@ def test_a_browser_shows_the_vehicles_where_they_were(run_dir: Path) -> None:
         problems: list[str] = []
         page.on("pageerror", lambda problem: problems.append(str(problem)))
         page.goto(url)
-        page.get_by_text("Run finished: the run is complete").wait_for(timeout=1e3 * PATIENCE_S)
+        page.locator("#over").get_by_text("the run is complete").wait_for(timeout=1e3 * PATIENCE_S)
         page.wait_for_function(f"window.__viserSceneTree?.getState()['{ROBOTS}'] !== undefined", timeout=1e3 * PATIENCE_S)
         end_s = time.monotonic() + PATIENCE_S
         while not np.allclose(shown := positions(page, ROBOTS)[:, :2], truth[:, :2], atol=0.06):  # of middles of bodies

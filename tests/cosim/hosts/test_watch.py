@@ -199,7 +199,7 @@ def test_a_page_elsewhere_shows_the_run_without_controls_and_changes_no_bit(thea
         url = said_by(observer, "control station: ").split()[-1]
         page = chromium.new_page()
         page.goto(url)
-        page.get_by_text("Run finished: the run is complete").wait_for(timeout=60_000)
+        page.locator("#over").get_by_text("the run is complete").wait_for(timeout=60_000)
         assert "car1, kinematic" in page.inner_text("body")
         for control in ("Stop all vehicles", "End the run", "Pause", "Inject outage"):
             assert page.get_by_text(control).count() == 0

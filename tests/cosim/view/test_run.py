@@ -117,7 +117,7 @@ def test_the_page_is_there_before_the_agents_are_and_says_why_the_run_did_not_be
             page = chromium.new_page()
             page.goto(line.split()[-1])
             page.get_by_text("waiting for its agents").wait_for(timeout=WAIT_MS)
-            page.get_by_text("Run finished: ").wait_for(timeout=WAIT_MS)
+            page.locator("#over").wait_for(timeout=WAIT_MS)
             assert "car1" in page.inner_text("#over")  # which agents did not join
         finally:
             process.kill()
