@@ -76,6 +76,7 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
     paced: bool = False  # by the wall clock: long computations for an instant may begin earlier
     periods_s: Mapping[str, float] = {}  # periods of agents, by vehicle
     clocks: Mapping[str, VehicleClock] = {}  # of vehicles that do not have the run's time
+    stations: tuple[str, ...] = ()  # vehicles that are stations
 
 
 class Needed:

@@ -36,13 +36,14 @@ from vcmvsp.physics import placement_checks as checks
 from vcmvsp.physics.dynamics.engine import BodyMotion, Commands, Contacts, Engine, FirmwareMover, FleetEngine, Mover, gathered
 from vcmvsp.physics.dynamics.firmware_pilot import LEAST_HZ, FirmwarePilot
 from vcmvsp.physics.dynamics.free_flight import FreeFlightEngine
-from vcmvsp.physics.dynamics.kinematic import AerialEngine, ExternalEngine, GroundEngine
+from vcmvsp.physics.dynamics.kinematic import AerialEngine, ExternalEngine, GroundEngine, StationEngine
 from vcmvsp.physics.dynamics.wind import Gusts
 from vcmvsp.physics.pose_sources import PoseSources
 from vcmvsp.physics.scene_builder import SceneBuilder
 from vcmvsp.physics.sensor_scheduler import SensorScheduler
 from vcmvsp.physics.vehicles.models import DifferentialDrive, GroundVehicle, Point, Quadrotor
 from vcmvsp.physics.vehicles.specification import VehicleSpec, flies
+from vcmvsp.physics.vehicles.station import Station
 from vcmvsp.physics.vehicles.urdf import UrdfDrive
 from vcmvsp.physics.world.world import World
 
@@ -259,7 +260,7 @@ class Physics:
         )
 
     def _bodiless(self, numbers: Sequence[int]) -> list[tuple[Engine, list[int]]]:
-        """Up to two engines without bodies, on the ground and in the air, each with the numbered vehicles that it moves."""
+        """Engines without bodies, on the ground, in the air and of stations, each with its numbered vehicles."""
         engines: list[tuple[Engine, list[int]]] = []
         starts = {n: (self.vehicles[n].start, self.vehicles[n].heading) for n in numbers}
         ground = {n: model for n in numbers if isinstance(model := self.vehicles[n].model, GroundVehicle)}
@@ -270,6 +271,9 @@ class Physics:
         air = {n: model for n in numbers if isinstance(model := self.vehicles[n].model, Point | Quadrotor)}
         if air:
             engines.append((AerialEngine([*air.values()], *zip(*(starts[n] for n in air), strict=True)), [*air]))
+        fixed = [n for n in numbers if isinstance(self.vehicles[n].model, Station)]
+        if fixed:
+            engines.append((StationEngine(*zip(*(starts[n] for n in fixed), strict=True)), fixed))
         return engines
 
 

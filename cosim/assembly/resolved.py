@@ -14,7 +14,7 @@ from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.config import registry as component
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.scenario.schema import BatteryTable, ClockTable, Scenario, VehicleTable
+from vcmvsp.cosim.scenario.schema import BatteryTable, ClockTable, Scenario, StationTable, VehicleTable
 from vcmvsp.cosim.util import limits
 from vcmvsp.cosim.vehicle_clock import VehicleClock
 
@@ -109,6 +109,11 @@ class Resolution:
         scenario, agents = self._scenario, self._scenario.agents
         told, files = {info.vehicle: info for info in infos}, {name for info in infos for name in info.files}
         shared, of_agents = self._shared_by_vehicles(), self._shared_by_agents(infos)
+        agent_of = {
+            each.name: self._agent(each, told.get(each.name), of_agents, brought, each.name in foreign)
+            for each in scenario.vehicle
+        }
+        placed = [each for each in scenario.vehicle if each.name in self._source.stations]
         return {
             "name": scenario.name,
             "duration_s": scenario.duration_s,
@@ -125,12 +130,9 @@ class Resolution:
             "metrics": _present(from_s=scenario.metrics.from_s, to_s=scenario.metrics.to_s, own=self.metrics or None),
             **({"study": binding.plain(scenario.study)} if scenario.study.vary else {}),
             "vehicle": [
-                {
-                    **self._vehicle(each, shared),
-                    **self._agent(each, told.get(each.name), of_agents, brought, each.name in foreign),
-                }
-                for each in scenario.vehicle
+                {**self._vehicle(each, shared), **agent_of[each.name]} for each in scenario.vehicle if each not in placed
             ],
+            **({"station": [{**self._station(each), **agent_of[each.name]} for each in placed]} if placed else {}),
         }
 
     def _shared_by_agents(self, infos: Sequence[AgentInfo]) -> dict[str, Any]:
@@ -171,6 +173,11 @@ class Resolution:
         )
         full |= self.vehicles[vehicle.name] | self.real.get(vehicle.name, {})
         return {name: value for name, value in full.items() if name not in shared or value != shared[name]}
+
+    def _station(self, vehicle: VehicleTable) -> dict[str, Any]:
+        """The table of a station, to which no shared default applies."""
+        full = self._vehicle(vehicle, {})
+        return {name: value for name, value in full.items() if name in StationTable.__struct_fields__}
 
     def _agent(
         self,

@@ -328,10 +328,14 @@ def _energy(scenario: Scenario, source: Source, fleet: Fleet, gravity: float) ->
         return None
     from vcmvsp.physics.energy import Energy, flight_power, rolling_power
     from vcmvsp.physics.vehicles.specification import flies
+    from vcmvsp.physics.vehicles.station import Station
 
     batteries = {}
     for name, table in tables.items():
         model = fleet.models[name]
+        if isinstance(model, Station):
+            batteries[name] = table, rolling_power(table, 0.0, gravity)
+            continue
 
         def number(key: str, vehicle: str = name, model: Any = model, table: Any = table) -> float:
             value: float | None = getattr(table, key) or getattr(model, key, None)
@@ -369,6 +373,8 @@ def _own_metrics(scenario: Scenario, source: Source, resolution: Resolution) -> 
 
 
 def _info(scenario: Scenario, fleet: Fleet, agents: Sequence[AgentInfo]) -> RunInfo:
+    from vcmvsp.physics.vehicles.station import Station
+
     read = {f"{info.vehicle}/{name}" for info in agents for name in info.sensors}
     return RunInfo(
         scenario=scenario.name,
@@ -379,6 +385,7 @@ def _info(scenario: Scenario, fleet: Fleet, agents: Sequence[AgentInfo]) -> RunI
         wanted=tuple(sorted(read | fleet.recorded())),
         periods_s={info.vehicle: float(info.ticks.period) / SECOND_NS for info in agents},
         clocks={each.name: each.clock for each in scenario.vehicle if each.clock is not None},
+        stations=tuple([name for name, model in fleet.models.items() if isinstance(model, Station)]),
     )
 
 

@@ -69,6 +69,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "kinematic": "vcmvsp.physics.vehicles.models:Kinematic",
         "lag": "vcmvsp.physics.vehicles.models:Lag",
         "inertial": "vcmvsp.physics.vehicles.models:Inertial",
+        "station": "vcmvsp.physics.vehicles.station:Station",
     },
     "sensor": {
         "range_scanner": "vcmvsp.physics.sensors.range_scanner:RangeScanner",

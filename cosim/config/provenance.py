@@ -9,7 +9,7 @@ from typing import Any
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.util.documents import read_toml, toml_tokens
 
-_VEHICLE = re.compile(r"^vehicle\[\d+\]")
+_VEHICLE = re.compile(r"^(vehicle|station)\[\d+\]")
 
 
 def lines_of(text: str) -> dict[str, int]:
@@ -88,7 +88,7 @@ class _Document:
             return
         table, _, name = path.rpartition(".")
         if name == "name" and _VEHICLE.fullmatch(table) and self._next[:1] in ("'", '"'):
-            self.vehicles[table] = f"vehicle.{_text(self._next)}"
+            self.vehicles[table] = f"{table.partition('[')[0]}.{_text(self._next)}"
         while self._next not in ("", "\n", ",", "]", "}"):
             self._take()
 
@@ -119,7 +119,12 @@ class Source:
     Args:
         name: of the file; without a file, one name for all keys.
         folder: base of relative file names in the scenario.
+
+    Attributes:
+        stations: names of the stations; the keys of a station begin with ``station``, though a run has it as a vehicle.
     """
+
+    stations: frozenset[str] = frozenset()
 
     def __init__(self, name: str = "", folder: Path = Path(), text: str = "") -> None:
         self.name, self.folder = name, folder
@@ -162,6 +167,8 @@ class Source:
 
     def error(self, problem: str, key: str) -> ScenarioError:
         """The error for a problem of a key's value, which names the origin of the value."""
+        if key.startswith("vehicle.") and key.split(".")[1] in self.stations:
+            key = key.replace("vehicle", "station", 1)
         return ScenarioError(problem, key=key, source=self.of(key))
 
     @functools.cached_property

@@ -1,6 +1,6 @@
 """Recorded motion of the vehicles as arrays, the evaluation window, leaders over time, and minimum separations."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,6 +26,12 @@ class Motion:
     def column(self, name: str) -> int:
         """Column of a vehicle."""
         return self.names.index(name)
+
+    def without(self, names: Collection[str]) -> "Motion":
+        """The motion of all other vehicles."""
+        kept = [number for number, name in enumerate(self.names) if name not in names]
+        others = tuple([self.names[number] for number in kept])
+        return Motion(self.time_ns, others, self.position[:, :, kept], self.yaw[:, kept]) if names else self
 
 
 def motion(states: Table) -> Motion:

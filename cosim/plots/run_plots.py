@@ -1,12 +1,13 @@
 """Figures of a run from its tables: `trajectory` seen from above and `formation_error` over time."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 import pyarrow as pa
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.path import Path
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.metrics.age import links
@@ -31,12 +32,17 @@ EXPLAINED = START, WAY, LINE, SETTLED, EVALUATED = (
     "evaluated",
 )
 """Entries of legends that are no vehicles."""
+ANTENNA = Path([(0, 0), (0, 2), (-1, 2), (0, 1), (1, 2), (0, 2)], [1, 2, 1, 2, 2, 2])  # mark of a station, with its foot there
 NAMED = 8  # rows of lost messages, one text line high each; with more, they have no names
 
 
 @styled
-def trajectory(states: Table, follows: Sequence[Placement] = (), outlines: Sequence[Array] = ()) -> Figure:
+def trajectory(
+    states: Table, follows: Sequence[Placement] = (), outlines: Sequence[Array] = (), stations: Collection[str] = ()
+) -> Figure:
     """Tracks of the vehicles seen from above: a marker at each start, arrowheads on the way, a larger one at the end.
+
+    A station is the mark of an antenna.
 
     At a few instants thin lines from followers to leaders show the shape of the formation. ``outlines``, (k, 2) m each, are
     those of solids.
@@ -53,6 +59,11 @@ def trajectory(states: Table, follows: Sequence[Placement] = (), outlines: Seque
     for instant in shown:
         _draw_formation(axes, moved, follows, instant)
     for i, name in enumerate(moved.names):
+        if name in stations:
+            axes.plot(
+                x[:1, i], y[:1, i], color=color_of(i), linestyle="", marker=ANTENNA, markersize=14.0, label=name, zorder=4
+            )
+            continue
         axes.plot(x[:, i], y[:, i], **{**line_of(i), "markevery": [0]}, label=name, zorder=3)
         for instant in shown[1:]:
             pose = x[instant, i], y[instant, i], moved.yaw[instant, i]

@@ -17,6 +17,7 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pyarrow as pa
 
@@ -128,7 +129,14 @@ class Accumulators:
     def facts(self) -> RunFacts:
         """Facts about the run that the tables do not contain."""
         run = self._run
-        return RunFacts(scenario=run.scenario, seed=run.seed, end_ns=self._now, vehicles=run.vehicles, follows=self.follows)
+        return RunFacts(
+            scenario=run.scenario,
+            seed=run.seed,
+            end_ns=self._now,
+            vehicles=run.vehicles,
+            follows=self.follows,
+            stations=run.stations or msgspec.UNSET,
+        )
 
     @property
     def states(self) -> pa.Table:
@@ -185,7 +193,8 @@ class Accumulators:
         moved, got = motion(states), Parts(radio)
         vehicles, follows, targets = self._run.vehicles, self._follows, () if self._world is None else self._world.targets
         ages = age_metrics(Parts(radio, informed), follows, self._ticks, window, end_ns)
-        clearance_m = None if self._world is None else self._world.least_clearance_m(moved.time_ns, moved.position)
+        mobile = moved.without(self._run.stations)
+        clearance_m = None if self._world is None else self._world.least_clearance_m(mobile.time_ns, mobile.position)
         hardware = hardware_metrics(self._statuses, self._incidents, self._fixes, got)
         mission = self._mission.metrics(moved, targets)
         commands = {name: np.frombuffer(rows).reshape(-1, 5) for name, rows in self._commands.items()}
@@ -202,7 +211,7 @@ class Accumulators:
             "agents": agent_metrics(self._presences, self._ticks, end_ns, self._run.duration_ns),
             **({"hardware": hardware} if self._statuses else {}),
             **({"energy": self._batteries.metrics()} if self._batteries else {}),
-            "safety": safety_metrics(moved, self._contacts.total(), clearance_m),
+            "safety": safety_metrics(mobile, self._contacts.total(), clearance_m),
             **({} if mission is None else {"mission": mission}),
             "digest": digest([states, radio], self._others.digest()),
         }

@@ -122,6 +122,7 @@ EXTRA_DOCS: Mapping[str, Mapping[str, str]] = {
         "study": "keys that `vcmvsp study` varies",
         "intervention": "planned interventions of the operator during the run",
         "vehicle": "one table for each vehicle, or for many with a `count`",
+        "station": "one table for each fixed place with a radio; default: none",
     },
     "AgentTable": {
         "runs": "place where this agent runs; default: agents.runs",
@@ -139,6 +140,7 @@ EXTRA_DOCS: Mapping[str, Mapping[str, str]] = {
         "firmware": "autopilot firmware that flies the simulated quadrotor; default: its own autopilot",
         "localisation": "positioning of the real vehicle; default: its odometry",
     },
+    "StationTable": {"name": "unique; letters, digits, _ and -", "agent": "its agent, which gives no command; default: none"},
     "RadioFederate": {
         "handover_s": (
             "where several vehicles send at one instant, and contend for the air, "

@@ -20,11 +20,11 @@ from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.reference import describe
 from vcmvsp.cosim.reference.describe import Described, Key, keys_of, table_keys, toml
 from vcmvsp.cosim.scenario.loader import Repeat
-from vcmvsp.cosim.scenario.schema import AgentTable, SafetyTable, Scenario, VehicleTable
+from vcmvsp.cosim.scenario.schema import AgentTable, SafetyTable, Scenario, StationTable, VehicleTable
 
 SCHEMA = "vcmvsp.reference/1"
 OF_ALL = ("world", "sensor")  # groups whose common keys are listed once
-VEHICLE = "vehicle.NAME"
+VEHICLE, STATION = "vehicle.NAME", "station.NAME"
 NOT_SHARED = (
     "name",
     "pose",
@@ -142,6 +142,7 @@ def places() -> Sequence[Place]:
             Place(f"{VEHICLE}.fusion", own=fusion),
             Place(f"{VEHICLE}.safety", own=lambda: [SafetyTable]),
         ],
+        "station": [Place(STATION, own=lambda: [StationTable])],
     }
     found = [
         known.get(each) or ([Place(each, own=_field(each))] if _is_table(each) else []) for each in binding.parameters(Scenario)
@@ -188,7 +189,7 @@ def _within(path: str, targets: Sequence[Described], seen: set[tuple[str, Descri
         for name, parameter in table_keys(target).items():
             below = f"{path}.{name}" if path else name
             held = [each for each in binding.structs(parameter.annotation) if (below, each) not in seen]
-            if below == "vehicle" or below in {place.path for place in places()}:
+            if below in ("vehicle", "station") or below in {place.path for place in places()}:
                 continue
             for each in held:
                 seen.add((below, each))
@@ -246,7 +247,7 @@ def asked(section: str = "") -> Iterator[Section]:
 def _spellings(wanted: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
     """Variants of a path: as given, and without the vehicle and sensor names of messages, as in ``vehicle.car1.driver``."""
     yield wanted
-    if wanted[0] == "vehicle" and len(wanted) > 2 and wanted[1] not in binding.parameters(VehicleTable):
+    if wanted[0] in ("vehicle", "station") and len(wanted) > 2 and wanted[1] not in binding.parameters(VehicleTable):
         wanted = (wanted[0], *wanted[2:])
         yield wanted
     if wanted[:2] == ("vehicle", "sensors") and len(wanted) > 2:

@@ -135,7 +135,7 @@ class Result:
 
     def _figures(self, shown: MissionLog | None) -> "dict[str, Figure]":
         recorder, outlines = self._recorder, worlds.outlines(self._world)
-        figures = figures_of(*recorder.tables, recorder.follows, self.window_s, outlines)
+        figures = figures_of(*recorder.tables, recorder.facts, self.window_s, outlines)
         return figures | mission_figures(shown, recorder.tables[0], self._world)
 
     def _shown(self) -> MissionLog | None:
@@ -210,7 +210,7 @@ def figures_again(run_dir: Path, tell: Tell = lambda _: None, *, trust: bool = F
         world = world_in(run_dir, *loader.load(scenario))
     seen: Sequence[Array] = () if world is None else worlds.outlines(world)
     within = window.get("from_s", 0.0), window.get("to_s")
-    figures = figures_of(recording.states, recording.radio, recording.follows, within, seen)
+    figures = figures_of(recording.states, recording.radio, recording.facts, within, seen)
     if "mission" in recording.metrics:
         figures |= mission_figures(mission_log(run_dir, recording.facts), recording.states, world)
     return figures
@@ -237,13 +237,12 @@ def compared(run_dirs: Sequence[Path], tell: Tell = lambda _: None) -> "Figure":
     return run_plots.comparison(runs)
 
 
-def figures_of(
-    states: Table, radio: Table, follows: Sequence[Placement], window: Window, outlines: Sequence[Array]
-) -> "dict[str, Figure]":
+def figures_of(states: Table, radio: Table, facts: RunFacts, window: Window, outlines: Sequence[Array]) -> "dict[str, Figure]":
     """The figures of a run, by name: ``trajectory`` and, if a vehicle follows another, ``formation_error``."""
     from vcmvsp.cosim.plots import run_plots
 
-    figures = {"trajectory": run_plots.trajectory(states, follows, outlines)}
+    follows = facts.follows
+    figures = {"trajectory": run_plots.trajectory(states, follows, outlines, facts.stations or ())}
     if follows:
         figures["formation_error"] = run_plots.formation_error(states, radio, follows, window)
     return figures

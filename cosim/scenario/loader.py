@@ -22,6 +22,7 @@ from vcmvsp.cosim.scenario.schema import (
     SafetyTable,
     Scenario,
     SocketsTable,
+    StationTable,
     StudyTable,
     VehicleTable,
 )
@@ -90,6 +91,7 @@ def _copies(one: dict[str, Any], source: Source) -> list[dict[str, Any]]:
 
 
 RESERVED = ("world", "radio", "bridge", "operator", "log", "tf")  # first parts of event keys that belong to no vehicle
+NAMED = ("vehicle", "station")  # arrays of tables that key paths reach by name
 BUILT_IN = registry.SHIPPED
 T = TypeVar("T")
 
@@ -138,20 +140,27 @@ def parse(raw: Mapping[str, Any], source: Source) -> Scenario:
     bridge = _open_table(BridgeTable, raw.get("bridge", {}), "doors", "bridge", source)
     defaults = _mapping(raw.get("vehicles", {}), "vehicles", source)
     listed = raw.get("vehicle", [])
-    if not isinstance(listed, list) or not listed:
+    if not isinstance(listed, list) or not (listed or raw.get("station")):
         raise source.error("needs at least one [[vehicle]]", "vehicle")
+    placed = raw.get("station", [])
+    if not isinstance(placed, list):
+        raise source.error(f"must be tables [[station]], not {binding.show(placed)}", "station")
     if own := {"name", "pose", "position", "agent", "driver", "localisation"} & {*defaults}:
         raise source.error(f"must not contain {' or '.join(sorted(own))}: set it per vehicle", "vehicles")
-    for index, each in enumerate(listed):
-        _check_named(each, index, source)
+    for group, tables in (("vehicle", listed), ("station", placed)):
+        for index, each in enumerate(tables):
+            _check_named(each, f"{group}[{index}]", source)
+    source.stations = frozenset(each["name"] for each in placed)
     listed = repeated(listed, source)
-    vehicles = tuple(_vehicle(each, defaults, source) for each in listed)
+    stations = tuple(_station(each, source) for each in placed)
+    vehicles = (*(_vehicle(each, defaults, source) for each in listed), *map(_as_vehicle, stations))
     _unique([each.name for each in vehicles], source)
     _used(defaults, listed, source)
     given = {
         "agents": agents,
         "bridge": bridge,
         "vehicle": vehicles,
+        "station": stations,
         "vehicles": defaults,
         **{name: _mapping(raw[name], name, source) for name in ("physics", "world", "radio", "routing") if name in raw},
         **{
@@ -271,20 +280,21 @@ def _number(value: object) -> object:
 
 
 def assign(raw: dict[str, Any], key: str, value: object, source: Source) -> None:
-    """Set one key path; ``vehicle.NAME`` finds a vehicle by its name."""
+    """Set one key path; ``vehicle.NAME`` and ``station.NAME`` find one by its name."""
     *parents, last = key.split(".")
-    if key.startswith("vehicle") and (parents[:1] == ["vehicle"] or last == "vehicle"):
-        listed = raw.get("vehicle")
+    group = key.partition(".")[0]
+    if group in NAMED:
+        listed = raw.get(group)
         if len(parents) < 2 or not isinstance(listed, list):
-            raise source.error("write vehicle.NAME.KEY for a key of one vehicle", key)
+            raise source.error(f"write {group}.NAME.KEY for a key of one {group}", key)
     here: Any = raw
     for depth, part in enumerate(parents):
-        if depth == 0 and part == "vehicle":
+        if depth == 0 and part in NAMED:
             if names_copy(raw, key):
                 raw["vehicle"] = repeated(raw["vehicle"], source)  # one copy gets its own value
-            here = {str(each.get("name")): each for each in raw.get("vehicle", []) if isinstance(each, dict)}
-        elif depth == 1 and parents[0] == "vehicle" and part not in here:
-            raise source.error(binding.unknown("vehicle", part, here), key)
+            here = {str(each.get("name")): each for each in raw.get(part, []) if isinstance(each, dict)}
+        elif depth == 1 and parents[0] in NAMED and part not in here:
+            raise source.error(binding.unknown(parents[0], part, here), key)
         elif depth == 2 and parents[0] == "vehicle":  # one key of a table in [vehicles]
             here = here.setdefault(part, copy.deepcopy(raw.get("vehicles", {}).get(part, {})))
         else:
@@ -308,9 +318,8 @@ def _open_table(kind: Callable[..., T], raw: object, rest: str, key: str, source
     return binding.call(kind, {n: v for n, v in content.items() if n in own}, key=key, origin=source, given={rest: others})
 
 
-def _check_named(raw: object, index: int, source: Source) -> None:
-    """Reject a ``[[vehicle]]`` that is not a table with a name; the error gives its index."""
-    here = f"vehicle[{index}]"
+def _check_named(raw: object, here: str, source: Source) -> None:
+    """Reject a ``[[vehicle]]`` or ``[[station]]`` that is not a table with a name."""
     key, name = f"{here}.name", _mapping(raw, here, source).get("name")
     if name is None:
         raise source.error("is missing", key)
@@ -325,6 +334,17 @@ def _vehicle(raw: dict[str, Any], defaults: Mapping[str, Any], source: Source) -
         raise ScenarioError("is missing, and [vehicles] has no kind for all", key=f"{here}.kind", source=source.of(here))
     parsed = _open_table(VehicleTable, content, "params", here, source)
     return msgspec.structs.replace(parsed, agent=agent)
+
+
+def _station(raw: dict[str, Any], source: Source) -> StationTable:
+    here = f"station.{raw['name']}"
+    own = {name: value for name, value in raw.items() if name != "agent"}
+    agent = _open_table(AgentTable, raw["agent"], "params", f"{here}.agent", source) if "agent" in raw else None
+    return binding.call(StationTable, own, key=here, origin=source, given={"agent": agent}, also=["agent"])
+
+
+def _as_vehicle(station: StationTable) -> VehicleTable:
+    return VehicleTable(kind="station", **msgspec.structs.asdict(station))
 
 
 def _unique(vehicle_names: Sequence[str], source: Source) -> None:
@@ -358,7 +378,7 @@ def _path_of(value: object, wanted: float, key: str = "") -> str:
         return key
     items = value.items() if isinstance(value, Mapping) else enumerate(value if isinstance(value, list) else ())
     for name, each in items:
-        is_named = key == "vehicle" and isinstance(each, dict) and isinstance(each.get("name"), str)
+        is_named = key in NAMED and isinstance(each, dict) and isinstance(each.get("name"), str)
         own = f".{each['name']}" if is_named else f"[{name}]" if isinstance(name, int) else f".{name}"
         if found := _path_of(each, wanted, f"{key}{own}".removeprefix(".")):
             return found

@@ -104,6 +104,18 @@ class VehicleTable(msgspec.Struct, frozen=True, kw_only=True):
         return (x, y, 0.0), yaw
 
 
+class StationTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A ``[[station]]``: a fixed place without a body, else like a vehicle of kind ``station``; [vehicles] has no effect."""
+
+    name: Name
+    position: Vec3 = (0.0, 0.0, 0.0)  # x, y, z m
+    sensors: Mapping[str, Mapping[str, Any]] = {}  # what it carries, by names of one's own: a table with a kind each
+    radio: Mapping[str, Any] = {}  # what its own radio has: tx_power_dbm, antenna_gain_dbi, ...
+    battery: BatteryTable | None = None  # its energy; default: it never ends
+    clock: VehicleClock | None = None  # its own clock; default: the time of the run
+    agent: AgentTable | None = None  # None: it has no agent
+
+
 class SafetyTable(msgspec.Struct, frozen=True, kw_only=True):
     """``[safety]``: limits that every real vehicle keeps, whatever its commands."""
 
@@ -233,7 +245,8 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True):
     metrics: MetricsTable = MetricsTable()
     study: StudyTable = StudyTable()
     intervention: tuple[InterventionTable, ...] = ()
-    vehicle: tuple[VehicleTable, ...]
+    vehicle: tuple[VehicleTable, ...]  # the stations are the last ones
+    station: tuple[StationTable, ...] = ()
 
     @property
     def real(self) -> tuple[str, ...]:

@@ -76,6 +76,7 @@ class RunFacts(msgspec.Struct, frozen=True, kw_only=True):
     end_ns: int
     vehicles: tuple[str, ...]
     follows: tuple[Placement, ...] = ()
+    stations: tuple[str, ...] | msgspec.UnsetType = msgspec.UNSET  # vehicles that are stations; unset: none is
 
 
 @dataclass(frozen=True)

@@ -162,6 +162,7 @@ def wrapped(angle: Floats) -> Floats:
 
 
 _YAW = 3
+NO_COMMAND = "a station received a command to move: its agent must return None"
 
 
 class AerialEngine(Engine):
@@ -242,6 +243,29 @@ class AerialEngine(Engine):
         return still(self._place[:3].T.copy(), self._place[_YAW])._replace(
             velocity=self._speed[:3].T.copy(), angular_velocity=turning, acceleration=gain[:3].T.copy()
         )
+
+
+class StationEngine(Engine):
+    """Stations, which keep their poses: positions (n, 3) m, headings (n,) rad."""
+
+    def __init__(self, positions: Sequence[Vec3], headings: Sequence[float]) -> None:
+        self._motion = still(np.array(positions, float).reshape(-1, 3), np.array(headings, float))
+
+    def command(self, row: int, linear: Vec3, yaw_rate: float) -> None:
+        """Refuse every velocity but 0."""
+        if any((*linear, yaw_rate)):
+            raise FederateError("physics", NO_COMMAND)
+
+    def go_to(self, row: int, position: Vec3, yaw: float | None, speed: float | None) -> None:
+        """Refuse a way-point."""
+        raise FederateError("physics", NO_COMMAND)
+
+    def advance(self, to_ns: int) -> None:
+        """Do nothing."""
+
+    def read(self) -> BodyMotion:
+        """Motion of every station: none."""
+        return self._motion
 
 
 _UNIT = 1e-3  # tolerance of the norm of a quaternion

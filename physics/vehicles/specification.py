@@ -11,6 +11,7 @@ from vcmvsp.cosim.types import Value, Vec3
 from vcmvsp.physics.sensors.positioning import Positioning
 from vcmvsp.physics.sensors.sensor import Sensor
 from vcmvsp.physics.vehicles.models import DifferentialDrive, Point, Quadrotor
+from vcmvsp.physics.vehicles.station import Station
 from vcmvsp.physics.vehicles.urdf import UrdfDrive
 from vcmvsp.physics.world.solids import Hull
 
@@ -34,8 +35,8 @@ class Vehicle(Protocol):
 
 
 def flies(model: Vehicle | type[Vehicle]) -> bool:
-    """Whether a model, or a class of models, takes commands of aerial vehicles."""
-    return issubclass(model if isinstance(model, type) else type(model), Point | Quadrotor)
+    """Whether a model, or a class of models, takes commands of aerial vehicles, or is a station, at any height like them."""
+    return issubclass(model if isinstance(model, type) else type(model), Point | Quadrotor | Station)
 
 
 def body_of(model: Vehicle) -> Body:
