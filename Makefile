@@ -1,6 +1,6 @@
 # Everything happens inside the checkout: `make setup` builds .venv, the other targets use it.
 
-VERSIONS = 3.11 3.12 3.13
+VERSIONS = 3.11 3.12 3.13 3.14
 ifndef PYTHON  # the first of these that starts
 PYTHON := $(shell for v in $(VERSIONS); do python$$v -c '' 2>/dev/null && { echo python$$v; exit; }; done; echo python3)
 endif
@@ -20,10 +20,10 @@ export UV_PROJECT_ENVIRONMENT = $(VENV)
 setup: $(VENV)/.ready
 
 # uv, from PyPI, in an environment of its own, installs what uv.lock says, and leaves alone what the user has installed; where
-# $(PYTHON) is newer than any that PyBullet has wheels for, it finds or fetches one that is not.
-USED = "$$($(PYTHON) -c 'import sys; print(sys.executable if sys.version_info < (3, 14) else "3.13")')"
+# $(PYTHON) is newer than any that the libraries have wheels for, it finds or fetches one that is not.
+USED = "$$($(PYTHON) -c 'import sys; print(sys.executable if sys.version_info < (3, 15) else "3.13")')"
 $(VENV)/.ready: pyproject.toml uv.lock
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "vcmvsp needs Python 3.11, 3.12 or 3.13: make PYTHON=/path/to/python3.13"; exit 2; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "vcmvsp needs Python 3.11 to 3.14: make PYTHON=/path/to/python3.13"; exit 2; }
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { echo "this Python has no venv module; as root, run .ci/debian-packages"; exit 2; }
 	test -x $(UV) || { $(PYTHON) -m venv .uv && .uv/bin/python -m pip install --quiet --disable-pip-version-check uv==$(UV_VERSION); }
 	@$(UV) sync --frozen --inexact --quiet --python $(USED) || \

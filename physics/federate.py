@@ -353,8 +353,10 @@ class BulletPhysics(RigidBodyPhysics):
     """Differential drives and quadrotors are bodies in Bullet; vehicles of other kinds move without bodies."""
 
     def _engine(self, **given: Any) -> FleetEngine:
-        from vcmvsp.physics.dynamics.bullet.engine import BulletEngine  # loads PyBullet, 0.4 s
-
+        try:
+            from vcmvsp.physics.dynamics.bullet.engine import BulletEngine  # loads PyBullet, 0.4 s
+        except ModuleNotFoundError as error:  # Python 3.14
+            raise ScenarioError('needs PyBullet, which is not installed: use "mujoco"', key="physics.kind") from error
         return BulletEngine(**given, iterations=self.iterations)
 
 

@@ -310,7 +310,7 @@ def installation() -> "Iterator[Check]":
     checks: list[tuple[str, Callable[[], str]]] = [
         ("python", _python),
         ("vcmvsp", _vcmvsp),
-        ("pybullet", lambda: _version("vcmvsp.physics.dynamics.bullet", "pybullet")),
+        _engine(),
         ("zenoh", lambda: _version("vcmvsp.cosim.transport.zenoh_session", "eclipse-zenoh")),
         ("run in one process", lambda: _run("inprocess")),
         ("run in four processes", lambda: _run("process")),
@@ -320,6 +320,15 @@ def installation() -> "Iterator[Check]":
             yield name, True, check()
         except (VcmvspError, ImportError, OSError) as error:
             yield name, False, f"{error}"
+
+
+def _engine() -> "tuple[str, Callable[[], str]]":
+    """The check of the engine that moves bodies."""
+    from vcmvsp.cosim.assembly.run import default_engine
+
+    if default_engine() == "bullet":
+        return "pybullet", lambda: _version("vcmvsp.physics.dynamics.bullet", "pybullet")
+    return "mujoco", lambda: _version("vcmvsp.physics.dynamics.mujoco.engine", "mujoco-core")
 
 
 def connection(

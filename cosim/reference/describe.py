@@ -36,7 +36,7 @@ def meanings(target: Callable[..., object], *, joined: bool = False) -> Mapping[
     """
     found: dict[str, str] = {}
     for base in reversed(getattr(target, "__mro__", (target,))):
-        own = _comments(base) if isinstance(base, type) and "__annotations__" in vars(base) else {}
+        own = _comments(base) if isinstance(base, type) and inspect.get_annotations(base) else {}
         for name, said in {**own, **_arguments(base.__doc__ or "")}.items():
             words, before = said.strip().removesuffix("."), found.get(name, "") if joined else ""
             if words:
@@ -167,7 +167,7 @@ def keys(target: Described, common: type | None = None) -> dict[str, binding.Par
 
 def common_of(classes: Iterable[type]) -> type:
     """The most frequent base class of these classes."""
-    bases = [base for each in classes for base in each.__mro__[1:] if "__annotations__" in vars(base)]
+    bases = [base for each in classes for base in each.__mro__[1:] if inspect.get_annotations(base)]
     ((common, _),) = Counter(bases).most_common(1)
     return common
 

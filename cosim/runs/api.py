@@ -42,7 +42,7 @@ from vcmvsp.cosim.tables.schema import write_table
 from vcmvsp.cosim.types import Presence
 from vcmvsp.cosim.util.files import Folder, finite, write_whole, writing
 from vcmvsp.cosim.util.text import Tell, plain
-from vcmvsp.cosim.util.versions import version_of
+from vcmvsp.cosim.util.versions import versions_of
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.view.live.session import Viewing
@@ -379,12 +379,12 @@ class Simulation:
         }
 
 
-_PACKAGES = ("vcmvsp", "numpy", "simpy", "msgspec", "pyarrow", "mcap", "pybullet", "eclipse-zenoh", "matplotlib")
+_PACKAGES = ("vcmvsp", "numpy", "simpy", "msgspec", "pyarrow", "mcap", "pybullet", "mujoco-core", "eclipse-zenoh", "matplotlib")
 
 
 @functools.cache
 def _versions() -> dict[str, str]:
-    return {name: version_of(name) for name in _PACKAGES}
+    return versions_of(_PACKAGES)
 
 
 Runs = schema.Runs

@@ -27,7 +27,7 @@ from vcmvsp.cosim.studies.rows import flat
 from vcmvsp.cosim.studies.store import Answers, Store, begun
 from vcmvsp.cosim.studies.worker import DIED, Job, Work, WorkersGoneError, run_one, version
 from vcmvsp.cosim.util.files import Folder, to_json, write_whole, writing
-from vcmvsp.cosim.util.versions import version_of
+from vcmvsp.cosim.util.versions import versions_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -216,7 +216,7 @@ def _about(plan: Plan, started: datetime, wall_s: float, made: int, *, cluster: 
     }
 
 
-PACKAGES = ("vcmvsp", "numpy", "scipy", "pybullet", "simpy", "pyarrow")
+PACKAGES = ("vcmvsp", "numpy", "scipy", "pybullet", "mujoco-core", "simpy", "pyarrow")
 ALL_CHECKED = 50  # points; in larger grids, every value of every key is checked once, about 0.1 s each
 FORMATION = ("formation.rms_m", "radio.delivery_ratio")
 NO_FORMATION = ("radio.delivery_ratio", "radio.age_s.mean")
@@ -239,7 +239,7 @@ def examined(plan: Plan, base: Base, checking: Callable[[int, int], None] = lamb
         for name, content in _check(plan, base, point).items():
             hashes.setdefault(name, set()).add(hashlib.sha256(content).hexdigest())
     files = {name: " ".join(sorted(found)) for name, found in hashes.items()}
-    versions = {name: version_of(name) for name in PACKAGES}
+    versions = versions_of(PACKAGES)
     return msgspec.structs.replace(plan, metrics=_metrics(plan, base), files=files, versions=versions)
 
 

@@ -1,5 +1,7 @@
 """Versions of installed packages."""
 
+import contextlib
+from collections.abc import Iterable
 from importlib import metadata
 
 _OTHER_BUILDS = {"pybullet": "pybullet-arm64"}  # the same sources, built for other machines and versions of Python
@@ -18,3 +20,12 @@ def version_of(package: str) -> str:
         if build is None:
             raise
         return f"{metadata.version(build)} ({build})"
+
+
+def versions_of(packages: Iterable[str]) -> dict[str, str]:
+    """Versions of those packages that are installed."""
+    versions = {}
+    for package in packages:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            versions[package] = version_of(package)
+    return versions

@@ -7,7 +7,6 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-import supersuit
 from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import max_cycles_test, parallel_api_test, parallel_seed_test, render_test
 from pettingzoo.utils.conversions import parallel_to_aec
@@ -54,6 +53,7 @@ def test_one_vehicle_keeps_the_contract_of_gymnasium(task: str) -> None:
 
 
 def test_wrappers_of_supersuit_put_copies_side_by_side() -> None:
+    supersuit = pytest.importorskip("supersuit")  # no wheels of what it needs for Python 3.14
     many = supersuit.pettingzoo_env_to_vec_env_v1(parallel_env("gates", max_cycles=20))
     many = supersuit.concat_vec_envs_v1(many, 2, num_cpus=1, base_class="gymnasium")
     observations, _ = many.reset(seed=3)

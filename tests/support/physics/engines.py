@@ -1,16 +1,16 @@
 """Engines with bodies, and one of them without a federate."""
 
 from collections.abc import Sequence
+from importlib.util import find_spec
 from typing import Any
 
 from vcmvsp.cosim.types import Vec3
-from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
 from vcmvsp.physics.dynamics.mujoco.engine import MujocoEngine
 from vcmvsp.physics.federate import BulletPhysics, MujocoPhysics, Physics
 from vcmvsp.physics.vehicles.specification import Vehicle, VehicleSpec
 from vcmvsp.physics.world.world import World
 
-ENGINES = [BulletPhysics, MujocoPhysics]
+ENGINES = [BulletPhysics, MujocoPhysics] if find_spec("pybullet") else [MujocoPhysics]
 
 
 def engine(
@@ -18,7 +18,7 @@ def engine(
     headings: Sequence[float] = (),
     world: World | None = None,
     hz: float = 120.0,
-    kind: type[Physics] = BulletPhysics,
+    kind: type[Physics] = ENGINES[0],
 ) -> Any:
     """Vehicles with their start positions, m, and headings, rad (0.0)."""
     specs = []
@@ -26,4 +26,8 @@ def engine(
         heading = headings[row] if headings else 0.0
         specs.append(VehicleSpec(name=str(row), model=model, position=position, heading=heading))
     given: dict[str, Any] = {"world": world or World(), "vehicles": specs, "rate_hz": hz, "gravity": 9.81}
-    return BulletEngine(**given, iterations=50) if kind is BulletPhysics else MujocoEngine(**given)
+    if kind is MujocoPhysics:
+        return MujocoEngine(**given)
+    from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
+
+    return BulletEngine(**given, iterations=50)
