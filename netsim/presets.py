@@ -44,6 +44,12 @@ def _indoor(frequency_hz: float, reference_loss_db: float) -> Tables:
     return {"path_loss": law, "walls": {"kind": "itu", "frequency_hz": frequency_hz}}
 
 
+def _lora(spreading_factor: int) -> Tables:
+    """LoRa at 14 dBm and with a duty cycle of 1 %, as in the European band of 868 MHz; one packet waits in the modem."""
+    phy = {"kind": "lora", "spreading_factor": spreading_factor}
+    return {**_indoor(868e6, 31.218), "phy": phy, "mac": {"kind": "aloha", "duty_cycle": 0.01, "queue_frames": 1}, **_LEFT_OUT}
+
+
 def _wifi(phy: dict[str, Any], frequency_hz: float, reference_loss_db: float) -> Tables:
     """802.11 with the power, the preamble threshold and the channel access of ns-3."""
     full = {**phy, "tx_power_dbm": 16.0206, "sensitivity_dbm": -82.0}
@@ -82,6 +88,7 @@ _PRESETS: dict[str, Tables] = {
         "mac": {"kind": "csma154"},
         **_LEFT_OUT,
     },
+    **{f"lora-sf{factor}": _lora(factor) for factor in range(7, 13)},
 }
 
 PRESETS = tuple(_PRESETS)

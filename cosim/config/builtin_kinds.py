@@ -135,12 +135,14 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "dsss": "vcmvsp.netsim.phy.dsss:Dsss",
         "ofdm": "vcmvsp.netsim.phy.ofdm:Ofdm",
         "ieee802154": "vcmvsp.netsim.phy.ieee802154:Ieee802154",
+        "lora": "vcmvsp.netsim.phy.lora:Lora",
     },
     "mac": {
         "ideal": "vcmvsp.netsim.interfaces.medium:Ideal",
         "dcf": "vcmvsp.netsim.mac.dcf.parameters:Dcf",
         "csma154": "vcmvsp.netsim.mac.csma154.medium:Csma154",
         "tdma": "vcmvsp.netsim.mac.tdma:Tdma",
+        "aloha": "vcmvsp.netsim.mac.aloha:Aloha",
     },
     "loss": {
         "bernoulli": "vcmvsp.netsim.impairments.loss:Bernoulli",

@@ -1,0 +1,102 @@
+"""Pure Aloha: throughput, capture, and the duty cycle."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.support.netsim.channels import make_channel
+from vcmvsp.cosim.types import FrameReport, Message
+from vcmvsp.netsim.channel.channel import Channel
+from vcmvsp.netsim.evaluation import broadcast_trial
+
+SIZE = 20
+NO_CAPTURE = {"kind": "lora", "capture_db": 300.0}
+
+
+def aloha(count: int, phy: dict[str, Any], **mac: Any) -> Channel:
+    names, rules = [f"v{i}" for i in range(count)], {"kind": "aloha", "duty_cycle": 1.0, "queue_frames": 1000, **mac}
+    return make_channel("lora-sf7", vehicles=names, phy={"kind": "lora", **phy}, mac=rules)
+
+
+@pytest.mark.parametrize("load", [0.1, 0.5, 1.0])
+def test_throughput_without_capture_is_that_of_theory(load: float) -> None:
+    """``S = G exp(-2 G)``: of n senders, a frame has only those of n - 1 others to fear, which is corrected for."""
+    count, frames = 30, 40_000
+    channel = aloha(count, NO_CAPTURE)
+    air_s = channel.phy.air_time_ns(SIZE) / 1e9
+    rate_hz = load / air_s / count
+    plan = broadcast_trial.TrialTraffic(
+        waypoints=broadcast_trial.Waypoints.fixed(np.zeros((count, 3)) + np.arange(count)[:, None]),
+        size_bytes=SIZE,
+        rate_hz=rate_hz,
+        duration_s=frames / (rate_hz * count),
+        kind="poisson",
+    )
+    counts = broadcast_trial.run(channel, plan)
+    others = load * (count - 1) / count
+    assert counts["delivery_ratio"] == pytest.approx(np.exp(-2.0 * others), rel=0.02)
+
+
+def two(channel: Channel, distance_m: float, apart_ns: int) -> list[FrameReport]:
+    """Two frames to a radio between: one from 10 m, the other from ``distance_m``, ``apart_ns`` later."""
+    names, position = ("v0", "v1", "v2"), np.array([[-10.0, 0.0, 0.0], [distance_m, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    reports = channel.send(0, Message(sender="v0", body={}, size_bytes=SIZE), names, position)
+    reports += channel.advance(apart_ns - 1)
+    reports += channel.send(apart_ns, Message(sender="v1", body={}, size_bytes=SIZE), names, position)
+    return reports + channel.advance(10**12)
+
+
+@pytest.mark.parametrize(
+    ("ratio_db", "outcomes"),
+    [(7.0, ("received", "collision")), (5.9, ("collision", "collision")), (-7.0, ("collision", "received"))],
+)
+def test_the_stronger_frame_is_received_if_it_is_6_db_above_the_other(ratio_db: float, outcomes: tuple[str, str]) -> None:
+    reports = two(aloha(3, {}), 10.0 * 10.0 ** (ratio_db / 30.0), 1_000_000)
+    assert tuple(each.outcome[each.receivers.index("v2")] for each in reports) == outcomes
+
+
+def test_the_others_count_as_the_sum_of_those_on_the_air_together() -> None:
+    """Each of two is 8 dB weaker: 5 dB together, 8 dB one after the other."""
+    far_m = 10.0 * 10.0 ** (8.0 / 30.0)
+    names, position = ("v0", "v1", "v2", "v3"), np.array([[-10.0, 0, 0], [far_m, 0, 0], [0, far_m, 0], [0.0, 0, 0]])
+    air_ns = aloha(4, {}).phy.air_time_ns(SIZE)
+    for begins_ns, outcome in (((-air_ns // 2, air_ns // 2), "received"), ((1000, 2000), "collision")):
+        channel, reports = aloha(4, {}), list[FrameReport]()
+        for time_ns, sender in sorted([(air_ns, "v0"), (air_ns + begins_ns[0], "v1"), (air_ns + begins_ns[1], "v2")]):
+            reports += channel.advance(time_ns - 1)
+            reports += channel.send(time_ns, Message(sender=sender, body={}, size_bytes=SIZE), names, position)
+        reports += channel.advance(10**12)
+        (own,) = [each for each in reports if each.sender == "v0"]
+        assert own.outcome[own.receivers.index("v3")] == outcome
+
+
+def test_a_radio_that_sends_receives_nothing() -> None:
+    reports = two(aloha(3, {}), 10.0, 1_000_000)
+    assert reports[0].outcome[reports[0].receivers.index("v1")] == "receiver transmitting"
+
+
+def test_the_duty_cycle_keeps_a_radio_silent() -> None:
+    channel = aloha(2, {}, duty_cycle=0.1)
+    names, position, reports = ("v0", "v1"), np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]]), list[FrameReport]()
+    sizes = [20, 100, 5, 5]
+    for size in sizes:
+        reports += channel.send(0, Message(sender="v0", body={}, size_bytes=size), names, position)
+    reports += channel.advance(10**13)
+    starts = [each.sent_ns + each.queue_ns + each.access_ns for each in reports]
+    assert np.diff(starts).tolist() == [10 * channel.phy.air_time_ns(size) for size in sizes[:-1]]
+
+
+def test_the_modem_of_the_preset_holds_one_packet() -> None:
+    channel = make_channel("lora-sf7", vehicles=["v0", "v1"], mac={"kind": "aloha"})
+    names, position, reports = ("v0", "v1"), np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]]), list[FrameReport]()
+    for time_ns in (0, 1, 10**9, 2 * 10**9):  # on the air, while it is, silent, silent with one that waits
+        reports += channel.advance(time_ns - 1)
+        reports += channel.send(time_ns, Message(sender="v0", body={}, size_bytes=SIZE), names, position)
+    reports += channel.advance(10**13)
+    assert [each.outcome[0] for each in sorted(reports, key=lambda each: each.frame)] == [
+        "received",
+        "queue full",
+        "received",
+        "queue full",
+    ]
