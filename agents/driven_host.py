@@ -1,4 +1,4 @@
-"""Host of driven vehicles: their commands come from the caller of the run (`vcmvsp.start`) instead of an algorithm."""
+"""Hosts of vehicles whose commands come from outside instead of an algorithm: `DrivenHost` from the caller of the run."""
 
 from collections.abc import Mapping, Sequence
 
@@ -9,7 +9,7 @@ from vcmvsp.cosim.received import ReceivedMessages
 from vcmvsp.cosim.types import Receptions, Velocity, Waypoint
 
 
-class DrivenHost(AgentHost):
+class OutsideHost(AgentHost):
     """A federate that gives observations at a tick (`ask`) and takes commands later within the same slot (`answer`).
 
     Attributes:
@@ -19,7 +19,6 @@ class DrivenHost(AgentHost):
     """
 
     lookahead_ns = 0
-    driven = True
 
     def __init__(self, name: str, specs: Sequence[AgentSpec], objects: Mapping[str, Agent] | None = None) -> None:
         super().__init__(name, specs, objects)
@@ -71,12 +70,6 @@ class DrivenHost(AgentHost):
         self.observations, self._commands, self._open = {}, {}, []
         return self._events
 
-    def finish(self, now_ns: int, inbox: Sequence[Event]) -> None:
-        """Make the last observations, at the end of the run; nothing is asked any more."""
-        self._read(inbox)
-        self._open = [seat for seat in self._seats if now_ns < seat.fails_ns]
-        self._observe(now_ns)
-
     def _observe(self, now_ns: int) -> None:
         self.received = self._mail.take(now_ns, [seat.vehicle for seat in self._open])
         received, nothing = self._mail.by_receiver(self.received, now_ns), ReceivedMessages.none(now_ns)
@@ -84,3 +77,15 @@ class DrivenHost(AgentHost):
 
     def release(self) -> None:
         """Nothing outside this process waits."""
+
+
+class DrivenHost(OutsideHost):
+    """The host of the vehicles that the caller of the run drives (`vcmvsp.start`)."""
+
+    driven = True
+
+    def finish(self, now_ns: int, inbox: Sequence[Event]) -> None:
+        """Make the last observations, at the end of the run; nothing is asked any more."""
+        self._read(inbox)
+        self._open = [seat for seat in self._seats if now_ns < seat.fails_ns]
+        self._observe(now_ns)

@@ -73,7 +73,7 @@ class AgentRunner:
         self._follows: Follows | None = None
         self.fails_ns = NEVER_NS if spec.fails_s is None else seconds_to_ns(spec.fails_s)
         self._dead = False
-        self._absence: Absence | None = None
+        self.absence: Absence | None = None
 
     def start(self, run: RunInfo, clocks: VehicleClocks | None) -> None:
         """Start the agent with the data of its vehicle and of the run."""
@@ -126,8 +126,8 @@ class AgentRunner:
         self.next_ns = after_ns
         if now_ns >= self.fails_ns:
             self.die(now_ns, events)
-        elif self._absence is not None:
-            events.extend(self._absence.go_on(now_ns + self.info.latency_ns))
+        elif self.absence is not None:
+            events.extend(self.absence.go_on(now_ns + self.info.latency_ns))
         else:
             before = len(events)
             try:
@@ -136,12 +136,13 @@ class AgentRunner:
                 if self.spec.on_lost == "stop":
                     raise
                 del events[before:]
-                self._leave(now_ns, error, events)
+                self.leave(now_ns, error, events)
 
-    def _leave(self, now_ns: int, error: AgentError, events: list[Event]) -> None:
+    def leave(self, now_ns: int, error: AgentError, events: list[Event]) -> None:
+        """Go on without the agent, as ``on_lost`` says."""
         when, follows = now_ns + self.info.latency_ns, self._follows is not None
-        self._absence = Absence(self.spec, now_ns, when, error.cause, follows=follows)
-        events.extend(self._absence.news)
+        self.absence = Absence(self.spec, now_ns, when, error.cause, follows=follows)
+        events.extend(self.absence.news)
 
     def observe(self, now_ns: int, received: ReceivedMessages) -> Observation:
         """What the agent observes now."""

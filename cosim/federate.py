@@ -18,10 +18,11 @@ events in a federate's inbox, which it gets at its next step; ``latest`` the key
 
 from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import msgspec
 
+from vcmvsp.cosim.agent import Observation
 from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.types import AnyValue, Fix, Imu, Incident, Vec3, VehicleState, Velocity, Waypoint
 from vcmvsp.cosim.vehicle_clock import VehicleClock
@@ -231,6 +232,38 @@ class FlightFirmware(Protocol):
 
     def close(self) -> None:
         """End the connections and the processes that it started. Repeated calls are allowed."""
+
+
+class StackAnswer(NamedTuple):
+    """Answer of a stack for a vehicle at a tick."""
+
+    command: Velocity | Waypoint | None = None  # None: the last command holds
+    messages: Sequence[tuple[bytes, str | None]] = ()  # to send by radio: content, and the only receiver (None: all)
+
+
+class Stack(Protocol):
+    """Programs that drive simulated vehicles in place of agents, over a protocol of their own."""
+
+    vehicles: tuple[str, ...]  # their names
+
+    def start(self, run: RunInfo) -> None:
+        """Let the programs connect, and wait for those that the run needs."""
+
+    def show(self, now_ns: int, readings: Sequence[Event]) -> None:
+        """Pass on readings of the vehicles' sensors at their time."""
+
+    def ask(self, observations: Mapping[str, Observation]) -> None:
+        """Pass on the observations of a tick, by vehicle."""
+
+    def answer(self, vehicle: str) -> StackAnswer:
+        """Answer of a vehicle's programs to its last observation; of a lost vehicle, without waiting.
+
+        Raises:
+            LinkError: they are lost; the message is the reason.
+        """
+
+    def close(self) -> None:
+        """End all connections. Repeated calls are allowed."""
 
 
 class ExternalVehicles(Federate, ExternalMotion, Protocol):

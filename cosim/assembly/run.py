@@ -6,6 +6,7 @@ Only this package imports the parts (physics, netsim, agents, hardware), each in
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, Self
 import msgspec
 
 from vcmvsp.cosim.agent import Agent, AgentInfo
-from vcmvsp.cosim.assembly import bridge, firmware, radio, real_vehicles, worlds
+from vcmvsp.cosim.assembly import bridge, firmware, radio, real_vehicles, stacks, worlds
 from vcmvsp.cosim.assembly.interventions import Operator, check_planned, checks, nothing_moves
 from vcmvsp.cosim.assembly.remarks import remarks
 from vcmvsp.cosim.assembly.resolved import Resolution
@@ -23,7 +24,7 @@ from vcmvsp.cosim.clock import SECOND_NS, Clock, SimClock, Ticks, WallClock, sec
 from vcmvsp.cosim.config.binding import unknown
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError, UsageError, VcmvspError
-from vcmvsp.cosim.federate import ExternalVehicles, Federate, Instants, RunInfo
+from vcmvsp.cosim.federate import ExternalVehicles, Federate, Instants, RunInfo, Stack
 from vcmvsp.cosim.hosts.manager import Hosts
 from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.metrics.own import Metric, maker_of
@@ -34,6 +35,7 @@ from vcmvsp.cosim.scenario.schema import Scenario
 from vcmvsp.cosim.util.text import Tell
 
 if TYPE_CHECKING:
+    from vcmvsp.agents.stack_host import StackHost
     from vcmvsp.hardware.federate import Hardware
     from vcmvsp.netsim.bridge.federate import Bridge
     from vcmvsp.netsim.federate import RadioFederate
@@ -51,6 +53,7 @@ class AssembledRun:
         info: run information that every federate receives before time 0.
         robots: the federate that drives real vehicles; None: no vehicle is driven.
         bridge: the federate that exchanges datagrams with programs in wall time; None: no such programs.
+        stacks: programs that drive simulated vehicles, by place.
         agents: the hosts' descriptions of the agents, by vehicle.
         metrics: own metrics, by name.
         inputs: external inputs, recorded for a replay.
@@ -67,6 +70,7 @@ class AssembledRun:
     operator: Operator
     robots: "Hardware | None"
     bridge: "Bridge | None"
+    stacks: Mapping[str, Stack]
     hosts: Hosts
     agents: Sequence[AgentInfo]
     metrics: Mapping[str, Metric]
@@ -126,8 +130,8 @@ class AssembledRun:
 
     @property
     def has_outside(self) -> bool:
-        """Whether robots or programs in wall time take part."""
-        return self.robots is not None or self.bridge is not None
+        """Whether robots, stacks or programs in wall time take part."""
+        return self.robots is not None or self.bridge is not None or bool(self.stacks)
 
     @property
     def files(self) -> Mapping[str, bytes]:
@@ -146,7 +150,7 @@ class Parts(NamedTuple):
     source: Source
     world: "World"
     radio: "RadioFederate"
-    has_outside: bool  # robots or programs in wall time take part
+    has_outside: bool  # robots, stacks or programs in wall time take part
 
 
 def assemble(
@@ -175,9 +179,9 @@ def assemble(
         runs: where all agents run, overriding the scenario; ``"here"``: in this process if the scenario names their class.
         listen: endpoint for manually started hosts, overriding ``agents.listen``.
         keys, insecure: admission of hosts on other machines (`cosim.hosts.manager.Hosts`).
-        connect: drive the real vehicles and open the bridge; False only checks the scenario.
+        connect: drive the real vehicles, open the bridge and the stacks; False only checks the scenario.
         playback: recorded real vehicles of an earlier run, which replace the robots.
-        bridged: recorded datagrams of an earlier run, which replace the programs.
+        bridged: recorded inputs of an earlier run, which replace programs and stacks.
         recorded_radio: frame table of an earlier run, whose outcomes are repeated.
         watch: called while waiting for hosts; returns a reason to give up, or None.
         meanwhile: called once while child processes for agents start.
@@ -202,7 +206,8 @@ def assemble(
     )
     fleet = Fleet(scenario, source, resolution)
     radius_m = {name: model.radius_m for name, model in fleet.models.items()}
-    placement = Placement(scenario, source, fleet, dict(objects or {}), runs)
+    stacked = stacks.of_scenario(scenario, source, resolution, fleet.models, fleet.sensors, tell=tell)
+    placement = Placement(scenario, source, fleet, dict(objects or {}), runs, stacked.place)
     real = real_vehicles.of_scenario(scenario, source, resolution, fleet.models)
     robots = None
     if real and playback is None:
@@ -223,11 +228,16 @@ def assemble(
     operator = _operator(scenario, source, physics, air)
     energy = _energy(scenario, source, fleet, getattr(physics, "gravity", GRAVITY))
     metrics = _own_metrics(scenario, source, resolution)
-    built(Parts(scenario, source, world, air, has_outside=robots is not None or programs.bridge is not None))
+    live = robots is not None or programs.bridge is not None or bool(stacked.by_place)
+    built(Parts(scenario, source, world, air, has_outside=live))
     about = {"scenario": scenario.name, "seed": scenario.seed, "duration_s": scenario.duration_s, "vehicles": [*radius_m]}
     hosts = Hosts(
         scenario.agents,
-        {"inprocess": AgentHost, "driven": DrivenHost},
+        {
+            "inprocess": AgentHost,
+            "driven": DrivenHost,
+            **_stack_hosts(stacked.by_place, inputs, bridged if bridged or connect else ()),
+        },
         kinds=placement.kinds,
         listen=listen,
         keys=keys,
@@ -259,6 +269,7 @@ def assemble(
         operator=operator,
         robots=robots,
         bridge=programs.bridge,
+        stacks=stacked.by_place,
         hosts=hosts,
         agents=agents,
         metrics=metrics,
@@ -269,6 +280,19 @@ def assemble(
     )
 
 
+def _stack_hosts(
+    by_place: Mapping[str, Stack], inputs: InputLog, recorded: Sequence[Input] | None
+) -> "dict[str, Callable[..., StackHost]]":
+    """Makers of the hosts of stacks, or of what earlier ones answered, by place."""
+    from vcmvsp.agents.stack_host import RecordedStack, StackHost
+
+    found: dict[str, Callable[..., StackHost]] = {}
+    for place, stack in by_place.items():
+        used = stack if recorded is None else RecordedStack(stack.vehicles, recorded)
+        found[place] = partial(StackHost, stack=used, log=inputs.on)
+    return found
+
+
 GRAVITY = 9.81  # m/s2, of physics without such a key
 NO_DRAG = (0.0, 0.0, 0.0)
 SLOWEST = 1e-6
@@ -276,10 +300,10 @@ SLOWEST = 1e-6
 
 
 def clock_of(scenario: Scenario, speed: float | None, *, replayed: bool) -> Clock:
-    """The clock of a run: the wall clock if a speed is given or a real robot or a program in wall time takes part.
+    """The clock of a run: the wall clock if a speed is given or a robot, program or stack in wall time takes part.
 
     Args:
-        scenario: defines the robots and programs.
+        scenario: defines the robots, programs and stacks.
         speed: simulated seconds per wall second; None: as fast as possible, or 1 with robots or programs.
         replayed: robots and programs come from a recording, which needs no wall clock.
     """
@@ -289,7 +313,7 @@ def clock_of(scenario: Scenario, speed: float | None, *, replayed: bool) -> Cloc
     if scenario.real and not replayed and speed not in (None, 1.0):
         names = ", ".join(scenario.real)
         raise UsageError(f"--realtime {speed:g}: real vehicles ({names}) need speed 1")
-    live = not replayed and (scenario.real or scenario.bridge.doors)
+    live = not replayed and (scenario.real or scenario.bridge.doors or stacks.paced(scenario))
     return WallClock(speed or 1.0) if live or speed is not None else SimClock()
 
 

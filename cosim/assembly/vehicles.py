@@ -152,9 +152,10 @@ class Placement:
         objects: existing agents, by vehicle; they run in this process. Also an attribute.
         runs: where all run, overriding the scenario; ``"here"``: in this process if the scenario names their class. None: as in
             the scenario.
+        stacked: place of the vehicles that stacks drive in place of their agents.
 
     Attributes:
-        specs: agent specifications for the hosts, by place: ``inprocess``, ``driven``, ``process`` or ``zenoh``.
+        specs: agent specifications for the hosts, by place: ``inprocess``, ``driven``, ``process``, ``zenoh`` or a stack's.
         where: place by vehicle.
         kinds: classes of the given objects, which replace the scenario's, by vehicle.
 
@@ -163,9 +164,18 @@ class Placement:
     """
 
     def __init__(
-        self, scenario: Scenario, source: Source, fleet: Fleet, objects: Mapping[str, Agent], runs: str | None
+        self,
+        scenario: Scenario,
+        source: Source,
+        fleet: Fleet,
+        objects: Mapping[str, Agent],
+        runs: str | None,
+        stacked: Mapping[str, str],
     ) -> None:
-        self._scenario, self._source, self._fleet, self.objects = scenario, source, fleet, objects
+        self._scenario, self._source, self._fleet, self._stacked = scenario, source, fleet, stacked
+        if twice := [name for name in objects if name in stacked]:
+            raise ScenarioError(f"{stacked[twice[0]]} drives {twice[0]} already", key=f"agents.{twice[0]}")
+        self.objects = {**objects, **{name: DrivenVehicle() for name in stacked}}
         names = [each.name for each in scenario.vehicle]
         if unknown := [name for name in objects if name not in names]:
             raise ScenarioError(binding.unknown("vehicle", unknown[0], names), key="agents")
@@ -198,6 +208,8 @@ class Placement:
 
     def _place(self, vehicle: VehicleTable, runs: str | None) -> str | None:
         """Where a vehicle's agent runs; None: it has no agent, or with ``here`` no known class."""
+        if vehicle.name in self._stacked:
+            return self._stacked[vehicle.name]
         if vehicle.name in self.objects:
             return "driven" if isinstance(self.objects[vehicle.name], DrivenVehicle) else "inprocess"
         if vehicle.agent is None:

@@ -29,6 +29,7 @@ VERBS: Mapping[str, str] = {
     "routing": "open(vehicles, seed)",
     "driver": "write(velocity)",
     "firmware": "send(readings), receive()",
+    "stack": "show(now_ns, readings), ask(observations), answer(vehicle)",
     "localisation": "read(now_ns)",
     "metric": "__call__(run)",
 }
@@ -161,6 +162,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "ardupilot": "vcmvsp.hardware.firmware.ardupilot:ArduPilot",
         "px4": "vcmvsp.hardware.firmware.px4:Px4",
     },
+    "stack": {"ros2": "vcmvsp.hardware.stacks.ros2:Ros2Stack"},
     "localisation": {
         "ubisense": "vcmvsp.hardware.localisation.ubisense:Ubisense",
         "dwm1001": "vcmvsp.hardware.localisation.dwm1001:Dwm1001",

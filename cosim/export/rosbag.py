@@ -25,7 +25,6 @@ header of a commanded velocity names the vehicle's frame, although the axes of a
 Messages carry their time of measurement, and their log time in the bag is the time of arrival.
 """
 
-import re
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -35,8 +34,8 @@ from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, Qo
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.export import ros_messages as ros
 from vcmvsp.cosim.recording import foxglove as messages
+from vcmvsp.cosim.recording import ros_messages as ros
 from vcmvsp.cosim.recording.foxglove import CompressedImage, Grid
 from vcmvsp.cosim.recording.mcap_reader import Recorded
 from vcmvsp.cosim.recording.recorded_run import Source, Values
@@ -95,7 +94,7 @@ class Bag:
         self._write(said.topic + more, message, said.time_ns, latched=said.topic in LATCHED)
 
     def _write(self, topic: str, message: ros.RosMessage, time_ns: int, *, latched: bool = False) -> None:
-        kind, name = message.__msgtype__, ros_name(topic)
+        kind, name = message.__msgtype__, ros.ros_name(topic)
         if name not in self._connections:
             qos = [_qos()] if latched else []
             store = ros.store()
@@ -154,12 +153,6 @@ def write_bag(source: Source, folder: Path) -> None:
                 limits.within(bag.topics, limits.TOPICS, "topics")
             except ValueError as error:
                 raise UsageError(f"--rosbag2: {error}") from error
-
-
-def ros_name(topic: str) -> str:
-    """Valid ROS name for a topic: letters, digits and ``_``, no digit first."""
-    parts = (re.sub(r"\W", "_", part, flags=re.ASCII) for part in topic.strip("/").split("/"))
-    return "".join(f"/_{part}" if part[:1].isdigit() else f"/{part}" for part in parts)
 
 
 def _vehicle(topic: str) -> str:

@@ -100,17 +100,16 @@ class Hosts:
         """Start the hosts of all agents, or wait for them.
 
         Args:
-            specs: the agents by placement: ``inprocess``, ``driven``, ``process`` or ``zenoh``.
+            specs: the agents by placement: ``process``, ``zenoh``, or one of the builders'.
             objects: agents that exist already, by vehicle.
         """
-        start: dict[str, Callable[[Sequence[AgentSpec]], None]] = {
-            "inprocess": lambda group: self._add(self._builders["inprocess"]("agents", group, objects)),
-            "driven": lambda group: self._add(self._builders["driven"]("caller", group, objects)),
-            "process": self.run_in_processes,
-            "zenoh": self.await_by_hand,
-        }
+        outside = {"process": self.run_in_processes, "zenoh": self.await_by_hand}
+        names = {"inprocess": "agents", "driven": "caller"}
         for where, group in sorted(specs.items()):
-            start[where](group)
+            if where in outside:
+                outside[where](group)
+            else:
+                self._add(self._builders[where](names.get(where, where), group, objects))
         if self._observed and self.entrance is None:
             endpoint = self.listen().hub.endpoint
             nobody = 'no agent has runs = "zenoh" (--agents zenoh), so the run waits for no host'

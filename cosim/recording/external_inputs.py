@@ -1,12 +1,13 @@
 """Records external inputs of a run in ``hardware.mcap``, so that the run can be replayed.
 
-Real vehicles and external programs make a run that scenario and seed cannot reproduce. All their data are recorded here with
-their times and to the last bit, as MessagePack (`cosim.util.codec`) in an MCAP file. ``run.mcap`` is for people and viewers;
-this file is for `cosim.runs.replay`.
+Real vehicles, stacks and external programs make a run that scenario and seed cannot reproduce. All their data are recorded
+here with their times and to the last bit, as MessagePack (`cosim.util.codec`) in an MCAP file. ``run.mcap`` is for people and
+viewers; this file is for `cosim.runs.replay`.
 
 =======================  ==========================================================================================
 ``<vehicle>/<topic>``    an event from the vehicle: estimate, odometry, fixes, readings, status
 ``<vehicle>/reflected``  the motion that physics received, at each instant (`cosim.federate.ExternalMotion`)
+``<vehicle>/command``    answers of a stack at a tick (`cosim.federate.Stack`): also ``send``, or ``host`` without one
 ``bridge/sent``          datagrams that programs gave to radios: numbers, sizes, times (`Datagrams`)
 =======================  ==========================================================================================
 """

@@ -84,8 +84,9 @@ REST = ("defaults", "params", "doors", *GIVEN)
 OFFERED = ("sightline", "solids", "rays", "noise_dbm", "world", "outside", "firmware")
 """Parameters that come from the rest of the scenario (`cosim.assembly.radio`, `cosim.assembly.run`), not from a key."""
 
-OFFERED_TO = {"physics": ("vehicles",), "hardware": ("start", "now", "vehicle", "folder", "number")}
-"""Further such parameters of classes in `physics`, and in `hardware`, where stations give them."""
+STACK = ("flying", "mounts", "deadline_s", "join_timeout_s", "tell")
+OFFERED_TO = {"physics": ("vehicles",), "hardware": ("start", "now", "vehicle", "folder", "number", *STACK)}
+"""Further such parameters of classes in `physics`, and in `hardware`, where stations give them, or the assembly of stacks."""
 
 _UNITS = {
     "_per_s": "1/s",
@@ -113,6 +114,7 @@ EXTRA_DOCS: Mapping[str, Mapping[str, str]] = {
         "routing": "forwarding of messages over other vehicles; default: none",
         "bridge": "unchanged network programs, in wall-clock time",
         "sockets": "network programs in simulated time",
+        "stack": "programs that drive simulated vehicles in place of agents, a table for each kind",
         "agents": "place where agents run, and defaults of their parameters",
         "clock": "synchronisation of a run with the wall clock",
         "safety": "limits of real vehicles",

@@ -52,8 +52,9 @@ def _put(schema: Schema, step: str, table: Schema) -> None:
     elif step.isupper():
         schema["additionalProperties"] = table
     else:
-        known = schema["properties"].get(step, {})
-        schema["properties"][step] = {**table, **{name: known[name] for name in ("description", "default") if name in known}}
+        properties = schema.setdefault("properties", {})
+        known = properties.get(step, {})
+        properties[step] = {**table, **{name: known[name] for name in ("description", "default") if name in known}}
 
 
 class _Tables:

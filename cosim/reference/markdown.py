@@ -160,6 +160,7 @@ BLOCKS: Mapping[str, Callable[[], str]] = {
     "routing": lambda: tables("routing"),
     "doors": lambda: tables(*(f"bridge.{kind}" for kind in tree.DOORS)),
     "sockets": lambda: tables("sockets"),
+    "stacks": lambda: tables(*(f"stack.{kind}" for kind in tree.STACKS)),
     "metrics": metrics,
 }
 PAGES: Mapping[str, Collection[str]] = {
@@ -171,7 +172,7 @@ PAGES: Mapping[str, Collection[str]] = {
         *("leaders", "followers", "consensus", "team", "patrol", "time sync", "aerial", "avoid", "mission", "search"),
         *("track", "watching"),
     ),
-    "scenario-robots.md": ("drivers", "localisation", "fusion", "safety", "clock", "firmware"),
+    "scenario-robots.md": ("drivers", "localisation", "fusion", "safety", "clock", "firmware", "stacks"),
     "metrics.md": ("own metrics", "metrics"),
 }
 """Blocks of each page."""

@@ -39,6 +39,7 @@ NOT_SHARED = (
     "turn_rad",
 )  # [vehicles] has none
 DOORS = (*builtin_kinds.KINDS["door"],)
+STACKS = (*builtin_kinds.KINDS["stack"],)
 
 
 class Section(msgspec.Struct, frozen=True, kw_only=True):
@@ -113,8 +114,8 @@ def _field(name: str) -> Callable[[], Sequence[type]]:
     return lambda: binding.structs(binding.parameters(Scenario)[name].annotation)
 
 
-def _door(kind: str) -> Callable[[], Sequence[type]]:
-    return lambda: [registry.find("door", kind)]
+def _kind(group: str, kind: str) -> Callable[[], Sequence[type]]:
+    return lambda: [registry.find(group, kind)]
 
 
 @functools.cache
@@ -126,7 +127,11 @@ def places() -> Sequence[Place]:
         "world": [Place("world", "world")],
         "radio": [Place("radio", own=radio), *layers],
         "routing": [Place("routing", "routing")],
-        "bridge": [Place("bridge", own=_field("bridge")), *(Place(f"bridge.{kind}", own=_door(kind)) for kind in DOORS)],
+        "bridge": [
+            Place("bridge", own=_field("bridge")),
+            *(Place(f"bridge.{kind}", own=_kind("door", kind)) for kind in DOORS),
+        ],
+        "stack": [Place(f"stack.{kind}", own=_kind("stack", kind)) for kind in STACKS],
         "agents": [Place("agents", "agent", _field("agents"))],
         "metrics": [Place("metrics", own=_field("metrics")), Place("metrics.own.METRIC", "metric")],
         "vehicles": [],

@@ -63,7 +63,8 @@ def replay(
         )
     if twin and not real:
         raise UsageError(f"--twin: no vehicle of {folder} was real; leave the option out")
-    outside = (() if twin else real) + (("its programs",) if parsed.bridge.doors else ())
+    programs = bool(parsed.bridge.doors or parsed.stack)
+    outside = (() if twin else real) + (("its programs",) if programs else ())
     if outside and not (folder / FILE).is_file():
         what = f"{folder} has no {FILE} with the inputs of {', '.join(outside)}"
         raise UsageError(f"{what}: replay with simulated vehicles (--twin)" if real and not twin else what)

@@ -93,6 +93,7 @@ def _copies(one: dict[str, Any], source: Source) -> list[dict[str, Any]]:
 RESERVED = ("world", "radio", "bridge", "operator", "log", "tf")  # first parts of event keys that belong to no vehicle
 NAMED = ("vehicle", "station")  # arrays of tables that key paths reach by name
 BUILT_IN = registry.SHIPPED
+OPEN = ("physics", "world", "radio", "routing", "stack")  # tables whose keys belong to kinds
 T = TypeVar("T")
 
 
@@ -162,7 +163,9 @@ def parse(raw: Mapping[str, Any], source: Source) -> Scenario:
         "vehicle": vehicles,
         "station": stations,
         "vehicles": defaults,
-        **{name: _mapping(raw[name], name, source) for name in ("physics", "world", "radio", "routing") if name in raw},
+        **{
+            name: _mapping(raw[name], name, source) for name in ("physics", "world", "radio", "routing", "stack") if name in raw
+        },
         **{
             name: binding.call(kind, _mapping(raw[name], name, source), key=name, origin=source)
             for name, kind in (

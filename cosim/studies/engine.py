@@ -270,8 +270,8 @@ def _check(plan: Plan, base: Base, point: tuple[Any, ...]) -> Mapping[str, bytes
     files: Mapping[str, bytes] = {}
     try:
         parsed, source = loader.load(base.asked, settings=settings, seed=plan.seeds[0])
-        if parsed.bridge.doors or parsed.sockets.vehicles:
-            raise UsageError("a study cannot run external programs: leave [bridge] and [sockets] out")
+        if parsed.bridge.doors or parsed.sockets.vehicles or parsed.stack:
+            raise UsageError("a study cannot run external programs: leave [bridge], [sockets] and [stack] out")
         if parsed.real:
             raise UsageError(f"a study cannot drive real vehicles ({', '.join(parsed.real)}): simulate them with --twin")
         with assemble(parsed, source, runs="inprocess" if _by_hand(parsed) else "here") as assembled:

@@ -77,7 +77,7 @@ def test_every_key_of_a_table_is_documented(heading: str, target: Any, rest: str
 @pytest.mark.parametrize("group", [each for each in builtin_kinds.KINDS if each not in {"physics", "agent"}])
 def test_every_kind_stands_on_the_page(group: str) -> None:
     """With what it takes: `tests/cosim/reference/test_reference.py`."""
-    table = "bridge." if group == "door" else ""
+    table = {"door": "bridge.", "stack": "stack."}.get(group, "")
     assert [kind for kind in builtin_kinds.KINDS[group] if f"\n- `{table}{kind}`: " not in TEXT] == []
 
 

@@ -16,7 +16,8 @@ import msgspec
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.estimation.clock_offset import ForeignClock
-from vcmvsp.cosim.frames import Quaternion, product, quaternion_from_yaw, rotate2, wrap, yaw_of
+from vcmvsp.cosim.frames import product, quaternion_from_yaw, rotate2, wrap, yaw_of
+from vcmvsp.cosim.recording.ros_messages import rotated
 from vcmvsp.cosim.types import ORIGIN, NonNegative, Odometry, Positive, Rate, Vec3, VehicleState
 from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, CommandTimeout, HandshakeError, LinkLost, Sample
 from vcmvsp.hardware.drivers.ros2 import protocol
@@ -100,17 +101,10 @@ class Ros2Sampler:
         attitude = product(quaternion_from_yaw(yaw), message.attitude)
         return VehicleState(
             position=(x + dx, y + dy, message.position[2]),
-            velocity=_rotated(attitude, message.linear),
+            velocity=rotated(attitude, message.linear),
             attitude=attitude,
             angular_velocity=message.angular,
         )
-
-
-def _rotated(attitude: Quaternion, vector: Vec3) -> Vec3:
-    """The vector turned by the attitude: q v q*."""
-    w, x, y, z = attitude
-    _, rx, ry, rz = product(product(attitude, (0.0, *vector)), (w, -x, -y, -z))
-    return rx, ry, rz
 
 
 OPEN_S = 5.0  # for a session: two seconds for a host that does not answer, and reserve

@@ -1,4 +1,4 @@
-"""A node of ROS 2 on a Zenoh session: publishers, one subscriber, other nodes, and the presence of the robot.
+"""A node of ROS 2 on a Zenoh session: publishers, subscribers, other nodes, and the presence of a robot.
 
 Zenoh calls back in its own threads; callbacks only pass on.
 """
@@ -44,26 +44,41 @@ class Node:
         self._session = _session(with_slash(endpoint), mode)
         self._ids: dict[Endpoint, bytes] = {}
         self._kept: list[Any] = []  # Zenoh undeclares objects without references
+        self._mine = str(self._session.zid())
         try:
-            tokens = mapping.tokens(str(self._session.zid()), endpoints)
-            for each, token in zip(endpoints, tokens, strict=False):
-                self._ids[each] = gid_of(token)
-            self._kept += [self._session.liveliness().declare_token(token) for token in tokens]
+            self._declare(mapping.tokens(self._mine, ())[-1])
+            self.add(*endpoints)
         except zenoh.ZError as error:
             self.close()
             raise PortError(endpoint, f"the session failed ({error})", "open it again") from None
 
-    def publisher(self, what: Endpoint, matched: Callable[[bool], None]) -> Callable[[bytes], None]:
-        """Function that publishes a message; ``matched`` gets, in Zenoh's thread, whether there is a subscriber."""
+    def add(self, *endpoints: Endpoint) -> None:
+        """Announce further endpoints to the other nodes."""
+        every = (*self._ids, *endpoints)
+        for each, token in zip(every, self._mapping.tokens(self._mine, every), strict=False):
+            if each not in self._ids:
+                self._ids[each] = gid_of(token)
+                self._declare(token)
+
+    def _declare(self, token: str) -> None:
+        self._kept.append(self._session.liveliness().declare_token(token))
+
+    def publisher(self, what: Endpoint, matched: Callable[[bool], None], *, complete: bool = False) -> Callable[[bytes], None]:
+        """Function that publishes a message; ``matched`` gets, in Zenoh's thread, whether there is a subscriber.
+
+        By default a subscriber that does not read loses messages; if they must be ``complete``, it delays the publisher.
+        """
+        congestion = zenoh.CongestionControl
         publisher = self._session.declare_publisher(
             self._mapping.publishes(what.topic, what.type),
-            congestion_control=zenoh.CongestionControl.DROP,  # a robot that does not listen must not block
+            congestion_control=congestion.BLOCK if complete else congestion.DROP,
             express=True,
         )
 
         def told(status: Any) -> None:
             matched(status.matching)
 
+        told(publisher.matching_status)
         self._kept += [publisher, publisher.declare_matching_listener(Callback(told, indirect=False))]
         number = 0
 
@@ -93,13 +108,24 @@ class Node:
         """Publishers and subscribers of other nodes."""
         own = {endpoint.topic for endpoint in self._ids}
         endpoints = set()
-        mine = str(self._session.zid())
         for reply in self._session.liveliness().get(self._mapping.graph, timeout=GRAPH_S):
             token = str(reply.ok.key_expr) if reply.ok is not None else ""
             endpoint = self._mapping.endpoint(token)
-            if endpoint is not None and f"/{mine}/" not in token:
+            if endpoint is not None and f"/{self._mine}/" not in token:
                 endpoints.add(endpoint)
         return sorted(endpoints, key=lambda each: (each.topic not in own, each))
+
+    def watch(self, told: Callable[[str, Endpoint, bool], None]) -> None:
+        """Pass on, in Zenoh's thread, each endpoint of other nodes that is there, comes or goes, with its unique token."""
+
+        def took(sample: zenoh.Sample) -> None:
+            token = str(sample.key_expr)
+            endpoint = self._mapping.endpoint(token)
+            if endpoint is not None and f"/{self._mine}/" not in token:
+                told(token, endpoint, sample.kind == zenoh.SampleKind.PUT)
+
+        liveliness = self._session.liveliness()
+        self._kept.append(liveliness.declare_subscriber(self._mapping.graph, Callback(took, indirect=False), history=True))
 
     def close(self) -> None:
         """End the session, which undeclares everything. Never raises."""

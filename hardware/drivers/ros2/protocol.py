@@ -24,12 +24,10 @@ from math import isfinite, sqrt
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, get_typestore
-from rosbags.typesys.store import Typestore
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.frames import Quaternion
+from vcmvsp.cosim.recording import ros_messages as ros
 from vcmvsp.cosim.types import ORIGIN, Vec3
 
 TWIST, TWIST_STAMPED, ODOMETRY = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped", "nav_msgs/msg/Odometry"
@@ -62,30 +60,24 @@ class OdometryMessage(NamedTuple):
 
 
 @cache
-def _store() -> Typestore:
-    return get_typestore(Stores.ROS2_JAZZY)  # 0.1 s
-
-
-@cache
 def type_hash(name: str) -> str:
     """The hash of a type's definition (REP 2011), ``RIHS01_...``."""
-    return _store().hash_rihs01(name)
+    return ros.store().hash_rihs01(name)
 
 
 def encode_twist(twist: Twist, *, stamped: bool) -> bytes:
     """CDR bytes of a Twist or TwistStamped."""
-    message = _make(TWIST, linear=_vector(twist.linear), angular=_vector(twist.angular))
-    if not stamped:
-        return _encoded(TWIST, message)
-    header = _header(twist.stamp_ns, twist.frame)
-    return _encoded(TWIST_STAMPED, _make(TWIST_STAMPED, header=header, twist=message))
+    message = ros.twist(twist.linear, twist.angular)
+    if stamped:
+        message = ros.make("geometry_msgs/TwistStamped", ros.header(twist.stamp_ns, twist.frame), message)
+    return ros.encoded(message)
 
 
 def decode_twist(data: bytes, *, stamped: bool) -> Twist:
     """Twist or TwistStamped of CDR bytes; raises `ValueError`."""
-    message = _decoded(data, TWIST_STAMPED if stamped else TWIST)
+    message = ros.decoded(data, TWIST_STAMPED if stamped else TWIST)
     twist = message.twist if stamped else message
-    stamp_ns, frame = (_stamp(message.header.stamp), message.header.frame_id) if stamped else (0, "")
+    stamp_ns, frame = (ros.nanoseconds(message.header.stamp), message.header.frame_id) if stamped else (0, "")
     linear, angular = _tuple(twist.linear), _tuple(twist.angular)
     _check_finite("the velocity", *linear, *angular)
     return Twist(linear, angular, stamp_ns, frame)
@@ -93,22 +85,10 @@ def decode_twist(data: bytes, *, stamped: bool) -> Twist:
 
 def encode_odometry(odometry: OdometryMessage) -> bytes:
     """CDR bytes of an Odometry message."""
-    w, x, y, z = odometry.attitude
-    pose = _make(
-        "geometry_msgs/msg/Pose",
-        position=_vector(odometry.position, "geometry_msgs/msg/Point"),
-        orientation=_make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w),
-    )
-    twist = _make(TWIST, linear=_vector(odometry.linear), angular=_vector(odometry.angular))
-    pose_covariance, twist_covariance = np.array(odometry.pose_covariance), np.array(odometry.twist_covariance)
-    message = _make(
-        ODOMETRY,
-        header=_header(odometry.stamp_ns, odometry.frame),
-        child_frame_id=odometry.child_frame,
-        pose=_make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=pose_covariance),
-        twist=_make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=twist_covariance),
-    )
-    return _encoded(ODOMETRY, message)
+    head = ros.header(odometry.stamp_ns, odometry.frame)
+    pose, twist = (odometry.position, odometry.attitude), (odometry.linear, odometry.angular)
+    covariances = np.array(odometry.pose_covariance), np.array(odometry.twist_covariance)
+    return ros.encoded(ros.moving(head, odometry.child_frame, *pose, *twist, *covariances))
 
 
 def decode_odometry(data: bytes) -> OdometryMessage:
@@ -116,7 +96,7 @@ def decode_odometry(data: bytes) -> OdometryMessage:
 
     Covariances may have any value: nodes without covariances send zero or NaN.
     """
-    message = _decoded(data, ODOMETRY)
+    message = ros.decoded(data, ODOMETRY)
     pose, twist, orientation = message.pose.pose, message.twist.twist, message.pose.pose.orientation
     position, linear, angular = _tuple(pose.position), _tuple(twist.linear), _tuple(twist.angular)
     w, x, y, z = orientation.w, orientation.x, orientation.y, orientation.z
@@ -130,7 +110,7 @@ def decode_odometry(data: bytes) -> OdometryMessage:
         attitude=(w / norm, x / norm, y / norm, z / norm),
         linear=linear,
         angular=angular,
-        stamp_ns=_stamp(message.header.stamp),
+        stamp_ns=ros.nanoseconds(message.header.stamp),
         frame=message.header.frame_id,
         child_frame=message.child_frame_id,
         pose_covariance=tuple(message.pose.covariance.tolist()),
@@ -138,36 +118,8 @@ def decode_odometry(data: bytes) -> OdometryMessage:
     )
 
 
-def _make(name: str, **fields: Any) -> Any:
-    return _store().types[name](**fields)
-
-
-def _vector(vector: Vec3, name: str = "geometry_msgs/msg/Vector3") -> Any:
-    return _make(name, **dict(zip("xyz", vector, strict=True)))
-
-
-def _header(stamp_ns: int, frame: str) -> Any:
-    sec, nanosec = divmod(stamp_ns, SECOND_NS)
-    return _make("std_msgs/msg/Header", stamp=_make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec), frame_id=frame)
-
-
-def _encoded(name: str, message: object) -> bytes:
-    return bytes(_store().serialize_cdr(message, name, little_endian=True))
-
-
-def _decoded(data: bytes, name: str) -> Any:
-    try:
-        return _store().deserialize_cdr(data, name)
-    except SerdeError:
-        raise ValueError(f"{len(data)} bytes are not a valid {name}") from None
-
-
 def _tuple(vector: Any) -> Vec3:
     return vector.x, vector.y, vector.z
-
-
-def _stamp(time: Any) -> int:
-    return int(time.sec) * SECOND_NS + int(time.nanosec)
 
 
 def _check_finite(what: str, *numbers: float) -> None:

@@ -18,9 +18,10 @@ from tests.support.cosim import export_runs
 from tests.support.cosim.export_runs import recorded
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.export.formats import export
-from vcmvsp.cosim.export.rosbag import ros_name, write_bag
+from vcmvsp.cosim.export.rosbag import write_bag
 from vcmvsp.cosim.frames import product
 from vcmvsp.cosim.recording import recorded_run
+from vcmvsp.cosim.recording.ros_messages import ros_name
 from vcmvsp.cosim.util import limits
 
 pytestmark = pytest.mark.processes

@@ -1,22 +1,26 @@
-"""Conversion of recorded messages and scenes to ROS 2 messages (definitions of Jazzy, unchanged since Foxy).
+"""Conversion of values, recorded messages and scenes to ROS 2 messages (definitions of Jazzy, unchanged since Foxy).
 
 Frames and units are the same in both: ``world`` is east, north, up, a vehicle's own frame forward, left, up; SI units, radians.
 Time is simulated, from 0. The functions are fast and stateless.
+
+`OWN_TYPES` are the messages of the emulated radio, for which ROS has none; nodes need a package with these definitions.
 """
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
-from rosbags.typesys import Stores, get_typestore
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from vcmvsp.cosim.frames import Quaternion, product, quaternion_from_yaw
 from vcmvsp.cosim.recording import foxglove as messages
 from vcmvsp.cosim.recording.foxglove import CompressedImage, Grid
-from vcmvsp.cosim.types import Imu, Odometry, Vec3, VehicleState, Velocity, Waypoint
+from vcmvsp.cosim.types import Array, Image, Imu, Odometry, Reception, Scan, Vec3, VehicleState, Velocity, Waypoint
 
 WORLD = "world"
 LOG_LEVELS = {1: 10, 2: 20, 3: 30, 4: 40, 5: 50}  # foxglove.LogLevel -> rcl_interfaces/Log
@@ -26,6 +30,12 @@ ARROW, CUBE, CYLINDER, LINE_STRIP, LINE_LIST, TEXT, TRIANGLES = 0, 1, 3, 4, 5, 9
 DELETE_ALL = 3  # a marker action
 LINE_M = 0.03  # width of lines without a width in metres
 TEXT_M = 0.3  # height of letters without a height in metres
+NO_COVARIANCE = np.zeros(36)
+OWN_TYPES = {
+    "vcmvsp_msgs/msg/RadioSend": "string to\nuint8[] data\n",
+    "vcmvsp_msgs/msg/RadioReceived": "std_msgs/Header header\nstring sender\nfloat64 rssi_dbm\n"
+    "builtin_interfaces/Duration age\nuint8[] data\n",
+}
 
 
 class RosMessage(Protocol):
@@ -37,7 +47,23 @@ class RosMessage(Protocol):
 @cache
 def store() -> Typestore:
     """The message definitions."""
-    return get_typestore(Stores.ROS2_JAZZY)  # 0.1 s
+    found = get_typestore(Stores.ROS2_JAZZY)  # 0.1 s
+    for name, definition in OWN_TYPES.items():
+        found.register(get_types_from_msg(definition, name))
+    return found
+
+
+def encoded(message: RosMessage) -> bytes:
+    """CDR bytes of a message, little-endian, with their header of 4 bytes."""
+    return bytes(store().serialize_cdr(message, message.__msgtype__, little_endian=True))
+
+
+def decoded(data: bytes, name: str) -> Any:
+    """The message ``package/msg/Name`` of CDR bytes; raises `ValueError`."""
+    try:
+        return store().deserialize_cdr(data, name)
+    except SerdeError:
+        raise ValueError(f"{len(data)} bytes are not a valid {name}") from None
 
 
 @cache
@@ -63,25 +89,52 @@ def header(time_ns: int, frame: str) -> RosMessage:
 
 def transforms(said: messages.FrameTransforms, time_ns: int) -> RosMessage:
     """tf2_msgs/TFMessage."""
-    listed = []
-    for each in said.transforms:
-        place = make("geometry_msgs/Transform", vector(*_xyz(each.translation)), _turn(*_wxyz(each.rotation)))
-        head = header(time_ns, each.parent_frame_id)
-        listed.append(make("geometry_msgs/TransformStamped", head, each.child_frame_id, place))
+    listed = [
+        transform(time_ns, each.parent_frame_id, each.child_frame_id, _xyz(each.translation), _wxyz(each.rotation))
+        for each in said.transforms
+    ]
     return make("tf2_msgs/TFMessage", listed)
 
 
-def state(said: VehicleState, vehicle: str, time_ns: int) -> RosMessage:
+def transform(time_ns: int, parent: str, child: str, place: Vec3, turn: Quaternion) -> RosMessage:
+    """geometry_msgs/TransformStamped: parent_from_child."""
+    there = make("geometry_msgs/Transform", vector(*place), _turn(*turn))
+    return make("geometry_msgs/TransformStamped", header(time_ns, parent), child, there)
+
+
+def state(said: VehicleState, vehicle: str, time_ns: int, frame: str = WORLD) -> RosMessage:
     """nav_msgs/Odometry: pose in the world; velocities in the vehicle's frame, as ROS requires."""
-    linear = _into_body(said.attitude, said.velocity)
-    return _odometry(time_ns, vehicle, said.position, said.attitude, linear, said.angular_velocity)
+    w, x, y, z = said.attitude
+    linear = rotated((w, -x, -y, -z), said.velocity)
+    return moving(header(time_ns, frame), vehicle, said.position, said.attitude, linear, said.angular_velocity)
 
 
-def odometry(said: Odometry, vehicle: str, time_ns: int) -> RosMessage:
+def odometry(said: Odometry, vehicle: str, time_ns: int, frame: str = WORLD) -> RosMessage:
     """nav_msgs/Odometry: wheel odometry."""
     x, y, yaw = said.pose
     turn = quaternion_from_yaw(yaw)
-    return _odometry(time_ns, vehicle, (x, y, 0.0), turn, (said.v, 0.0, 0.0), (0.0, 0.0, said.w))
+    return moving(header(time_ns, frame), vehicle, (x, y, 0.0), turn, (said.v, 0.0, 0.0), (0.0, 0.0, said.w))
+
+
+def moving(
+    head: RosMessage,
+    child: str,
+    position: Vec3,
+    attitude: Quaternion,
+    linear: Vec3,
+    angular: Vec3,
+    pose_covariance: Array = NO_COVARIANCE,
+    twist_covariance: Array = NO_COVARIANCE,
+) -> RosMessage:
+    """nav_msgs/Odometry: the velocities are along the child's axes."""
+    there = make("geometry_msgs/PoseWithCovariance", pose(position, attitude), pose_covariance)
+    speeds = make("geometry_msgs/TwistWithCovariance", twist(linear, angular), twist_covariance)
+    return make("nav_msgs/Odometry", head, child, there, speeds)
+
+
+def twist(linear: Vec3, angular: Vec3) -> RosMessage:
+    """geometry_msgs/Twist."""
+    return make("geometry_msgs/Twist", vector(*linear), vector(*angular))
 
 
 def path(places: Sequence[tuple[int, VehicleState]]) -> RosMessage:
@@ -92,8 +145,7 @@ def path(places: Sequence[tuple[int, VehicleState]]) -> RosMessage:
 
 def velocity(said: Velocity, vehicle: str, time_ns: int) -> RosMessage:
     """geometry_msgs/TwistStamped: a command; for its axes see `cosim.export.rosbag`."""
-    twist = make("geometry_msgs/Twist", vector(*said.linear), vector(0.0, 0.0, said.yaw_rate))
-    return make("geometry_msgs/TwistStamped", header(time_ns, vehicle), twist)
+    return make("geometry_msgs/TwistStamped", header(time_ns, vehicle), twist(said.linear, (0.0, 0.0, said.yaw_rate)))
 
 
 def waypoint(said: Waypoint, time_ns: int) -> RosMessage:
@@ -121,25 +173,56 @@ def scan(said: messages.LaserScan) -> RosMessage:
     """sensor_msgs/LaserScan, at the time of measurement; a beam without return is infinite (REP 117)."""
     ranges = np.array([math.inf if each is None else each for each in said.ranges], np.float32)
     finite = ranges[np.isfinite(ranges)]
-    return make(
-        "sensor_msgs/LaserScan",
-        header=header(said.timestamp.ns, said.frame_id),
-        angle_min=said.start_angle,
-        angle_max=said.end_angle,
-        angle_increment=(said.end_angle - said.start_angle) / max(1, len(ranges) - 1),
-        time_increment=0.0,
-        scan_time=0.0,
-        range_min=0.0,
-        range_max=said.range_max if said.range_max is not None else float(finite.max(initial=0.0)),
-        ranges=ranges,
-        intensities=np.zeros(0, np.float32),
-    )
+    most = said.range_max if said.range_max is not None else float(finite.max(initial=0.0))
+    step = (said.end_angle - said.start_angle) / max(1, len(ranges) - 1)
+    return _scan(header(said.timestamp.ns, said.frame_id), said.start_angle, said.end_angle, step, most, ranges)
+
+
+def laser_scan(said: Scan, frame: str) -> RosMessage:
+    """sensor_msgs/LaserScan of a reading, at the time of measurement."""
+    last = said.angle_min + (len(said.ranges) - 1) * said.angle_step
+    return _scan(header(said.time_ns, frame), said.angle_min, last, said.angle_step, said.range_max, said.ranges)
+
+
+def _scan(head: RosMessage, first: float, last: float, step: float, most: float, ranges: Array) -> RosMessage:
+    return make("sensor_msgs/LaserScan", head, first, last, step, 0.0, 0.0, 0.0, most, ranges, np.zeros(0, np.float32))
 
 
 def image(said: messages.RawImage, frame: str) -> RosMessage:
     """sensor_msgs/Image, at the time of exposure."""
     look = {"encoding": said.encoding, "is_bigendian": 0, "step": said.step, "data": np.frombuffer(said.data, np.uint8)}
     return make("sensor_msgs/Image", header(said.timestamp.ns, frame), said.height, said.width, **look)
+
+
+def picture(said: Image, frame: str) -> RosMessage:
+    """sensor_msgs/Image of a reading, at the time of exposure."""
+    height, width, _ = said.pixels.shape
+    return make("sensor_msgs/Image", header(said.time_ns, frame), height, width, "rgb8", 0, 3 * width, np.ravel(said.pixels))
+
+
+def pinhole(said: Image, frame: str) -> RosMessage:
+    """sensor_msgs/CameraInfo of a reading: a pinhole without distortion, whose principal point is the centre."""
+    height, width, _ = said.pixels.shape
+    k = np.array([[said.focal_px, 0.0, 0.5 * width], [0.0, said.focal_px, 0.5 * height], [0.0, 0.0, 1.0]])
+    matrices = k.ravel(), np.eye(3).ravel(), np.hstack([k, np.zeros((3, 1))]).ravel()
+    whole = make("sensor_msgs/RegionOfInterest", 0, 0, 0, 0, False)
+    head = header(said.time_ns, frame)
+    return make("sensor_msgs/CameraInfo", head, height, width, "plumb_bob", np.zeros(5), *matrices, 0, 0, whole)
+
+
+def satellite_fix(time_ns: int, frame: str, geodetic: Vec3, sigmas_m: Vec3) -> RosMessage:
+    """sensor_msgs/NavSatFix: latitude and longitude (deg), height (m); standard deviations east, north, up."""
+    status = make("sensor_msgs/NavSatStatus", 0, 1)  # STATUS_FIX, SERVICE_GPS
+    covariance = np.diag(np.square(sigmas_m)).ravel()
+    return make("sensor_msgs/NavSatFix", header(time_ns, frame), status, *geodetic, covariance, 2)  # DIAGONAL_KNOWN
+
+
+def radio_received(said: Reception, data: bytes) -> RosMessage:
+    """vcmvsp_msgs/RadioReceived, at the time of arrival; its age is the time since it was sent."""
+    age = make("builtin_interfaces/Duration", *divmod(said.received_ns - said.sent_ns, 1_000_000_000))
+    head = header(said.received_ns, "")
+    content = np.frombuffer(data, np.uint8)
+    return make("vcmvsp_msgs/RadioReceived", head, said.message.sender, said.rssi_dbm, age, content)
 
 
 def compressed_image(said: CompressedImage, frame: str) -> RosMessage:
@@ -184,6 +267,24 @@ def vector(x: float, y: float, z: float) -> RosMessage:
     return make("geometry_msgs/Vector3", x, y, z)
 
 
+def rotated(turn: Quaternion, vector: Vec3) -> Vec3:
+    """A vector rotated by a quaternion (w, x, y, z)."""
+    w, x, y, z = turn
+    _, *turned = product(product(turn, (0.0, *vector)), (w, -x, -y, -z))
+    return turned[0], turned[1], turned[2]
+
+
+def nanoseconds(said: Any) -> int:
+    """Nanoseconds of a builtin_interfaces/Time."""
+    return int(said.sec) * 1_000_000_000 + int(said.nanosec)
+
+
+def ros_name(topic: str) -> str:
+    """Valid ROS name for a topic: letters, digits and ``_``, no digit first."""
+    parts = (re.sub(r"\W", "_", part, flags=re.ASCII) for part in topic.strip("/").split("/"))
+    return "".join(f"/_{part}" if part[:1].isdigit() else f"/{part}" for part in parts)
+
+
 def point(x: float, y: float, z: float) -> RosMessage:
     """geometry_msgs/Point."""
     return make("geometry_msgs/Point", x, y, z)
@@ -212,20 +313,6 @@ def _pose_of(said: messages.Pose) -> RosMessage:
 
 def _posed(time_ns: int, position: Vec3, attitude: Sequence[float]) -> RosMessage:
     return make("geometry_msgs/PoseStamped", header(time_ns, WORLD), pose(position, attitude))
-
-
-def _odometry(time_ns: int, vehicle: str, position: Vec3, attitude: Sequence[float], linear: Vec3, angular: Vec3) -> RosMessage:
-    there = make("geometry_msgs/PoseWithCovariance", pose(position, attitude), np.zeros(36))
-    twist = make("geometry_msgs/Twist", vector(*linear), vector(*angular))
-    moving = make("geometry_msgs/TwistWithCovariance", twist, np.zeros(36))
-    return make("nav_msgs/Odometry", header(time_ns, WORLD), vehicle, there, moving)
-
-
-def _into_body(attitude: Quaternion, vector: Vec3) -> Vec3:
-    """Rotate a vector from the world into the frame of a body."""
-    w, x, y, z = attitude
-    _, *turned = product(product((w, -x, -y, -z), (0.0, *vector)), attitude)
-    return turned[0], turned[1], turned[2]
 
 
 def _jpeg(head: RosMessage, name: str, data: bytes) -> RosMessage:

@@ -1,0 +1,238 @@
+"""ROS 2 nodes drive simulated vehicles: the nodes are those of zenoh-ros2-sdk, what they get is decoded by rosbags."""
+
+import contextlib
+import json
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any
+
+import pytest
+import zenoh
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+import vcmvsp
+from tests.support.paths import ROOT
+from vcmvsp.cosim.errors import FederateError, ScenarioError
+from vcmvsp.cosim.recording.mcap_reader import messages
+from vcmvsp.cosim.recording.ros_messages import OWN_TYPES
+from vcmvsp.cosim.runs import api
+from vcmvsp.cosim.runs.replay import replay
+from vcmvsp.cosim.runs.result import Result
+from vcmvsp.hardware.drivers.ros2.node import Node
+from vcmvsp.hardware.drivers.ros2.protocol import TWIST, Endpoint, RmwZenoh, Twist, encode_twist
+
+pytestmark = [pytest.mark.processes, pytest.mark.sockets]
+
+GOALS = {"car1": (2.0, 1.0), "car2": (-2.0, 1.0)}
+STRING = "std_msgs/msg/String"
+
+
+@contextlib.contextmanager
+def node(port: int, vehicle: str, *options: str) -> Iterator[subprocess.Popen[str]]:
+    """A node in a process of its own, which dials until the run is there."""
+    words = [sys.executable, "-m", "tests.support.hardware.ros2_node", str(port), vehicle, *map(str, GOALS[vehicle]), *options]
+    with subprocess.Popen(words, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def scenario(port: int, *vehicles: str, duration_s: float = 8.0, **more: Any) -> dict[str, Any]:
+    sensors = {"scan": {"kind": "lms", "rate_hz": 10.0}, "inertia": {"kind": "imu", "rate_hz": 30.0}}
+    stack = {"vehicles": list(vehicles), "pace": "lockstep", "endpoint": f"tcp/127.0.0.1:{port}", **more}
+    return {
+        "name": "nodes",
+        "duration_s": duration_s,
+        "world": {"kind": "boxes", "boxes": [{"center": [6.0, 0.0, 0.5], "size": [0.2, 9.0, 1.0]}]},
+        "radio": {"preset": "wifi-b-1", "loss": {"kind": "bernoulli", "probability": 0.3}},
+        "stack": {"ros2": stack},
+        "vehicles": {"kind": "p2dx", "sensors": sensors},
+        "vehicle": [{"name": name, "pose": [0.0, float(k), 0.0]} for k, name in enumerate(GOALS)],
+    }
+
+
+def presence(folder: Path, vehicle: str) -> list[str]:
+    with (folder / "run.mcap").open("rb") as stream:
+        return [json.loads(data)["state"] for key, _, data in messages(stream) if key == f"{vehicle}/host"]
+
+
+def end_of(result: Result, vehicle: str) -> tuple[float, float]:
+    last = [each for each in result.states.to_pylist() if each["vehicle"] == vehicle][-1]
+    return last["x"], last["y"]
+
+
+def heard(output: IO[str]) -> list[list[str]]:
+    """Sender, content, level and age of each message that a node got by radio."""
+    return [line.split() for line in output]
+
+
+@pytest.mark.parametrize("stamped", [(), ("--stamped",)], ids=["Twist", "TwistStamped"])
+def test_in_lock_step_runs_have_the_same_bytes_and_the_radio_loses_what_its_table_says(
+    port: int, tmp_path: Path, stamped: tuple[str, ...]
+) -> None:
+    runs, said = [], []
+    for number in range(2):
+        with node(port, "car1", *stamped) as one, node(port, "car2", *stamped) as two:
+            runs.append(vcmvsp.run(scenario(port, "car1", "car2"), out=tmp_path / f"run{number}"))
+            assert one.stdin
+            one.stdin.close()
+            assert one.stdout
+            said.append(heard(one.stdout))
+            two.kill()
+    first = runs[0]
+    assert runs[1].metrics["digest"] == first.metrics["digest"]
+    assert said[0] == said[1]
+    for vehicle, goal in GOALS.items():
+        assert end_of(first, vehicle) == pytest.approx(goal, abs=0.1)
+    frames = [each for each in first.radio.to_pylist() if each["sender"] == "car2" and each["receiver"] == "car1"]
+    number_of = {sent_ns: number for number, sent_ns in enumerate(sorted(each["sent_ns"] for each in frames), 1)}
+    arrived = [each for each in frames if each["outcome"] == "received"]
+    assert 40 < len(arrived) < 72  # of 80, with a loss of 0.3
+    assert len(arrived) - len(said[0]) in {0, 1}  # what arrives after the last tick
+    for (sender, content, rssi, age), frame in zip(said[0], arrived, strict=False):
+        assert (sender, int(content, 16)) == ("car2", number_of[frame["sent_ns"]])
+        assert float(rssi) == pytest.approx(frame["rssi_dbm"], abs=1e-6)
+        assert float(age) == pytest.approx(1e-9 * (frame["received_ns"] - frame["sent_ns"]), abs=1e-9)
+    assert replay(tmp_path / "run0").metrics["digest"] == first.metrics["digest"]
+
+
+def test_in_real_time_a_node_drives_and_its_end_is_a_loss(port: int, tmp_path: Path) -> None:
+    asked = scenario(port, "car1", duration_s=6.0, pace="wall")
+    asked["agents"] = {"on_lost": "hold", "hold_s": 0.0}
+    asked["vehicle"].pop()
+    with node(port, "car1") as process:
+        killer = threading.Timer(4.0, process.kill)
+        killer.start()
+        result = vcmvsp.run(asked, out=tmp_path / "run")
+        killer.cancel()
+    assert end_of(result, "car1")[0] > 0.2
+    assert "lost" in presence(tmp_path / "run", "car1")
+
+
+@pytest.mark.parametrize("on_lost", ["stop", "hold", "remove"])
+def test_a_silent_node_is_lost_as_an_agent_is(port: int, tmp_path: Path, on_lost: str) -> None:
+    asked = scenario(port, "car1", duration_s=3.0)
+    asked["agents"] = {"on_lost": on_lost, "hold_s": 0.0, "deadline_s": 1.0}
+    asked["vehicle"].pop()
+    with node(port, "car1", "--silent-after", "15"):
+        if on_lost == "stop":
+            with pytest.raises(FederateError, match=r"car1: no command on /car1/cmd_vel within 1 s"):
+                vcmvsp.run(asked)
+            return
+        result = vcmvsp.run(asked, out=tmp_path / "run")
+    assert presence(tmp_path / "run", "car1") == [{"hold": "lost", "remove": "removed"}[on_lost]]
+    before, *_, after = result.states["vx"].to_numpy()[14:]
+    assert abs(after) < 0.01 < abs(before)
+
+
+def test_a_second_publisher_and_other_types_are_refused_by_name(port: int) -> None:
+    lines: list[str] = []
+    endpoints = Endpoint("MP", "car1/cmd_vel", TWIST), Endpoint("MP", "car1/cmd_vel", STRING)
+    over = threading.Event()
+
+    full_speed = encode_twist(Twist((1.0, 0.0, 0.0), (0.0, 0.0, 0.0)), stamped=False)
+
+    def disturb() -> None:
+        while True:
+            with contextlib.suppress(FederateError):
+                other = Node(f"tcp/127.0.0.1:{port}", "connect", RmwZenoh(0, "other"), endpoints)
+                break
+        says = [other.publisher(each, lambda _: None) for each in endpoints]
+        while not over.wait(0.05):
+            for say in says:
+                say(full_speed)
+        other.close()
+
+    asked = scenario(port, "car1", duration_s=5.0, pace="wall")
+    with node(port, "car1") as process:
+        assert process.stdout
+        disturbing = threading.Thread(target=disturb)
+        disturbing.start()
+        vcmvsp.run(asked, tell=lines.append)
+        over.set()
+        disturbing.join()
+    refused = [line for line in lines if "/car1/cmd_vel is refused" in line]
+    assert any("another node publishes it, too" in line for line in refused)
+    assert any(f"it is {STRING}, not {TWIST} or geometry_msgs/msg/TwistStamped" in line for line in refused)
+    assert any("refused messages: " in line for line in lines)
+
+
+def test_every_byte_is_that_of_its_type_and_names_and_hashes_are_rmw_zenohs(port: int) -> None:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for name, text in OWN_TYPES.items():
+        store.register(get_types_from_msg(text, name))
+    asked = scenario(port, "car1", duration_s=2.0, pace="wall")
+    asked["vehicles"]["sensors"] |= {"eye": {"kind": "camera", "rate_hz": 5.0}, "sat": {"kind": "gps", "rate_hz": 5.0}}
+    asked["vehicle"][1]["agent"] = {"kind": "trajectory", "path": "circle", "speed": 0.3, "yaw_rate": 0.2}
+    samples: list[zenoh.Sample] = []
+    tokens: set[str] = set()
+
+    def listen() -> None:
+        config = zenoh.Config.from_json5(
+            f'{{mode: "client", connect: {{endpoints: ["tcp/127.0.0.1:{port}"], timeout_ms: 20000, exit_on_failure: true}}}}'
+        )
+        with zenoh.open(config) as session:
+            session.declare_subscriber("0/**", samples.append)
+            session.liveliness().declare_subscriber("@ros2_lv/**", lambda said: tokens.add(str(said.key_expr)), history=True)
+            over.wait(60.0)
+
+    over = threading.Event()
+    listening = threading.Thread(target=listen)
+    listening.start()
+    vcmvsp.run(asked)
+    over.set()
+    listening.join()
+    seen: dict[str, Any] = {}
+    for sample in samples:
+        _, *topic, kind, digest = str(sample.key_expr).split("/")
+        name = kind.replace("::dds_::", "/").replace("::", "/").removesuffix("_")
+        assert digest == store.hash_rihs01(name)
+        data, attachment = sample.payload.to_bytes(), sample.attachment
+        seen["/".join(topic)] = message = store.deserialize_cdr(data, name)
+        assert bytes(store.serialize_cdr(message, name)) == data
+        assert attachment is not None
+        assert len(attachment.to_bytes()) == 33
+    parts = "clock", "odom", "tf", "radio/received", "scan", "inertia", "eye/image_raw", "eye/camera_info", "sat/fix"
+    assert {*seen} == {each if each == "clock" else f"car1/{each}" for each in parts}
+    assert (seen["car1/odom"].header.frame_id, seen["car1/odom"].child_frame_id) == ("odom", "base_link")
+    frames = {each.child_frame_id: each for each in seen["car1/tf"].transforms}
+    assert {*frames} == {"odom", "base_link", "scan", "inertia", "eye", "sat"}
+    turn = frames["eye"].transform.rotation  # body x is forward, the optical axis z: rotation by (-90, 0, -90) degrees
+    assert (turn.w, turn.x, turn.y, turn.z) == pytest.approx((0.5, -0.5, 0.5, -0.5))
+    picture, lens = seen["car1/eye/image_raw"], seen["car1/eye/camera_info"]
+    assert len(picture.data) == picture.step * picture.height == 3 * lens.width * lens.height
+    assert abs(seen["car1/sat/fix"].latitude) < 1e-3
+    assert seen["car1/scan"].range_max == pytest.approx(80.0, abs=80.0)
+    kinds = {part[9].replace("%", "/"): part[5] for part in (each.split("/") for each in tokens) if len(part) == 13}
+    assert kinds["/car1/cmd_vel"] == "MS"
+    assert kinds["/car1/odom"] == kinds["/car1/scan"] == "MP"
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ({"vehicles": ["car9"]}, r"stack\.ros2\.vehicles: .*car9"),
+        ({"vehicles": ["car1", "car1"]}, r"stack\.ros2\.vehicles: car1 is driven twice"),
+        ({"vehicles": ["car1"], "pase": "wall"}, r"stack\.ros2: .*pase|stack\.ros2\.pase"),
+        ({"vehicles": ["car1"], "origin": [91.0, 0.0, 0.0]}, r"stack\.ros2\.origin: a latitude"),
+    ],
+)
+def test_a_wrong_table_is_one_error(change: dict[str, Any], problem: str) -> None:
+    with pytest.raises(ScenarioError, match=problem):
+        api.check({**scenario(7447, "car1"), "stack": {"ros2": change}})
+    with pytest.raises(ScenarioError, match=r"stack\.ros1: .*ros2"):
+        api.check({**scenario(7447, "car1"), "stack": {"ros1": {}}})
+
+
+def test_without_a_node_lock_step_does_not_begin(port: int) -> None:
+    asked = scenario(port, "car1")
+    asked["agents"] = {"join_timeout_s": 0.2}
+    with pytest.raises(FederateError, match=r"nobody publishes /car1/cmd_vel within 0\.2 s"):
+        vcmvsp.run(asked)
+    router = Node(f"tcp/127.0.0.1:{port}", "listen", RmwZenoh(0, "router"), ())
+    with contextlib.closing(router), pytest.raises(FederateError, match="end the other router"):
+        vcmvsp.run(asked)
