@@ -288,4 +288,19 @@ def schema_of(annotation: object) -> dict[str, Any]:
         return {}
     found: dict[str, Any] = msgspec.json.decode(text.replace(rb"\\A", b"^").replace(rb"\\Z", b"$"))  # ECMAScript syntax
     choices = [each for each in found.get("anyOf", []) if each != {"type": "null"}]  # TOML has no null
-    return choices[0] if len(choices) == 1 else found
+    return _for_all_drafts(choices[0] if len(choices) == 1 else found)
+
+
+def _for_all_drafts(node: Any) -> Any:
+    """A schema that also allows tuples to readers of JSON Schema before 2020-12, as Taplo is: they know no ``prefixItems``."""
+    if isinstance(node, list):
+        return [_for_all_drafts(each) for each in node]
+    if not isinstance(node, dict):
+        return node
+    found = {name: _for_all_drafts(each) for name, each in node.items()}
+    if found.get("items") is False:
+        places = found["prefixItems"]
+        same = all(each == places[0] for each in places)
+        found |= {"items": places[0] if same else {"anyOf": places}}
+        found = {name: each for name, each in found.items() if name != "prefixItems" or not same}
+    return found

@@ -77,7 +77,8 @@ class _Tables:
             return {"type": "object", "if": {"not": {"required": ["kind"]}}, "then": {**table, "additionalProperties": False}}
         if not group:
             return table if "additionalProperties" in table else {**table, "additionalProperties": False}
-        kinds = {kind: self._kind(group, kind, is_whole=place.path not in AGENTS) for kind in builtin_kinds.KINDS[group]}
+        is_whole = place.path not in AGENTS and not place.path.startswith("radio.")  # a preset may give the other keys
+        kinds = {kind: self._kind(group, kind, is_whole=is_whole) for kind in builtin_kinds.KINDS[group]}
         table["properties"]["kind"] = {"anyOf": [{"enum": [*kinds]}, {"type": "string", "pattern": ":"}]}
         table["required"] = [name for name in table.get("required", []) if name != "kind"]
         branches = [{"if": _has_kind({"const": kind}), "then": {"$ref": f"#/$defs/{name}"}} for kind, name in kinds.items()]
