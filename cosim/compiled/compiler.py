@@ -28,18 +28,19 @@ OPTIONS: dict[str, Any] = {
     "_nrt": False,
     "no_cpython_wrapper": True,
     "no_cfunc_wrapper": True,
-    "forceinline": True,
 }
 Layout = Sequence[tuple[str, str, int, int]]
 """For each field of a block: name, NumPy type string, number of dimensions (0: a single number), arrays (0: not a tuple)."""
 
 # The C library's, as in interpreted code: a calculation of sine and cosine at once may differ in the last bit.
-EXTERNAL = {each: types.ExternalFunction(each.__name__, types.float64(types.float64)) for each in (math.sin, math.cos)}
+_ONE, _TWO = types.float64(types.float64), types.float64(types.float64, types.float64)
+EXTERNAL: dict[Any, Any] = {each: types.ExternalFunction(each.__name__, _ONE) for each in (math.sin, math.cos, math.exp)}
+EXTERNAL[math.atan2] = types.ExternalFunction("atan2", _TWO)
 
 
-def compiled(source: Callable[..., Any]) -> Any:
-    """A function for calls from compiled functions."""
-    return numba.njit(**OPTIONS)(source)
+def compiled(source: Callable[..., Any], *, inline: bool) -> Any:
+    """A function for calls from compiled functions; ``inline``: it becomes a part of each of them."""
+    return numba.njit(**OPTIONS, forceinline=inline)(source)
 
 
 def assembly(function: Any, first: Layout, second: Layout, name: str) -> str:

@@ -2,9 +2,12 @@
 
 A core is a function of two named tuples of arrays and numbers, and of an integer. It is written in the part of Python and NumPy
 that numba compiles, and does the same operations in the same order interpreted and compiled: results are equal to the last bit.
-It reads and writes single elements, of tables as ``table[i][j]``, allocates nothing, and takes sine and cosine from `math`.
-Cached code is loaded by llvmlite alone: importing numba takes many times longer. `VCMVSP_COMPILED=0` in the environment turns
-compilation off.
+It reads and writes single elements, of tables as ``table[i][j]``, allocates nothing, and takes sine, cosine, ``exp`` and
+``atan2`` from `math` by name. Cached code is loaded by llvmlite alone: importing numba takes many times longer.
+`VCMVSP_COMPILED=0` in the environment turns compilation off.
+
+Functions become parts of those that call them, unless the module of the core says ``INLINE = False``: with many calls of large
+functions that takes long, and gains nothing.
 """
 
 import contextlib
@@ -15,6 +18,7 @@ import inspect
 import os
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import BuiltinFunctionType, FunctionType, ModuleType
 from typing import Any
@@ -203,7 +207,8 @@ def _code(program: Program) -> bytes:
 
         from vcmvsp.cosim.compiled.compiler import EXTERNAL, assembly, compiled
 
-        text = assembly(linked(program[0], compiled, EXTERNAL), *program[1:], ENTRY)
+        make = partial(compiled, inline=getattr(program[0][-1], "INLINE", True))
+        text = assembly(linked(program[0], make, EXTERNAL), *program[1:], ENTRY)
         code = host().emit_object(llvm.parse_assembly(text))
         _write_code(path, code)
     return code

@@ -59,9 +59,9 @@ def ray_paths(channel: Channel, points: Floats) -> pa.Table:
 def _rows(found: Traced, a: Floats, b: Floats, first: int) -> list[dict[str, Any]]:
     rows = [
         _row(
-            first + int(found.table.pair[path]), found.gains.gain[path], found.gains.length_m[path], *_steps(found, path, a, b)
+            first + int(found.table.pair[path]), found.table.gain[path], found.table.length_m[path], *_steps(found, path, a, b)
         )
-        for path in found.kept.tolist()
+        for path in range(len(found.table.pair))
     ]
     roofs = found.roofs
     for number, pair in enumerate(roofs.pair.tolist()):

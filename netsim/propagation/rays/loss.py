@@ -13,17 +13,15 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import NonNegative, Positive
 from vcmvsp.netsim.interfaces.layers import Draw, Floats, Frame, Ints, Paths
 from vcmvsp.netsim.propagation.path_loss import SPEED_OF_LIGHT, Frequency
-from vcmvsp.netsim.propagation.rays.coefficients import MATERIALS, Complex, Echoes
-from vcmvsp.netsim.propagation.rays.field import Gains, Wave, gains
+from vcmvsp.netsim.propagation.rays.coefficients import MATERIALS, Echoes
 from vcmvsp.netsim.propagation.rays.roofs import gains_over_roofs, over_roofs
-from vcmvsp.netsim.propagation.rays.tracer import PathTable, Tracer
-from vcmvsp.netsim.propagation.rays.world import RayWorld, Solids, holding, world_of
+from vcmvsp.netsim.propagation.rays.tracer import Complex, PathTable, Tracer
+from vcmvsp.netsim.propagation.rays.world import RayWorld, Solids, Wave, holding, world_of
 
 Order = Annotated[int, msgspec.Meta(ge=0, le=4)]
 Limit = Annotated[int, msgspec.Meta(ge=1, le=1_000_000)]
 
 ARRIVES = 1e-20  # power ratio: pairs with less are reached over the roofs only
-_WEAKEST = 1e-15  # size of a gain: paths with less are left out, e.g. those through metal
 _BLOCK = 1024  # pairs traced at a time
 _MOST_POINTS = 512  # for more points only the links of the radio in question are computed
 
@@ -51,8 +49,6 @@ class Traced(NamedTuple):
     """All paths of some pairs of points."""
 
     table: PathTable
-    gains: Gains
-    kept: Ints  # rows of the table that are not too weak
     roofs: OverRoofs
 
 
@@ -83,7 +79,7 @@ class Rays:
     @cached_property
     def world(self) -> RayWorld:
         """Facets, edges and bodies."""
-        return world_of(self.solids, self.frequency_hz, self.ground, self.slab_m, self.facet_limit)
+        return world_of(self.solids, self.wave, self.ground, self.slab_m, self.facet_limit)
 
     @cached_property
     def wave(self) -> Wave:
@@ -114,15 +110,12 @@ class Rays:
     def traced(self, a: Floats, b: Floats) -> Traced:
         """All paths between points a (n, 3) m and b (n, 3) m."""
         table = self._tracer.paths(a, b)
-        found = gains(self.world, table, a, b, self.wave)
-        size = np.abs(found.gain)
-        (kept,) = np.nonzero(size >= _WEAKEST)
-        power = np.bincount(table.pair[kept], size[kept] ** 2, len(a))
+        power = np.bincount(table.pair, power_of(table.gain), len(a))
         (dark,) = np.nonzero(power < ARRIVES)
         over = over_roofs(self.world, a[dark], b[dark], self.wave.length_m)
         straight = np.sqrt(((b - a)[dark] ** 2).sum(axis=1))
         beyond = gains_over_roofs(over, straight, self.wave.length_m)
-        return Traced(table, found, kept, OverRoofs(dark, beyond, over.length_m, over.pair, over.edge))
+        return Traced(table, OverRoofs(dark, beyond, over.length_m, over.pair, over.edge))
 
     def _links(self, a: Floats, b: Floats) -> LinkPaths:
         """The paths of many links, each computed from the end that comes first, so that both directions are equal."""
@@ -131,12 +124,12 @@ class Rays:
         blocks = []
         for first in range(0, len(a), _BLOCK):
             found = self.traced(here[first : first + _BLOCK], there[first : first + _BLOCK])
-            pair = np.concatenate([found.table.pair[found.kept], found.roofs.pair])
+            pair = np.concatenate([found.table.pair, found.roofs.pair])
             order = np.argsort(pair, kind="stable")
-            gain = np.concatenate([found.gains.gain[found.kept], found.roofs.gain])[order]
-            length = np.concatenate([found.gains.length_m[found.kept], found.roofs.length_m])[order]
+            gain = np.concatenate([found.table.gain, found.roofs.gain])[order]
+            length = np.concatenate([found.table.length_m, found.roofs.length_m])[order]
             count = len(here[first : first + _BLOCK])
-            power = np.bincount(pair[order], np.abs(gain) ** 2, count).astype(np.float64)
+            power = np.bincount(pair[order], power_of(gain), count).astype(np.float64)
             blocks.append(LinkPaths(np.bincount(pair, minlength=count).astype(np.int64), power, gain, length))
         nothing = LinkPaths(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.complex128), np.zeros(0))
         return LinkPaths(*(np.concatenate(columns) for columns in zip(nothing, *blocks, strict=True)))
@@ -145,6 +138,11 @@ class Rays:
         """For each point the solid that it is inside, in words; empty: none."""
         words = (*self.solids.words, "")
         return [words[number] for number in holding(self.world, points).tolist()]
+
+
+def power_of(gain: Complex) -> Floats:
+    """Power of waves, as a ratio."""
+    return np.asarray(gain.real**2 + gain.imag**2)
 
 
 def _comes_first(a: Floats, b: Floats) -> np.ndarray:
@@ -158,7 +156,8 @@ def _comes_first(a: Floats, b: Floats) -> np.ndarray:
 class LinkCache:
     """The links between radios that stand where they stood at the last question.
 
-    The first radio that asks has its own links computed; if another one asks before anyone has moved, all of them are.
+    The first radio that asks has its own links computed; if another one asks before anyone has moved, all of them are, and
+    from then on at the first question of each instant, until only one asks.
     """
 
     def __init__(self, compute: Callable[[Floats, Floats], LinkPaths]) -> None:
@@ -166,6 +165,7 @@ class LinkCache:
         self._points = b""
         self._single: tuple[int, LinkPaths] | None = None
         self._all: LinkPaths | None = None
+        self._senders: set[int] = set()  # that asked since somebody moved
 
     def links(self, tx: Floats, rx: Floats) -> tuple[LinkPaths, Ints]:
         """Links, and which of them are those from one point (3,) m to others (n, 3) m, (n,)."""
@@ -176,7 +176,11 @@ class LinkCache:
         place[order] = np.arange(len(points))
         key = standing.tobytes()
         if key != self._points:
+            several, self._senders = len(self._senders) > 1, set()
             self._points, self._single, self._all = key, None, None
+            if several and len(points) <= _MOST_POINTS:
+                self._all = self._pairs(standing)
+        self._senders.add(int(place[0]))
         one, other = np.minimum(place[0], place[1:]), np.maximum(place[0], place[1:])
         row = one * (2 * len(place) - one - 1) // 2 + other - one - 1  # among all pairs
         if self._all is not None:
@@ -186,9 +190,12 @@ class LinkCache:
             self._single = int(place[0]), self._compute(np.broadcast_to(tx, others.shape).copy(), others)
         if self._single[0] == place[0]:
             return self._single[1], place[1:] - (place[1:] > place[0])
-        i, j = np.triu_indices(len(points), 1)
-        self._all = self._compute(standing[i], standing[j])
+        self._all = self._pairs(standing)
         return self._all, row
+
+    def _pairs(self, points: Floats) -> LinkPaths:
+        i, j = np.triu_indices(len(points), 1)
+        return self._compute(points[i], points[j])
 
 
 @dataclass(frozen=True)

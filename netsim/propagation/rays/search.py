@@ -10,15 +10,13 @@ plan gives
 """
 
 import math
-from typing import NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
 
 from vcmvsp.cosim.util.surfaces import OPAQUE, SKIN
-from vcmvsp.netsim.interfaces.layers import Floats, Ints
+from vcmvsp.netsim.propagation.rays.arrays import Terrain, Work
+from vcmvsp.netsim.propagation.rays.field import size, weigh
 
-Flags = NDArray[np.uint8]
+INLINE = False
+"""See `cosim.compiled.machine_code`: half the time of compilation, and as fast."""
 
 TRACE, LOOK, LOOK_FROM_SITES, BEAMS = 0, 1, 2, 3
 """What `run` is to do."""
@@ -26,7 +24,7 @@ TRACE, LOOK, LOOK_FROM_SITES, BEAMS = 0, 1, 2, 3
 DONE, FULL = 0, 1
 """What `run` returns: all done, or the output is full."""
 
-NEXT, PATHS, PASSES, LEGS, PAIRS, OVERFLOW, SOURCE, CORNERS, SIDES = range(9)
+NEXT, PATHS, PASSES, LEGS, PAIRS, OVERFLOW, SOURCE, CORNERS, SIDES, BEGIN = range(10)
 """Places in `Work.counts`."""
 
 UNKNOWN, SEEN, HIDDEN = range(3)
@@ -34,111 +32,7 @@ UNKNOWN, SEEN, HIDDEN = range(3)
 
 NEAR_M = 1e-6  # what a line touches for less than this, or at its end, does not stop it
 APART_M = 1e-9  # least distance of a point from the plane that reflects it
-
-
-class Terrain(NamedTuple):
-    """The world: see `netsim.propagation.rays.world`. Lengths in m; F facets with K corners, E edges, V bodies with S sides."""
-
-    facet_first: Ints  # (F + 1,)
-    corner_x: Floats  # (K,)
-    corner_y: Floats
-    corner_z: Floats
-    cut_x: Floats  # (K,) in the plane of the facet, inwards: a point is in the facet if ``cut . point >= cut_at``
-    cut_y: Floats
-    cut_z: Floats
-    cut_at: Floats
-    normal_x: Floats  # (F,)
-    normal_y: Floats
-    normal_z: Floats
-    plane_at: Floats
-    both_sides: Ints  # (F,) 1: reflects on both sides
-    passage: Ints  # (F,)
-    start_x: Floats  # (E,)
-    start_y: Floats
-    start_z: Floats
-    along_x: Floats  # (E,) unit vector
-    along_y: Floats
-    along_z: Floats
-    length: Floats
-    first_face: Ints  # (E,)
-    second_face: Ints
-    side_first: Ints  # (V + 1,)
-    side_x: Floats  # (S,)
-    side_y: Floats
-    side_at: Floats
-    bottom: Floats  # (V,)
-    top: Floats
-    cell_first: Ints  # (columns * rows + 1,)
-    cell_item: Ints  # bodies, and facets as ``-1 - facet``
-    columns: int
-    rows: int
-    west: float
-    south: float
-    cell_m: float
-
-
-class Work(NamedTuple):
-    """What is asked, space to work in, and the answer."""
-
-    reflections: int
-    diffraction: int
-    transmission: int
-    counts: Ints  # see `NEXT`
-    site_x: Floats  # (N,) m, the points
-    site_y: Floats
-    site_z: Floats
-    site_cell: Ints  # (N,) the cell of each
-    a: Ints  # (P,) site of one end of each pair
-    b: Ints  # (P,) of the other
-    view_first: Ints  # (C + 1,) what each cell may see: facets, and edges numbered behind all facets
-    view_target: Ints
-    site_facet_first: Ints  # (N + 1,) what each site may see
-    site_facet: Ints
-    site_edge_first: Ints
-    site_edge: Ints
-    partner_first: Ints  # (N + 1,) the other sites of the pairs of each site
-    partner: Ints
-    beam_first: Ints  # (facets of all sites + 1,) edges in the beam that each site has over each facet that it may see
-    beam_edge: Ints
-    edge_mark: Ints  # (E,)
-    sees_row: int  # length of a row of ``sees``; 0: all facets have the same
-    sees: Flags  # (F * (F + E),) whether each facet may see each facet and edge: see `UNKNOWN`
-    facet_mark: Ints  # (F,)
-    facet_leg: Ints  # (F,) the last leg that was tested against it
-    body_leg: Ints  # (V,)
-    cell: Ints  # (6,) of the walk over the grid
-    share: Floats  # (5,)
-    end_x: Floats  # (2,) ends of the path under test
-    end_y: Floats
-    end_z: Floats
-    beam_x: Floats  # see `bound`
-    beam_y: Floats
-    beam_z: Floats
-    chosen: Ints  # facets of the sequence under test
-    place: Ints
-    image_x: Floats
-    image_y: Floats
-    image_z: Floats
-    point_x: Floats
-    point_y: Floats
-    point_z: Floats
-    region_x: Floats  # corners of what looks
-    region_y: Floats
-    region_z: Floats
-    target_x: Floats  # corners of what is looked at
-    target_y: Floats
-    target_z: Floats
-    seen: Ints  # (F + E,) what the region may see
-    path_pair: Ints  # (n,)
-    path_count: Ints  # number of interactions
-    path_element: Ints  # (n * most,) facets, and edges as ``-1 - edge``
-    path_x: Floats  # (n * most,)
-    path_y: Floats
-    path_z: Floats
-    pass_path: Ints  # (m,)
-    pass_leg: Ints
-    pass_facet: Ints
-    pass_at: Floats  # share of the leg
+WEAKEST = 1e-30  # power gain: paths with less are left out, e.g. those through metal
 
 
 def run(w: Terrain, s: Work, what: int) -> int:
@@ -171,15 +65,16 @@ def trace(w: Terrain, s: Work, p: int) -> None:
     s.end_x[0], s.end_y[0], s.end_z[0] = s.site_x[a], s.site_y[a], s.site_z[a]
     s.end_x[1], s.end_y[1], s.end_z[1] = s.site_x[b], s.site_y[b], s.site_z[b]
     if all_clear(w, s, 0):
-        emit(s, p, 0)
+        emit(w, s, p, 0)
     if s.reflections > 0:
         reflect(w, s, p)
     if s.diffraction:
         mark_edges(s, b)
         for k in range(s.site_edge_first[a], s.site_edge_first[a + 1]):
             e = s.site_edge[k]
+            s.element[0] = -1 - e
             if s.edge_mark[e] == s.counts[PAIRS] and keller(w, s, e, 0) and all_clear(w, s, 1):
-                put(s, emit(s, p, 1), -1 - e, 0)
+                emit(w, s, p, 1)
         for end in range(2 if s.reflections > 0 else 0):
             if end == 1:
                 mark_edges(s, a)
@@ -247,9 +142,9 @@ def retrace(w: Terrain, s: Work, p: int, count: int) -> None:
             return
         x, y, z = s.point_x[k - 1], s.point_y[k - 1], s.point_z[k - 1]
     if all_clear(w, s, count):
-        path = emit(s, p, count)
         for k in range(count):
-            put(s, path, s.chosen[k + 1], k)
+            s.element[k] = s.chosen[k + 1]
+        emit(w, s, p, count)
 
 
 def cross(w: Terrain, s: Work, f: int, x: float, y: float, z: float, image: int, k: int) -> bool:
@@ -295,9 +190,8 @@ def diffract_and_reflect(w: Terrain, s: Work, p: int, end: int) -> None:
                 continue
             s.end_x[end], s.end_y[end], s.end_z[end] = s.image_x[0], s.image_y[0], s.image_z[0]
             if all_clear(w, s, 2):
-                path = emit(s, p, 2)
-                put(s, path, f, end)
-                put(s, path, -1 - e, 1 - end)
+                s.element[end], s.element[1 - end] = f, -1 - e
+                emit(w, s, p, 2)
             s.end_x[end], s.end_y[end], s.end_z[end] = s.image_x[1], s.image_y[1], s.image_z[1]
         s.end_x[end], s.end_y[end], s.end_z[end] = s.image_x[0], s.image_y[0], s.image_z[0]
 
@@ -400,11 +294,6 @@ def keller(w: Terrain, s: Work, e: int, k: int) -> bool:
     return True
 
 
-def size(x: float, y: float, z: float) -> float:
-    """Length of a vector; a power of 2 would not be the same to the bit interpreted and compiled."""
-    return math.sqrt(x * x + y * y + z * z)
-
-
 def outside(w: Terrain, e: int, x: float, y: float, z: float) -> bool:
     """Whether a point is before one of the faces of an edge."""
     f, g = w.first_face[e], w.second_face[e]
@@ -420,7 +309,7 @@ def outside(w: Terrain, e: int, x: float, y: float, z: float) -> bool:
 
 def all_clear(w: Terrain, s: Work, count: int) -> bool:
     """Whether nothing stops a path over the first ``count`` points; what it passes is noted."""
-    passes = s.counts[PASSES]
+    passes = s.counts[BEGIN] = s.counts[PASSES]
     s.point_x[count], s.point_y[count], s.point_z[count] = s.end_x[1], s.end_y[1], s.end_z[1]
     x, y, z = s.end_x[0], s.end_y[0], s.end_z[0]
     for k in range(count + 1):
@@ -576,24 +465,35 @@ def most(s: Work) -> int:
     return max(s.reflections, 2)
 
 
-def emit(s: Work, p: int, count: int) -> int:
-    """Note a path over the first ``count`` points; returns its number, or -1 if there is no room."""
+def emit(w: Terrain, s: Work, p: int, count: int) -> None:
+    """Note the path under test, over the first ``count`` points, unless it is too weak; call it after `all_clear`."""
+    sort_passes(s)
+    weigh(w, s, count, s.counts[BEGIN], s.counts[PASSES])
+    if s.wave[0] * s.wave[0] + s.wave[1] * s.wave[1] < WEAKEST:
+        s.counts[PASSES] = s.counts[BEGIN]
+        return
     n = s.counts[PATHS]
     if n >= len(s.path_pair):
         s.counts[OVERFLOW] = 1
-        return -1
+        return
     s.path_pair[n], s.path_count[n] = p, count
+    s.path_real[n], s.path_imag[n], s.path_length[n] = s.wave[0], s.wave[1], s.wave[2]
     for k in range(count):
         at = n * most(s) + k
         s.path_x[at], s.path_y[at], s.path_z[at] = s.point_x[k], s.point_y[k], s.point_z[k]
+        s.path_element[at] = s.element[k]
     s.counts[PATHS] += 1
-    return n
 
 
-def put(s: Work, path: int, element: int, k: int) -> None:
-    """Set interaction k of a path, if there was room for it."""
-    if path >= 0:
-        s.path_element[path * most(s) + k] = element
+def sort_passes(s: Work) -> None:
+    """Sort the passages of the path under test by their place."""
+    for last in range(s.counts[BEGIN] + 1, s.counts[PASSES]):
+        leg, facet, at = s.pass_leg[last], s.pass_facet[last], s.pass_at[last]
+        k = last
+        while k > s.counts[BEGIN] and (s.pass_leg[k - 1] > leg or (s.pass_leg[k - 1] == leg and s.pass_at[k - 1] > at)):
+            s.pass_leg[k], s.pass_facet[k], s.pass_at[k] = s.pass_leg[k - 1], s.pass_facet[k - 1], s.pass_at[k - 1]
+            k -= 1
+        s.pass_leg[k], s.pass_facet[k], s.pass_at[k] = leg, facet, at
 
 
 # --- what may be seen from a region ---

@@ -3,10 +3,12 @@
 from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vcmvsp.cosim.compiled.machine_code import Core, available
 from vcmvsp.netsim.interfaces.layers import Floats, Ints
-from vcmvsp.netsim.propagation.rays import search
+from vcmvsp.netsim.propagation.rays import coefficients, field, search
+from vcmvsp.netsim.propagation.rays.arrays import Work
 from vcmvsp.netsim.propagation.rays.search import (
     BEAMS,
     CORNERS,
@@ -18,13 +20,13 @@ from vcmvsp.netsim.propagation.rays.search import (
     PATHS,
     SOURCE,
     TRACE,
-    Work,
 )
 from vcmvsp.netsim.propagation.rays.world import RayWorld
 
 CELL_M, STOREY_M = 8.0, 4.0  # size of the cells whose view is kept
-CORE = (search,)
-COMPILE_S = 20.0  # CPU time of interpreted search for which compiling pays
+CORE = (coefficients, field, search)
+Complex = NDArray[np.complex128]
+COMPILE_S = 10.0  # CPU time of interpreted search for which compiling pays
 _CANDIDATE_S, _TARGET_S, _BEAM_S = 1e-5, 3e-5, 1e-6  # CPU time of one, interpreted
 _PATHS, _BEAMS = 1 << 10, 1 << 14  # room at first
 _MOST_PAIRS = 1 << 32  # of facets and what they may see, a byte each
@@ -40,6 +42,8 @@ class PathTable(NamedTuple):
     steps: Ints  # (n,) number of interactions: reflections and diffractions
     element: Ints  # (n, M) facets, and edges as ``-1 - edge``
     point: Floats  # (n, M, 3) m
+    gain: Complex  # (n,) see `netsim.propagation.rays.field`
+    length_m: Floats  # (n,)
     pass_path: Ints  # (m,) never decreasing
     pass_leg: Ints  # (m,)
     pass_facet: Ints  # (m,)
@@ -70,7 +74,7 @@ class Tracer:
 
     def __init__(self, world: RayWorld, reflections: int, *, diffraction: bool, transmission: bool) -> None:
         self.world, self.reflections = world, reflections
-        self._facets, self._edges = len(world.normal), len(world.edge_angle)
+        self._facets, self._edges = len(world.terrain.plane_at), len(world.terrain.angle)
         self._views = Views()
         self._work = _new_work(world, reflections, diffraction=diffraction, transmission=transmission)
         self._core = Core(CORE, world.terrain, self._work)
@@ -149,9 +153,11 @@ class Tracer:
         n, m, most = int(s.counts[PATHS]), int(s.counts[PASSES]), max(self.reflections, 2)
         point = np.stack([each[: n * most].reshape(n, most) for each in (s.path_x, s.path_y, s.path_z)], axis=-1)
         element = s.path_element[: n * most].reshape(n, most).copy()
-        columns: list[Any] = [each[:m].copy() for each in (s.pass_path, s.pass_leg, s.pass_facet, s.pass_at)]
-        order = np.lexsort((columns[3], columns[1], columns[0]))
-        return PathTable(s.path_pair[:n].copy(), s.path_count[:n].copy(), element, point, *(each[order] for each in columns))
+        gain = s.path_real[:n] + 1j * s.path_imag[:n]
+        passes: list[Any] = [each[:m].copy() for each in (s.pass_path, s.pass_leg, s.pass_facet, s.pass_at)]
+        return PathTable(
+            s.path_pair[:n].copy(), s.path_count[:n].copy(), element, point, gain, s.path_length[:n].copy(), *passes
+        )
 
     # --- views ---
 
@@ -194,10 +200,10 @@ def starts_and_items(parts: list[Ints]) -> tuple[Ints, Ints]:
 
 def _new_work(world: RayWorld, reflections: int, *, diffraction: bool, transmission: bool) -> Work:
     """A work with nothing to do yet."""
-    facets, edges, bodies = len(world.normal), len(world.edge_angle), len(world.terrain.bottom)
+    facets, edges, bodies = len(world.terrain.plane_at), len(world.terrain.angle), len(world.terrain.bottom)
     depth, most = max(reflections, 2) + 2, max(reflections, 2)
     sizes: dict[str, int] = {
-        "counts": 9,
+        "counts": 10,
         "facet_mark": facets,
         "edge_mark": edges,
         "facet_leg": facets,
@@ -208,7 +214,10 @@ def _new_work(world: RayWorld, reflections: int, *, diffraction: bool, transmiss
         **{f"{name}_{axis}": _CORNERS for name in ("region", "target", "beam") for axis in "xyz"},
         "chosen": depth,
         "place": depth,
+        "element": depth,
+        "wave": 3,
         "seen": facets + edges,
+        **dict.fromkeys(("path_real", "path_imag", "path_length"), _PATHS),
         **dict.fromkeys(("path_pair", "path_count", "pass_path", "pass_leg", "pass_facet", "pass_at"), _PATHS),
         **dict.fromkeys(("path_element", "path_x", "path_y", "path_z"), _PATHS * most),
     }
@@ -229,22 +238,3 @@ def _new_work(world: RayWorld, reflections: int, *, diffraction: bool, transmiss
             "sees": sees,
         },
     )
-
-
-def legs_of(table: PathTable, a: Floats, b: Floats) -> Floats:
-    """Points of the paths with both ends, (n, M + 2, 3) m; behind the end it is repeated."""
-    n, most = table.element.shape
-    points = np.empty((n, most + 2, 3))
-    points[:, 0] = a[table.pair]
-    points[:, 1:-1] = table.point
-    points[:, -1] = b[table.pair]
-    for k in range(most):
-        done = table.steps <= k
-        points[done, k + 1] = points[done, -1]
-    return points
-
-
-def lengths_of(points: Floats) -> Floats:
-    """Lengths of the legs, (n, M + 1) m."""
-    runs = np.diff(points, axis=1)
-    return np.sqrt((runs * runs).sum(axis=2))

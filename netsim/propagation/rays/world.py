@@ -8,8 +8,9 @@ import numpy as np
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.util.surfaces import SHEET, Surfaces
 from vcmvsp.netsim.interfaces.layers import Bools, Floats, Ints
-from vcmvsp.netsim.propagation.rays.coefficients import MATERIALS, Complex, permittivity
-from vcmvsp.netsim.propagation.rays.search import Terrain
+from vcmvsp.netsim.propagation.path_loss import SPEED_OF_LIGHT
+from vcmvsp.netsim.propagation.rays.arrays import Terrain
+from vcmvsp.netsim.propagation.rays.coefficients import MATERIALS, Echoes, faddeeva_numbers, permittivity
 
 _MARGIN_M = 1e-3  # of the grid around what it holds
 _PER_CELL = 1.0  # obstacles, about
@@ -35,16 +36,20 @@ class RayWorld(NamedTuple):
     """What rays meet. The ground, if there is one, is the last of the F facets."""
 
     terrain: Terrain
-    normal: Floats  # (F, 3)
-    permittivity: Complex  # (F,)
-    thickness_m: Floats  # (F,) infinite: a half-space
-    edge_start: Floats  # (E, 3) m
-    edge_along: Floats  # (E, 3) unit vectors, ``tangent x normal`` of the first face
-    edge_tangent: Floats  # (E, 3)
-    edge_faces: Ints  # (E, 2)
-    edge_angle: Floats  # (E,) in units of pi
     surfaces: Surfaces
     roofs: "Roofs"
+
+
+class Wave(NamedTuple):
+    """A carrier, and how the echoes in slabs add up."""
+
+    frequency_hz: float
+    echoes: Echoes
+
+    @property
+    def length_m(self) -> float:
+        """Wavelength."""
+        return SPEED_OF_LIGHT / self.frequency_hz
 
 
 class Roofs(NamedTuple):
@@ -56,14 +61,14 @@ class Roofs(NamedTuple):
     thin: Bools  # (V,) whether it is a slab
 
 
-def world_of(solids: Solids, frequency_hz: float, ground: str, slab_m: float, facet_limit: int) -> RayWorld:
-    """The world of the rays at a frequency.
+def world_of(solids: Solids, wave: Wave, ground: str, slab_m: float, facet_limit: int) -> RayWorld:
+    """The world of the rays of a wave.
 
     Raises:
         ScenarioError: a material without a permittivity, or more facets than ``facet_limit``.
     """
     on_ground = ground != "none"
-    known = {material: permittivity(material, frequency_hz) for material in {*solids.materials} & {*MATERIALS}}
+    known = {material: permittivity(material, wave.frequency_hz) for material in {*solids.materials} & {*MATERIALS}}
     for material, words in zip(solids.materials, solids.words, strict=True):
         if material not in known:
             problem = f"{words} is of {material!r}, whose permittivity is not known"
@@ -77,26 +82,22 @@ def world_of(solids: Solids, frequency_hz: float, ground: str, slab_m: float, fa
     normal = np.vstack([found.normal, (0.0, 0.0, 1.0)]) if on_ground else found.normal
     offset, passage = np.append(found.offset, [0.0] * on_ground), np.append(found.passage, [0] * on_ground)
     eta = np.array(etas, np.complex128)[found.solid]
-    thickness = found.thickness_m
+    turns = found.thickness_m / wave.length_m
     if on_ground:
-        eta, thickness = np.append(eta, permittivity(ground, frequency_hz)), np.append(thickness, math.inf)
+        eta, turns = np.append(eta, permittivity(ground, wave.frequency_hz)), np.append(turns, math.inf)
+    matter = {
+        "eta_real": eta.real.copy(),
+        "eta_imag": eta.imag.copy(),
+        "turns": turns,
+        "averaged": int(wave.echoes == "averaged"),
+        "wave_m": wave.length_m,
+        "faddeeva": np.array(faddeeva_numbers()),
+    }
+    # Edges run along ``tangent x normal`` of the first face.
     first_normal = found.normal[found.faces[:, 0]].reshape(-1, 3)
-    along = np.cross(found.tangent, first_normal)
-    swapped = (along * (found.end - found.start)).sum(axis=1) < 0.0
+    swapped = (np.cross(found.tangent, first_normal) * (found.end - found.start)).sum(axis=1) < 0.0
     start, end = np.where(swapped[:, None], found.end, found.start), np.where(swapped[:, None], found.start, found.end)
-    return RayWorld(
-        _terrain(found, normal, offset, passage, start, end),
-        normal,
-        eta,
-        thickness,
-        start,
-        along,
-        found.tangent,
-        found.faces,
-        found.angle,
-        found,
-        _roofs(found),
-    )
+    return RayWorld(_terrain(found, normal, offset, passage, start, end, matter), found, _roofs(found))
 
 
 def _roofs(found: Surfaces) -> Roofs:
@@ -113,7 +114,9 @@ def _roofs(found: Surfaces) -> Roofs:
     return Roofs(first, np.concatenate(sides), np.concatenate(tops), np.concatenate(thin))
 
 
-def _terrain(found: Surfaces, normal: Floats, offset: Floats, passage: Ints, start: Floats, end: Floats) -> Terrain:
+def _terrain(
+    found: Surfaces, normal: Floats, offset: Floats, passage: Ints, start: Floats, end: Floats, matter: dict[str, Any]
+) -> Terrain:
     first = found.first if len(offset) == len(found.offset) else np.append(found.first, found.first[-1])
     facet = np.repeat(np.arange(len(found.offset)), np.diff(found.first))
     following = np.arange(1, len(found.corner) + 1)
@@ -138,9 +141,12 @@ def _terrain(found: Surfaces, normal: Floats, offset: Floats, passage: Ints, sta
         plane_at=offset,
         both_sides=(passage == SHEET).astype(np.int64),
         passage=passage.astype(np.int64),
+        **matter,
         **_columns("start", start),
         **_columns("along", run / length[:, None]),
         length=length,
+        **_columns("tangent", found.tangent),
+        angle=found.angle,
         first_face=found.faces[:, 0].copy(),
         second_face=found.faces[:, 1].copy(),
         side_first=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),

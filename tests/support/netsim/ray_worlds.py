@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.netsim.interfaces.layers import Floats
-from vcmvsp.netsim.propagation.rays.coefficients import Complex
 from vcmvsp.netsim.propagation.rays.loss import Rays, Traced
+from vcmvsp.netsim.propagation.rays.tracer import Complex
 from vcmvsp.physics.raycast.surfaces import SolidSurfaces
 from vcmvsp.physics.world.solids import AnySolid
 
@@ -27,7 +27,8 @@ def field(rays: Rays, a: Sequence[float] | Floats, b: Sequence[float] | Floats) 
     """Sum of the waves of all paths of each pair, without those over the roofs, (n,)."""
     found = traced(rays, a, b)
     pairs = max(len(np.atleast_2d(a)), len(np.atleast_2d(b)))
-    real, imaginary = (np.bincount(found.table.pair, part, pairs) for part in (found.gains.gain.real, found.gains.gain.imag))
+    gain = found.table.gain
+    real, imaginary = (np.bincount(found.table.pair, part, pairs) for part in (gain.real, gain.imag))
     return np.asarray(real + 1j * imaginary)
 
 

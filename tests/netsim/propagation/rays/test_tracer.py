@@ -30,12 +30,11 @@ def test_two_rays_over_the_ground() -> None:
     found = traced(rays_among(ground="medium_dry_ground"), [0.0, 0.0, high], [d, 0.0, low])
     assert kinds(found) == ["", "S"]
     lengths = [math.hypot(d, high - low), math.hypot(d, high + low)]
-    assert found.gains.length_m.tolist() == pytest.approx(lengths)
+    assert found.table.length_m.tolist() == pytest.approx(lengths)
     assert found.table.point[1, 0].tolist() == pytest.approx([d * high / (high + low), 0.0, 0.0])
-    cosine = np.array([(high + low) / lengths[1]])
-    reflected = half_space(cosine, np.array([permittivity("medium_dry_ground", 2.4e9)])).parallel[0]
+    _, reflected, _ = half_space((high + low) / lengths[1], permittivity("medium_dry_ground", 2.4e9))
     expected = WAVE_M / (4.0 * math.pi * lengths[1]) * reflected * np.exp(-2j * math.pi * lengths[1] / WAVE_M)
-    assert found.gains.gain[1] == pytest.approx(expected, rel=1e-9)
+    assert found.table.gain[1] == pytest.approx(expected, rel=1e-9)
 
 
 def test_between_two_walls_the_images_are_those_of_a_corridor() -> None:
@@ -44,17 +43,16 @@ def test_between_two_walls_the_images_are_those_of_a_corridor() -> None:
     assert sorted(kinds(found)) == ["", "S", "S", "SS", "SS", "SSS", "SSS"]
     # Walls at -3 and 5: the images of y = 1 are at 1 + 16 k and at -7 - 16 k, 9 + 16 k.
     images = [1.0, -7.0, 9.0, 17.0, -15.0, -23.0, 25.0]
-    assert sorted(found.gains.length_m) == pytest.approx(sorted(math.hypot(30.0, y) for y in images))
+    assert sorted(found.table.length_m) == pytest.approx(sorted(math.hypot(30.0, y) for y in images))
 
 
 def test_a_slab_in_the_way() -> None:
     found = traced(rays_among(WALL, diffraction=False), [0.0, 0.0, 2.0], [3.0, 9.0, 2.0])
     assert kinds(found) == [""]
     assert found.table.pass_at.tolist() == pytest.approx([5.0 / 9.0])
-    cosine, eta = np.array([9.0 / math.hypot(3.0, 9.0)]), np.array([permittivity("brick", 2.4e9)])
-    _, through = slab(cosine, eta, np.array([0.2 / WAVE_M]), "phases")
-    expected = WAVE_M / (4.0 * math.pi * math.hypot(3.0, 9.0)) * abs(through.perpendicular[0])  # the field is upright
-    assert abs(found.gains.gain[0]) == pytest.approx(expected, rel=1e-9)
+    through = slab(9.0 / math.hypot(3.0, 9.0), permittivity("brick", 2.4e9), 0.2 / WAVE_M, averaged=0)[2]
+    expected = WAVE_M / (4.0 * math.pi * math.hypot(3.0, 9.0)) * abs(through)  # the field is upright
+    assert abs(found.table.gain[0]) == pytest.approx(expected, rel=1e-9)
 
 
 def test_opaque_where_it_is_thicker_than_the_limit() -> None:
@@ -80,7 +78,7 @@ def test_a_mesh_and_a_box_have_the_same_paths() -> None:
     mesh = Mesh(triangles=corner[triangles], material="brick")
     a, b = np.array([(-7.0, 1.3, 1.0), (5.1, 11.0, 1.5)]), np.array([(6.3, 0.4, 2.0), (-8.0, 2.0, 0.7)])
     of_box, of_mesh = (traced(rays_among(solid, ground="concrete"), a, b) for solid in (box, mesh))
-    assert sorted(np.abs(of_mesh.gains.gain)) == pytest.approx(sorted(np.abs(of_box.gains.gain)), rel=1e-9)
+    assert sorted(np.abs(of_mesh.table.gain)) == pytest.approx(sorted(np.abs(of_box.table.gain)), rel=1e-9)
 
 
 def test_a_knife_edge_where_nothing_else_arrives() -> None:
@@ -88,7 +86,7 @@ def test_a_knife_edge_where_nothing_else_arrives() -> None:
     fence = Box(center=(0.0, 0.0, 5.0), size=(0.2, 1000.0, 10.0), material="metal")
     rays = rays_among(fence, diffraction=False)
     found = traced(rays, [-30.0, 0.0, 2.0], [50.0, 0.0, 4.0])
-    assert not len(found.kept)
+    assert not len(found.table.pair)
     assert found.roofs.edge[0].tolist() == pytest.approx([0.0, 0.0, 10.0])
     height = 10.0 - (2.0 + 2.0 * 30.0 / 80.0)
     nu = height * math.sqrt(2.0 / WAVE_M * (1.0 / 30.0 + 1.0 / 50.0))
@@ -126,7 +124,7 @@ def test_links_of_all_radios_are_those_of_each() -> None:
         others = np.delete(np.arange(6), row)
         loss[row, others] = rays.loss_db(Paths.between(places[row], places[others]))
         alone = rays_among(WALL, ground="concrete").loss_db(Paths.between(places[row], places[others]))
-        assert loss[row, others] == pytest.approx(alone, abs=1e-9)
+        assert loss[row, others].tolist() == alone.tolist()
     assert np.nanmax(np.abs(loss - loss.T)) < 1e-9
 
 
@@ -136,7 +134,7 @@ def test_geometric_fading_of_two_paths() -> None:
     paths = Paths.between(np.array([0.0, 0.0, 3.0]), np.array([[40.0, 0.0, 1.0], [41.0, 0.0, 1.5]]))
     frame = Frame(0, 0, 1, 1, paths, np.zeros(2), SenderLinks(0, "a", ("b", "c")))
     found = traced(rays, np.tile(paths.tx, (2, 1)), paths.rx)
-    waves = found.gains.gain.reshape(2, 2)
+    waves = found.table.gain.reshape(2, 2)
     expected = 20.0 * np.log10(np.abs(waves.sum(axis=1))) - 10.0 * np.log10((np.abs(waves) ** 2).sum(axis=1))
 
     def gain(bandwidth_hz: float) -> np.ndarray:
