@@ -1,7 +1,7 @@
 """Build the channel from ``[radio]``: a preset with changed layers."""
 
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -51,6 +51,8 @@ def federate_of(
     portable, keep = resolution.portable, resolution.keep
     channel, _, resolved = channel_of(scenario, source, solids=solids, portable=portable, keep=keep)
     channel.recorded = None if recorded is None else RecordedFrames(recorded, tell)
+    for line in _enclosed(channel, scenario):
+        tell(line)
     router = None
     if scenario.routing:
         router, resolution.tables["routing"] = resolution.component("routing", scenario.routing, "routing")
@@ -88,6 +90,18 @@ def channel_of(
         layers, source, solids=solids, radios=radios, vehicles=list(radios), portable=portable, keep=keep, also=keys
     )
     return channel, radios, resolved
+
+
+def _enclosed(channel: "Channel", scenario: Scenario) -> Iterator[str]:
+    """A line on antennas that start inside a solid, where rays find no way out of it."""
+    rays: Any = channel.budgets.path_loss
+    if scenario.radio.get("path_loss", {}).get("kind") != "rays" or not scenario.vehicle:
+        return
+    names = tuple(each.name for each in scenario.vehicle)
+    antennas = np.array([each.start[0] for each in scenario.vehicle]) + channel.budgets.antennas_above(names)
+    inside = [f"{name} in {solid}" for name, solid in zip(names, rays.holder(antennas), strict=True) if solid]
+    if inside:
+        yield f"radio.path_loss: {len(inside)} antennas start inside a solid, reached over the roofs only: {'; '.join(inside)}"
 
 
 def _federate_keys() -> list[str]:

@@ -77,6 +77,7 @@ class Core:
 
     def __init__(self, modules: tuple[ModuleType, ...], first: Any, second: Any) -> None:
         self._program = modules, Block(first).layout, Block(second).layout
+        self._compiled: Compiled | None = None
 
     @property
     def interpreted(self) -> Run:
@@ -88,7 +89,9 @@ class Core:
         """Compiled code, which is loaded or made now."""
         if not self.is_loaded:
             _loaded[self._program] = MachineCode(_code(self._program))
-        return Compiled(_loaded[self._program])
+        if self._compiled is None:
+            self._compiled = Compiled(_loaded[self._program])
+        return self._compiled
 
     @property
     def is_loaded(self) -> bool:

@@ -46,6 +46,10 @@ class Terrain(NamedTuple):
     angle: Floats  # (E,) outer, in units of pi
     first_face: Ints  # (E,)
     second_face: Ints
+    group_x: Floats  # (G,) spheres round `search.GROUP` edges each, one after another
+    group_y: Floats
+    group_z: Floats
+    group_radius: Floats
     side_first: Ints  # (V + 1,)
     side_x: Floats  # (S,)
     side_y: Floats
@@ -84,7 +88,12 @@ class Work(NamedTuple):
     partner: Ints
     beam_first: Ints  # (facets of all sites + 1,) edges in the beam that each site has over each facet that it may see
     beam_edge: Ints
-    edge_mark: Ints  # (E,)
+    beam_at: Floats  # m, foot of the image on each edge of a beam, and distance from it
+    beam_apart: Floats
+    edge_mark: Ints  # (E,) see `search.mark_edges`
+    group_mark: Ints  # (G,) the same of its edges
+    edge_at: Floats  # (E,) m, foot of the site on each edge that it may see, and distance from it
+    edge_apart: Floats
     sees_row: int  # length of a row of ``sees``; 0: all facets have the same
     sees: Flags  # (F * (F + E),) whether each facet may see each facet and edge: see `UNKNOWN`
     facet_mark: Ints  # (F,)
@@ -95,7 +104,7 @@ class Work(NamedTuple):
     end_x: Floats  # (2,) ends of the path under test
     end_y: Floats
     end_z: Floats
-    beam_x: Floats  # see `bound`
+    beam_x: Floats  # see `search.bound`
     beam_y: Floats
     beam_z: Floats
     chosen: Ints  # facets of the sequence under test

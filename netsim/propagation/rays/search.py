@@ -32,6 +32,7 @@ UNKNOWN, SEEN, HIDDEN = range(3)
 
 NEAR_M = 1e-6  # what a line touches for less than this, or at its end, does not stop it
 APART_M = 1e-9  # least distance of a point from the plane that reflects it
+GROUP = 8  # edges in a sphere
 WEAKEST = 1e-30  # power gain: paths with less are left out, e.g. those through metal
 
 
@@ -69,23 +70,29 @@ def trace(w: Terrain, s: Work, p: int) -> None:
     if s.reflections > 0:
         reflect(w, s, p)
     if s.diffraction:
-        mark_edges(s, b)
+        mark_edges(w, s, b)
+        x, y, z = s.end_x[0], s.end_y[0], s.end_z[0]
         for k in range(s.site_edge_first[a], s.site_edge_first[a + 1]):
             e = s.site_edge[k]
             s.element[0] = -1 - e
-            if s.edge_mark[e] == s.counts[PAIRS] and keller(w, s, e, 0) and all_clear(w, s, 1):
+            if s.edge_mark[e] != s.counts[PAIRS] or not outside(w, e, x, y, z):
+                continue
+            if meet(w, s, e, 0, foot(w, e, x, y, z), distance_from(w, e, x, y, z)) and all_clear(w, s, 1):
                 emit(w, s, p, 1)
         for end in range(2 if s.reflections > 0 else 0):
             if end == 1:
-                mark_edges(s, a)
+                mark_edges(w, s, a)
             diffract_and_reflect(w, s, p, end)
 
 
-def mark_edges(s: Work, site: int) -> None:
-    """Mark the edges that a site may see with a new stamp, ``counts[PAIRS]``."""
+def mark_edges(w: Terrain, s: Work, site: int) -> None:
+    """Mark the edges that a site may see, and is outside of, with a new stamp, ``counts[PAIRS]``."""
     s.counts[PAIRS] += 1
+    x, y, z = s.site_x[site], s.site_y[site], s.site_z[site]
     for k in range(s.site_edge_first[site], s.site_edge_first[site + 1]):
-        s.edge_mark[s.site_edge[k]] = s.counts[PAIRS]
+        e = s.site_edge[k]
+        if outside(w, e, x, y, z):
+            s.edge_mark[e], s.edge_at[e], s.edge_apart[e] = s.counts[PAIRS], foot(w, e, x, y, z), distance_from(w, e, x, y, z)
 
 
 def reflect(w: Terrain, s: Work, p: int) -> None:
@@ -181,19 +188,15 @@ def diffract_and_reflect(w: Terrain, s: Work, p: int, end: int) -> None:
         if not mirror(w, s, f, 1):
             continue
         # The image takes the place of the end: the edge is met between it and the other end.
-        s.end_x[end], s.end_y[end], s.end_z[end] = s.image_x[1], s.image_y[1], s.image_z[1]
         for k in range(s.beam_first[i], s.beam_first[i + 1]):
             e = s.beam_edge[k]
-            if s.edge_mark[e] != s.counts[PAIRS] or not keller(w, s, e, 1 - end):
+            if s.edge_mark[e] != s.counts[PAIRS] or not meet(w, s, e, 1 - end, s.beam_at[k], s.beam_apart[k]):
                 continue
             if not cross(w, s, f, s.point_x[1 - end], s.point_y[1 - end], s.point_z[1 - end], 1, end):
                 continue
-            s.end_x[end], s.end_y[end], s.end_z[end] = s.image_x[0], s.image_y[0], s.image_z[0]
             if all_clear(w, s, 2):
                 s.element[end], s.element[1 - end] = f, -1 - e
                 emit(w, s, p, 2)
-            s.end_x[end], s.end_y[end], s.end_z[end] = s.image_x[1], s.image_y[1], s.image_z[1]
-        s.end_x[end], s.end_y[end], s.end_z[end] = s.image_x[0], s.image_y[0], s.image_z[0]
 
 
 def find_beams(w: Terrain, s: Work) -> int:
@@ -204,7 +207,7 @@ def find_beams(w: Terrain, s: Work) -> int:
     """
     while s.counts[NEXT] < len(s.site_x):
         n = s.counts[NEXT]
-        wanted = edges_of_partners(w, s, n)
+        wanted = mark_edges_of_partners(s, n)
         s.image_x[0], s.image_y[0], s.image_z[0] = s.site_x[n], s.site_y[n], s.site_z[n]
         for i in range(s.site_facet_first[n], s.site_facet_first[n + 1]):
             s.beam_first[i + 1] = s.beam_first[i]
@@ -215,32 +218,36 @@ def find_beams(w: Terrain, s: Work) -> int:
                 return FULL
             bound(w, s, f)
             at, row = s.beam_first[i], f * s.sees_row + len(w.plane_at)
-            for k in range(wanted):
-                e = s.seen[k]
-                if s.sees[row + e] != HIDDEN and not beside(w, s, e) and may_see(w, s, f, len(w.plane_at) + e):
-                    s.beam_edge[at] = e
-                    at += 1
+            for g in range(len(w.group_radius)):
+                if s.group_mark[g] != s.counts[PAIRS] or group_is_beside(w, s, g):
+                    continue
+                for e in range(g * GROUP, min((g + 1) * GROUP, len(w.length))):
+                    if s.edge_mark[e] != s.counts[PAIRS] or s.sees[row + e] == HIDDEN or beside(w, s, e):
+                        continue
+                    x, y, z = s.image_x[1], s.image_y[1], s.image_z[1]
+                    if outside(w, e, x, y, z) and may_see(w, s, f, len(w.plane_at) + e):
+                        s.beam_edge[at], s.beam_at[at] = e, foot(w, e, x, y, z)
+                        s.beam_apart[at] = distance_from(w, e, x, y, z)
+                        at += 1
             s.beam_first[i + 1] = at
         s.counts[NEXT] += 1
     return DONE
 
 
-def edges_of_partners(w: Terrain, s: Work, n: int) -> int:
-    """Put the edges that a partner of a site may see into `Work.seen`, in order; returns their number."""
+def mark_edges_of_partners(s: Work, n: int) -> int:
+    """Mark the edges that a partner of a site may see with a new stamp; returns their number."""
     s.counts[PAIRS] += 1
+    marked = 0
     for i in range(s.partner_first[n], s.partner_first[n + 1]):
         for k in range(s.site_edge_first[s.partner[i]], s.site_edge_first[s.partner[i] + 1]):
-            s.edge_mark[s.site_edge[k]] = s.counts[PAIRS]
-    wanted = 0
-    for e in range(len(w.length)):
-        if s.edge_mark[e] == s.counts[PAIRS]:
-            s.seen[wanted] = e
-            wanted += 1
-    return wanted
+            if s.edge_mark[s.site_edge[k]] != s.counts[PAIRS]:
+                s.edge_mark[s.site_edge[k]] = s.group_mark[s.site_edge[k] // GROUP] = s.counts[PAIRS]
+                marked += 1
+    return marked
 
 
 def bound(w: Terrain, s: Work, f: int) -> None:
-    """Set the planes through the image and the sides of a facet, ``counts[SIDES]`` of them, with normals into the beam."""
+    """Set the planes through the image and the sides of a facet, ``counts[SIDES]`` of them, with unit normals into the beam."""
     first, count = w.facet_first[f], w.facet_first[f + 1] - w.facet_first[f]
     s.counts[SIDES] = 0
     if count > len(s.beam_x):
@@ -252,8 +259,8 @@ def bound(w: Terrain, s: Work, f: int) -> None:
         bx, by, bz = w.corner_x[b] - ix, w.corner_y[b] - iy, w.corner_z[b] - iz
         x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
         inside = x * (w.corner_x[c] - ix) + y * (w.corner_y[c] - iy) + z * (w.corner_z[c] - iz)
-        sign = 1.0 if inside > 0.0 else -1.0
-        s.beam_x[k], s.beam_y[k], s.beam_z[k] = sign * x, sign * y, sign * z
+        by = max(size(x, y, z), 1e-300) * (1.0 if inside > 0.0 else -1.0)
+        s.beam_x[k], s.beam_y[k], s.beam_z[k] = x / by, y / by, z / by
     s.counts[SIDES] = count
 
 
@@ -269,29 +276,44 @@ def beside(w: Terrain, s: Work, e: int) -> bool:
     return False
 
 
-def keller(w: Terrain, s: Work, e: int, k: int) -> bool:
-    """Set point k where the shortest way between the ends over an edge meets it.
+def group_is_beside(w: Terrain, s: Work, g: int) -> bool:
+    """Whether a sphere round edges lies outside one side of the beam."""
+    x, y, z = w.group_x[g] - s.image_x[1], w.group_y[g] - s.image_y[1], w.group_z[g] - s.image_z[1]
+    for k in range(s.counts[SIDES]):  # noqa: SIM110  numba has no generators
+        if s.beam_x[k] * x + s.beam_y[k] * y + s.beam_z[k] * z < -w.group_radius[g]:
+            return True
+    return False
 
-    False: that is beyond its ends, or an end is inside the solid. Both legs have the same angle with the edge (J. B. Keller,
-    Geometrical theory of diffraction, JOSA 52, 1962).
+
+def meet(w: Terrain, s: Work, e: int, k: int, a_at: float, a_apart: float) -> bool:
+    """Set point k where the shortest way over an edge between two points meets it; False: that is beyond its ends.
+
+    Both legs have the same angle with the edge (J. B. Keller, Geometrical theory of diffraction, JOSA 52, 1962). One point is
+    the site that the edges are marked for, the other has the foot and the distance given, in m.
     """
-    ux, uy, uz = w.along_x[e], w.along_y[e], w.along_z[e]
-    ax, ay, az = s.end_x[0] - w.start_x[e], s.end_y[0] - w.start_y[e], s.end_z[0] - w.start_z[e]
-    bx, by, bz = s.end_x[1] - w.start_x[e], s.end_y[1] - w.start_y[e], s.end_z[1] - w.start_z[e]
-    a, b = ax * ux + ay * uy + az * uz, bx * ux + by * uy + bz * uz
-    if (a < 0.0 and b < 0.0) or (a > w.length[e] and b > w.length[e]):
+    b_at, b_apart = s.edge_at[e], s.edge_apart[e]
+    if (a_at < 0.0 and b_at < 0.0) or (a_at > w.length[e] and b_at > w.length[e]) or a_apart < NEAR_M or b_apart < NEAR_M:
         return False
-    if not (outside(w, e, s.end_x[0], s.end_y[0], s.end_z[0]) and outside(w, e, s.end_x[1], s.end_y[1], s.end_z[1])):
-        return False
-    a_apart = size(ax - a * ux, ay - a * uy, az - a * uz)
-    b_apart = size(bx - b * ux, by - b * uy, bz - b * uz)
-    if a_apart < NEAR_M or b_apart < NEAR_M:
-        return False
-    at = (a * b_apart + b * a_apart) / (a_apart + b_apart)
+    at = (a_at * b_apart + b_at * a_apart) / (a_apart + b_apart)
     if at < 0.0 or at > w.length[e]:
         return False
-    s.point_x[k], s.point_y[k], s.point_z[k] = w.start_x[e] + at * ux, w.start_y[e] + at * uy, w.start_z[e] + at * uz
+    s.point_x[k] = w.start_x[e] + at * w.along_x[e]
+    s.point_y[k] = w.start_y[e] + at * w.along_y[e]
+    s.point_z[k] = w.start_z[e] + at * w.along_z[e]
     return True
+
+
+def foot(w: Terrain, e: int, x: float, y: float, z: float) -> float:
+    """Place on the line of an edge that is nearest to a point, from its start, m."""
+    return (x - w.start_x[e]) * w.along_x[e] + (y - w.start_y[e]) * w.along_y[e] + (z - w.start_z[e]) * w.along_z[e]
+
+
+def distance_from(w: Terrain, e: int, x: float, y: float, z: float) -> float:
+    """Distance of a point from the line of an edge, m."""
+    at = foot(w, e, x, y, z)
+    return size(
+        x - w.start_x[e] - at * w.along_x[e], y - w.start_y[e] - at * w.along_y[e], z - w.start_z[e] - at * w.along_z[e]
+    )
 
 
 def outside(w: Terrain, e: int, x: float, y: float, z: float) -> bool:

@@ -1,5 +1,6 @@
 """From pairs of points to the paths between them."""
 
+from collections.abc import Iterable
 from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
@@ -109,7 +110,7 @@ class Tracer:
         s.counts[[NEXT, PATHS, PASSES]] = 0
         run = self._core.chosen(self._work_s(s), COMPILE_S)
         while run(self.world.terrain, s, TRACE) == FULL:
-            s = self._work = self._larger(s)
+            s = self._work = _doubled(s, [name for name in Work._fields if name.startswith(("path_", "pass_"))])
         return self._table(s)
 
     def _find_beams(self, s: Work) -> Work:
@@ -123,12 +124,11 @@ class Tracer:
             partner_first=np.concatenate([[0], np.cumsum(partners)]).astype(np.int64),
             partner=others[order],
             beam_first=np.zeros(int(s.site_facet_first[-1]) + 1, np.int64),
-            beam_edge=s.beam_edge if len(s.beam_edge) >= self._edges else np.zeros(max(_BEAMS, self._edges), np.int64),
         )
         s.counts[NEXT] = 0
         run = self._core.chosen(_BEAM_S * expected, COMPILE_S)
         while run(self.world.terrain, s, BEAMS) == FULL:
-            s = self._work = s._replace(beam_edge=np.concatenate([s.beam_edge, np.zeros_like(s.beam_edge)]))
+            s = self._work = _doubled(s, ("beam_edge", "beam_at", "beam_apart"))
         return s
 
     def _work_s(self, s: Work) -> float:
@@ -143,11 +143,6 @@ class Tracer:
         if self.reflections > 1:
             candidates = candidates + facets[s.a] * facets[s.b]
         return _CANDIDATE_S * float(candidates.sum())
-
-    def _larger(self, s: Work) -> Work:
-        names = [name for name in Work._fields if name.startswith(("path_", "pass_"))]
-        larger: dict[str, Any] = {name: np.concatenate([getattr(s, name), np.zeros_like(getattr(s, name))]) for name in names}
-        return s._replace(**larger)
 
     def _table(self, s: Work) -> PathTable:
         n, m, most = int(s.counts[PATHS]), int(s.counts[PASSES]), max(self.reflections, 2)
@@ -185,6 +180,12 @@ class Tracer:
         return np.flatnonzero(s.seen == search.SEEN)
 
 
+def _doubled(s: Work, names: Iterable[str]) -> Work:
+    """The work with these arrays twice as long."""
+    larger: dict[str, Any] = {name: np.concatenate([getattr(s, name), np.zeros_like(getattr(s, name))]) for name in names}
+    return s._replace(**larger)
+
+
 def _box_of(cell: Cell) -> Floats:
     """Corners of a cell, (8, 3) m."""
     low = np.array(cell) * (CELL_M, CELL_M, STOREY_M)
@@ -205,7 +206,9 @@ def _new_work(world: RayWorld, reflections: int, *, diffraction: bool, transmiss
     sizes: dict[str, int] = {
         "counts": 10,
         "facet_mark": facets,
-        "edge_mark": edges,
+        **dict.fromkeys(("edge_mark", "edge_at", "edge_apart"), edges),
+        "group_mark": len(world.terrain.group_radius),
+        **dict.fromkeys(("beam_edge", "beam_at", "beam_apart"), max(_BEAMS, edges)),
         "facet_leg": facets,
         "body_leg": bodies,
         "cell": 6,

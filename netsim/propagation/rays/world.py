@@ -11,6 +11,7 @@ from vcmvsp.netsim.interfaces.layers import Bools, Floats, Ints
 from vcmvsp.netsim.propagation.path_loss import SPEED_OF_LIGHT
 from vcmvsp.netsim.propagation.rays.arrays import Terrain
 from vcmvsp.netsim.propagation.rays.coefficients import MATERIALS, Echoes, faddeeva_numbers, permittivity
+from vcmvsp.netsim.propagation.rays.search import GROUP
 
 _MARGIN_M = 1e-3  # of the grid around what it holds
 _PER_CELL = 1.0  # obstacles, about
@@ -147,6 +148,7 @@ def _terrain(
         length=length,
         **_columns("tangent", found.tangent),
         angle=found.angle,
+        **_spheres(start, end),
         first_face=found.faces[:, 0].copy(),
         second_face=found.faces[:, 1].copy(),
         side_first=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
@@ -157,6 +159,15 @@ def _terrain(
         top=found.top[bodies],
         **_grid(boxes, items),
     )
+
+
+def _spheres(start: Floats, end: Floats) -> dict[str, Any]:
+    """Spheres round edges, `GROUP` of them each."""
+    pairs = np.stack([start, end], axis=1)
+    groups = [pairs[first : first + GROUP].reshape(-1, 3) for first in range(0, len(pairs), GROUP)]
+    middle = np.array([0.5 * (group.min(axis=0) + group.max(axis=0)) for group in groups]).reshape(-1, 3)
+    radii = [math.sqrt(((group - each) ** 2).sum(axis=1).max()) for group, each in zip(groups, middle, strict=True)]
+    return {**_columns("group", middle), "group_radius": np.array(radii) + _MARGIN_M}
 
 
 def _columns(name: str, table: Floats) -> dict[str, Any]:

@@ -373,6 +373,14 @@ def test_what_rays_cannot_do_is_one_error(corner: Path, change: tuple[str, ...],
     assert "Traceback" not in told.err
 
 
+def test_antennas_that_start_inside_a_solid_are_counted(corner: Path) -> None:
+    low = "world.boxes=[{center=[0,0,0.65],size=[2,2,0.5]}]"
+    told = vcmvsp_command("check", str(corner / "corner.toml"), "--set", low)
+    assert told.code == 0, told.err
+    assert "radio.path_loss: 1 antennas start inside a solid, reached over the roofs only: car1 in the box at" in told.err
+    assert "inside a solid" not in vcmvsp_command("check", str(corner / "corner.toml")).err
+
+
 def test_paths_are_asked_for_alone(corner: Path) -> None:
     told = vcmvsp_command("radio", str(corner / "corner.toml"), "--paths", "points.csv", "--coverage", "car1")
     assert (told.code, "--coverage has no place beside --paths" in told.err) == (2, True)
