@@ -64,6 +64,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "p2dx": "vcmvsp.physics.vehicles.models:P2DX",
         "amigobot": "vcmvsp.physics.vehicles.models:AmigoBot",
         "quadrotor": "vcmvsp.physics.vehicles.models:Quadrotor",
+        "crazyflie": "vcmvsp.physics.vehicles.models:Crazyflie",
         "point": "vcmvsp.physics.vehicles.models:Point",
         "urdf": "vcmvsp.physics.vehicles.urdf:UrdfDrive",
         "urdf-quadrotor": "vcmvsp.physics.vehicles.urdf:UrdfQuadrotor",
@@ -162,7 +163,10 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "ardupilot": "vcmvsp.hardware.firmware.ardupilot:ArduPilot",
         "px4": "vcmvsp.hardware.firmware.px4:Px4",
     },
-    "stack": {"ros2": "vcmvsp.hardware.stacks.ros2:Ros2Stack"},
+    "stack": {
+        "ros2": "vcmvsp.hardware.stacks.ros2:Ros2Stack",
+        "crazyflie": "vcmvsp.hardware.stacks.crazyflie:CrazyflieStack",
+    },
     "localisation": {
         "ubisense": "vcmvsp.hardware.localisation.ubisense:Ubisense",
         "dwm1001": "vcmvsp.hardware.localisation.dwm1001:Dwm1001",

@@ -237,7 +237,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True):
     routing: Mapping[str, Any] = {}  # kind = "none" | "flooding" | "static" | "distance_vector"
     bridge: BridgeTable = BridgeTable()
     sockets: SocketsTable = SocketsTable()
-    stack: Mapping[str, Any] = {}  # a table [stack.KIND] per kind of programs that drive vehicles: ros2
+    stack: Mapping[str, Any] = {}  # a table [stack.KIND] per kind of programs that drive vehicles: ros2 | crazyflie
     agents: AgentsTable = AgentsTable()
     clock: ClockTable = ClockTable()
     safety: SafetyTable = SafetyTable()

@@ -259,3 +259,33 @@ class Quadrotor:
         lift, weight = 4.0 * self.max_thrust * self.max_rotor_thrust, self.mass_kg * gravity / math.cos(self.max_tilt_rad)
         if lift <= weight:
             raise ValueError(f"{self.mass_kg} kg at max_tilt_rad need {weight:.3g} N, but the rotors lift only {lift:.3g} N")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Crazyflie(Quadrotor):
+    """A Crazyflie 2.1, 27 g.
+
+    Datasheet: Bitcraze, "Datasheet Crazyflie 2.1". Forster: J. Forster, System identification of the Crazyflie 2.0 nano
+    quadrocopter, ETH Zurich 2015. Panerati: J. Panerati et al., Learning to fly, IROS 2021, the model cf2x, whose factors are
+    for revolutions per minute.
+    """
+
+    radius_m: Positive = 0.069  # arm and half a propeller
+    height_m: Positive = 0.029  # datasheet
+    mass_kg: Positive = 0.027  # datasheet
+    frame: Literal["plus", "x"] = "x"
+    arm_m: Positive = 0.046  # datasheet: 92 mm from motor to motor
+    inertia: tuple[Positive, Positive, Positive] = (1.6572e-5, 1.6656e-5, 2.9262e-5)  # Forster
+    rotor_radius_m: Positive = 0.0231  # Panerati
+    thrust_factor: Positive = 2.88e-8  # Panerati: 3.16e-10 N/rpm2
+    torque_factor: Positive = 7.24e-10  # Panerati: 7.94e-12 N m/rpm2
+    max_rotor_speed: Positive = 2274.0  # rad/s; Panerati: together 2.25 times the weight
+    motor_lag_s: Positive = 0.03  # assumed
+    drag: tuple[NonNegative, NonNegative, NonNegative] = (0.0056, 0.0056, 0.0062)  # Forster, with the rotor speeds of hovering
+    max_speed: Positive = 2.0  # assumed
+    max_climb: Positive = 1.0  # the firmware's limit of the vertical velocity
+    max_yaw_rate: Positive = 3.5  # assumed
+    max_tilt_rad: Positive = 0.349  # 20 degrees, as in the firmware
+    position_gain: Positive = 2.0  # the firmware's
+    velocity_gain: Positive = 4.3  # the firmware's: 25 degrees of tilt for each m/s
+    velocity_integral: NonNegative = 0.5  # assumed; drag is small

@@ -131,7 +131,10 @@ SHOWN = {
         "hardware/firmware/test_protocols.py::test_other_datagrams_are_refused",
         "hardware/firmware/test_flights.py::test_datagrams_of_another_protocol_are_counted_and_named",
     ],
-    "nodes": ["hardware/stacks/test_ros2.py::test_a_second_publisher_and_other_types_are_refused_by_name"],
+    "nodes": [
+        "hardware/stacks/test_ros2.py::test_a_second_publisher_and_other_types_are_refused_by_name",
+        "hardware/stacks/test_crazyflie.py::test_mutated_packets_are_answered_or_refused",
+    ],
     "bridge": [
         "cosim/cli/test_net.py::test_with_sudo_only_the_interfaces_are_made_with_the_rights_of_root",
         "netsim/bridge/gateways/test_ip.py::test_a_namespace_of_somebody_else_is_not_touched",

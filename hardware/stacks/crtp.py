@@ -1,0 +1,367 @@
+"""The Crazyflie Real Time Protocol (CRTP), the aircraft's side: one packet in, packets out, without sockets and clocks.
+
+A packet is a byte with port (4 bits) and channel (2 bits), and up to 30 bytes (Bitcraze, "CRTP - Communication with the
+Crazyflie"; protocol version 10). Integers and floats are little-endian.
+
+====  ===================  =====================================================================
+port  name                 here
+====  ===================  =====================================================================
+0     console              a greeting
+2     parameters           table of contents, read, write
+3     commander            a thrust of 0 stops; other attitudes are refused
+4     memory               there are none
+5     log                  table of contents, blocks
+6     localisation         external poses are taken and ignored, emergency stop
+7     generic commander    stop, velocity, hover, position, full state; end of set-points
+8     high-level commander take-off, landing, go to, stop
+13    platform             protocol and firmware version
+15    link                 echo, source
+====  ===================  =====================================================================
+"""
+
+import math
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Callable, Mapping
+from errno import ENOENT, ENOEXEC
+from typing import Literal, NamedTuple
+
+from vcmvsp.cosim.frames import Quaternion
+from vcmvsp.cosim.types import ORIGIN, Vec3, VehicleState
+
+VERSION = 10
+NULL = b"\xff"  # asks whether somebody is there
+MOST_BLOCKS, MOST_VARIABLES = 16, 128  # of the log, as in the firmware
+GREETING = b"Crazyflie simulated by VCMVSP\n"
+LOG_TYPES = {1: "B", 2: "H", 3: "I", 4: "b", 5: "h", 6: "i", 7: "f", 8: "e"}
+PARAMETER_TYPES = {0: "b", 1: "h", 2: "i", 6: "f", 8: "B", 9: "H", 10: "I"}
+READ_ONLY = 0x40
+_U8, _U16, _FLOAT = 8, 9, 6
+
+PARAMETERS: Mapping[str, tuple[int, float]] = {  # type and value at the start
+    "commander.enHighLevel": (_U8, 1),
+    "stabilizer.estimator": (_U8, 2),  # Kalman
+    "stabilizer.controller": (_U8, 1),  # PID
+    "kalman.resetEstimation": (_U8, 0),
+    "kalman.initialX": (_FLOAT, 0.0),
+    "kalman.initialY": (_FLOAT, 0.0),
+    "kalman.initialZ": (_FLOAT, 0.0),
+    "kalman.initialYaw": (_FLOAT, 0.0),
+    "locSrv.extPosStdDev": (_FLOAT, 0.01),
+    "locSrv.extQuatStdDev": (_FLOAT, 0.0045),
+    "flightmode.stabModeRoll": (_U8, 1),
+    "flightmode.stabModePitch": (_U8, 1),
+    "flightmode.stabModeYaw": (_U8, 0),
+    "hlCommander.vtoff": (_FLOAT, 0.5),
+    "hlCommander.vland": (_FLOAT, 0.5),
+    "ring.effect": (_U8, 0),
+    "led.bitmask": (_U8, 0),
+    "deck.bcFlow2": (_U8 | READ_ONLY, 1),
+    "deck.bcLighthouse4": (_U8 | READ_ONLY, 0),
+    "firmware.modified": (_U8 | READ_ONLY, 0),
+    "firmware.revision0": (10 | READ_ONLY, 0),
+    "firmware.revision1": (_U16 | READ_ONLY, 0),
+}
+_ANGLES = "roll", "pitch", "yaw"
+LOG: Mapping[str, int] = {  # type
+    **{f"stateEstimate.{each}": 7 for each in ("x", "y", "z", "vx", "vy", "vz", *_ANGLES, "qx", "qy", "qz", "qw")},
+    **{f"stabilizer.{each}": 7 for each in _ANGLES},
+    **{f"gyro.{each}": 7 for each in "xyz"},
+    **{f"kalman.varP{each}": 7 for each in "XYZ"},
+    "pm.vbat": 7,
+    "pm.state": 4,
+    "sys.canfly": 1,
+    "supervisor.info": 2,
+    "radio.rssi": 1,
+}
+VARIANCE_M2 = 1e-6  # of the estimated position: scripts wait until it is small
+FULL_V = 4.1  # battery
+CAN_FLY = 0x1 | 0x2 | 0x8  # supervisor.info: can be armed, is armed, can fly
+
+
+class SetPoint(NamedTuple):
+    """A set-point of the commander, in the world unless ``body``; None: not given."""
+
+    velocity: Vec3 = ORIGIN  # m/s
+    position: tuple[float | None, float | None, float | None] = (None, None, None)  # m
+    yaw: float | None = None  # rad
+    yaw_rate: float = 0.0  # rad/s
+    body: bool = False  # whether the velocity turns with the yaw
+
+
+class Manoeuvre(NamedTuple):
+    """A command of the high-level commander."""
+
+    kind: Literal["takeoff", "land", "go_to"]
+    goal: Vec3  # m; of take-off and landing only the height counts
+    yaw: float | None  # rad; None: the present one
+    duration_s: float
+    relative: bool = False
+    linear: bool = False
+
+
+class Stop(NamedTuple):
+    """Rotors off."""
+
+
+class Release(NamedTuple):
+    """No more set-points: the high-level commander takes over."""
+
+
+Order = SetPoint | Manoeuvre | Stop | Release
+
+
+class _Refused(Exception):
+    pass
+
+
+class Crazyflie:
+    """What one aircraft answers; ``order`` receives what it is ordered to do.
+
+    Attributes:
+        refused: packets that were not followed, by cause.
+    """
+
+    def __init__(self, order: Callable[[Order], None]) -> None:
+        self.refused: Counter[str] = Counter()
+        self._order = order
+        self._names, self._log_names = [*PARAMETERS], [*LOG]
+        self._values = {name: value for name, (_, value) in PARAMETERS.items()}
+        self._blocks: dict[int, _Block] = {}
+        self._ports: dict[int, Callable[[int, bytes], list[bytes]]] = {
+            2: self._parameters,
+            3: self._attitude,
+            4: lambda channel, data: [b"\x01\x00"] if (channel, data[:1]) == (0, b"\x01") else [],
+            5: self._log,
+            6: self._localisation,
+            7: self._generic,
+            8: self._high_level,
+            13: _platform,
+            15: _link,
+        }
+
+    def take(self, packet: bytes) -> list[bytes]:
+        """The packets that answer one."""
+        if packet == NULL:
+            return [NULL]
+        if not 1 <= len(packet) <= 31:
+            self.refused["length"] += 1
+            return []
+        port, channel = packet[0] >> 4, packet[0] & 3
+        try:
+            answers = self._ports[port](channel, packet[1:])
+        except KeyError:
+            self.refused[f"port {port}"] += 1
+            return []
+        except (struct.error, IndexError):
+            self.refused["content"] += 1
+            return []
+        except _Refused as refused:
+            self.refused[str(refused)] += 1
+            return []
+        return [packet[:1] + each for each in answers] if port != 15 or channel == 0 else answers
+
+    def logged(self, now_ms: int, state: VehicleState) -> list[bytes]:
+        """Packets of the log that are due; one for each block at most."""
+        due = [each for each in self._blocks.values() if each.period_ms and now_ms >= each.due_ms]
+        if not due:
+            return []
+        values, packets = log_values(state), []
+        for block in due:
+            block.due_ms = max(block.due_ms + block.period_ms, now_ms - block.period_ms)
+            content = b"".join(_packed(LOG_TYPES[kind], values[name]) for name, kind in block.variables)
+            packets.append(bytes([0x52, block.number]) + now_ms.to_bytes(4, "little")[:3] + content)
+        return packets
+
+    def _parameters(self, channel: int, data: bytes) -> list[bytes]:
+        if channel == 0:
+            return _contents(data, self._names, [kind for kind, _ in PARAMETERS.values()])
+        if channel == 3:
+            return [data[:3] + bytes([ENOENT])]
+        (number,) = struct.unpack_from("<H", data)
+        if number >= len(self._names):
+            return [data[:2] + bytes([ENOENT])]
+        name = self._names[number]
+        kind = PARAMETERS[name][0]
+        if channel == 1:
+            return [data[:2] + b"\0" + _packed(PARAMETER_TYPES[kind & 15], self._values[name])]
+        if kind & READ_ONLY:
+            raise _Refused("write of a read-only parameter")
+        (self._values[name],) = _finite(struct.unpack("<" + PARAMETER_TYPES[kind], data[2:]))
+        return [data]
+
+    def _log(self, channel: int, data: bytes) -> list[bytes]:
+        if channel == 0:
+            return _contents(data, self._log_names, [*LOG.values()])
+        if channel != 1:
+            raise _Refused("channel of the log")
+        command = data[0]
+        if command == 5:
+            self._blocks.clear()
+            return [b"\x05\0\0"]
+        return [bytes([command, data[1], self._configured(command, data[1], data[2:])])]
+
+    def _configured(self, command: int, number: int, rest: bytes) -> int:
+        """Change a block of the log; returns the error number."""
+        if command in (6, 7):
+            known = self._blocks.get(number, _Block(number)) if command == 7 else _Block(number)
+            added = [struct.unpack_from("<BH", rest, place) for place in range(0, len(rest), 3)]
+            if any(each >= len(self._log_names) or kind & 15 not in LOG_TYPES for kind, each in added):
+                return ENOENT
+            known.variables += [(self._log_names[each], kind & 15) for kind, each in added]
+            size = sum(struct.calcsize(LOG_TYPES[kind]) for _, kind in known.variables)
+            if size > 26 or (number not in self._blocks and len(self._blocks) == MOST_BLOCKS):
+                return 7 if size > 26 else 12  # E2BIG, ENOMEM
+            self._blocks[number] = known
+            return 0
+        if number not in self._blocks:
+            return ENOENT
+        if command == 2:
+            del self._blocks[number]
+        elif command in (3, 4):
+            self._blocks[number].period_ms = 10 * rest[0] if command == 3 else 0
+            self._blocks[number].due_ms = 0
+        else:
+            return ENOEXEC
+        return 0
+
+    def _attitude(self, channel: int, data: bytes) -> list[bytes]:
+        _, _, _, thrust = struct.unpack("<fffH", data)
+        if thrust:
+            raise _Refused("attitude set-point: only velocities and positions are followed")
+        self._order(Stop())
+        return []
+
+    def _localisation(self, channel: int, data: bytes) -> list[bytes]:
+        if channel == 1 and data[0] == 3:
+            self._order(Stop())
+        return []
+
+    def _generic(self, channel: int, data: bytes) -> list[bytes]:
+        if channel == 1:
+            self._order(Release())
+            return []
+        kind, numbers = data[0], data[1:]
+        if kind == 0:
+            self._order(Stop())
+        elif kind in (1, 8):
+            x, y, z, rate = _finite(struct.unpack("<ffff", numbers))
+            self._order(SetPoint(velocity=(x, y, z), yaw_rate=_turn(kind, 1, rate)))
+        elif kind in (5, 10):
+            x, y, rate, height = _finite(struct.unpack("<ffff", numbers))
+            self._order(SetPoint((x, y, 0.0), (None, None, height), yaw_rate=_turn(kind, 5, rate), body=True))
+        elif kind == 7:
+            x, y, z, yaw = _finite(struct.unpack("<ffff", numbers))
+            self._order(SetPoint(position=(x, y, z), yaw=math.radians(yaw)))
+        elif kind == 6:
+            x, y, z, vx, vy, vz, _, _, _, packed, _, _, rate = struct.unpack("<hhhhhhhhhIhhh", numbers)
+            velocity, place = (vx / 1e3, vy / 1e3, vz / 1e3), (x / 1e3, y / 1e3, z / 1e3)
+            turn = math.radians(rate / 1e3)
+            self._order(SetPoint(velocity, place, yaw=_yaw_of(_uncompressed(packed)), yaw_rate=turn))
+        else:
+            raise _Refused(f"set-point of type {kind}")
+        return []
+
+    def _high_level(self, channel: int, data: bytes) -> list[bytes]:
+        command = data[0]
+        if command == 3:
+            self._order(Stop())
+        elif command in (7, 8):
+            _, height, yaw, keep, duration = struct.unpack("<Bff?f", data[1:])
+            height, yaw, duration = _finite((height, yaw, duration))
+            kind: Literal["takeoff", "land"] = "takeoff" if command == 7 else "land"
+            self._order(Manoeuvre(kind, (0.0, 0.0, height), None if keep else yaw, duration))
+        elif command == 12:
+            _, relative, linear, *numbers = struct.unpack("<B??fffff", data[1:])
+            x, y, z, yaw, duration = _finite(numbers)
+            self._order(Manoeuvre("go_to", (x, y, z), yaw, duration, relative, linear))
+        elif command != 0:
+            raise _Refused(f"command {command} of the high-level commander")
+        return []
+
+
+class _Block:
+    def __init__(self, number: int) -> None:
+        self.number, self.variables = number, list[tuple[str, int]]()
+        self.period_ms = self.due_ms = 0
+
+
+def log_values(state: VehicleState) -> dict[str, float]:
+    """The logged variables by name: SI units, angles in degrees, the pitch with the sign of the firmware (nose up)."""
+    w, x, y, z = state.attitude
+    roll = math.degrees(math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)))
+    pitch = -math.degrees(math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0)))
+    yaw = math.degrees(state.yaw)
+    place = dict(zip(("x", "y", "z", "vx", "vy", "vz"), (*state.position, *state.velocity), strict=True))
+    turned = {"roll": roll, "pitch": pitch, "yaw": yaw, "qw": w, "qx": x, "qy": y, "qz": z}
+    rates = zip("xyz", map(math.degrees, state.angular_velocity), strict=True)
+    return {
+        **{f"stateEstimate.{name}": value for name, value in (place | turned).items()},
+        **{f"stabilizer.{name}": turned[name] for name in _ANGLES},
+        **{f"gyro.{name}": value for name, value in rates},
+        **{f"kalman.varP{axis}": VARIANCE_M2 for axis in "XYZ"},
+        "pm.vbat": FULL_V,
+        "pm.state": 0,
+        "sys.canfly": 1,
+        "supervisor.info": CAN_FLY,
+        "radio.rssi": 40,
+    }
+
+
+def _contents(data: bytes, names: list[str], kinds: list[int]) -> list[bytes]:
+    """Answer to a request of a table of contents: its size and checksum, or one entry."""
+    if data[0] == 3:
+        checksum = zlib.crc32(repr([*zip(names, kinds, strict=True)]).encode())
+        return [b"\x03" + struct.pack("<HI", len(names), checksum)]
+    if data[0] != 2:
+        raise _Refused("table of contents of an older protocol")
+    (number,) = struct.unpack_from("<H", data, 1)
+    if number >= len(names):
+        return [data[:3]]
+    group, _, name = names[number].partition(".")
+    return [data[:3] + bytes([kinds[number]]) + f"{group}\0{name}\0".encode()]
+
+
+def _platform(channel: int, data: bytes) -> list[bytes]:
+    if channel == 1:
+        return [b"\0" + bytes([VERSION]) if data[0] == 0 else b"\x01vcmvsp\0"]
+    return [data]  # of arming and the like
+
+
+def _link(channel: int, data: bytes) -> list[bytes]:
+    return {0: [data], 1: [b"\xf1Bitcraze Crazyflie\0"]}.get(channel, [])
+
+
+def _packed(kind: str, value: float) -> bytes:
+    if kind in "fe":
+        return struct.pack("<" + kind, value)
+    size = struct.calcsize(kind)
+    return (int(value) & (1 << 8 * size) - 1).to_bytes(size, "little")
+
+
+def _finite(numbers: "tuple[float, ...] | list[float]") -> "tuple[float, ...] | list[float]":
+    if not all(map(math.isfinite, numbers)):
+        raise _Refused("not finite")
+    return numbers
+
+
+def _turn(kind: int, legacy: int, rate_deg: float) -> float:
+    """Yaw rate (rad/s, counter-clockwise); older types of set-points count it clockwise."""
+    return math.radians(-rate_deg if kind == legacy else rate_deg)
+
+
+def _uncompressed(packed: int) -> Quaternion:
+    """Quaternion of 32 bits: index of the largest component, then sign and 9 bits of the others (quatcompress.h)."""
+    largest, rest, others = packed >> 30, packed, dict[int, float]()
+    for place in reversed([each for each in range(4) if each != packed >> 30]):
+        magnitude = math.sqrt(0.5) * (rest & 511) / 511
+        others[place] = -magnitude if rest >> 9 & 1 else magnitude
+        rest >>= 10
+    others[largest] = math.sqrt(max(0.0, 1.0 - sum(each * each for each in others.values())))
+    return others[3], others[0], others[1], others[2]
+
+
+def _yaw_of(attitude: Quaternion) -> float:
+    w, x, y, z = attitude
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
