@@ -78,7 +78,7 @@ class AgentRunner:
     def start(self, run: RunInfo, clocks: VehicleClocks | None) -> None:
         """Start the agent with the data of its vehicle and of the run."""
         self._clocks = clocks if clocks is not None and self.vehicle in clocks else None
-        self.radio, self._started = Radio(self.vehicle, run.vehicles), True
+        self.radio, self._started = Radio(self.vehicle, run.vehicles, run.radios), True
         self._vehicles = run.vehicles
         about = VehicleInfo(
             name=self.vehicle,

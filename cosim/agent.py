@@ -135,11 +135,29 @@ def _name_set(names: tuple[str, ...]) -> frozenset[str]:
 
 
 class Radio:
-    """The agent's transmitter: messages sent here enter the emulated channel when the tick ends."""
+    """The agent's transmitter: messages sent here enter the emulated channel when the tick ends.
 
-    def __init__(self, vehicle: str, vehicles: tuple[str, ...]) -> None:
+    Of several radios it is the vehicle's first one; ``radio["lora"]`` is the one of that name.
+    """
+
+    def __init__(self, vehicle: str, vehicles: tuple[str, ...], radios: Mapping[str, tuple[str, ...]] | None = None) -> None:
         self._vehicle, self._vehicles = vehicle, _name_set(vehicles)
+        self._name: str | msgspec.UnsetType = msgspec.UNSET
         self._outbox: list[Message] = []
+        self._radios: dict[str, Radio] = {}  # those of several that the vehicle has
+        self._is_absent = bool(radios)
+        for name, members in (radios or {}).items():
+            if vehicle in members:
+                own = self._radios[name] = Radio(vehicle, members)
+                own._name, own._outbox = name, self._outbox
+                if self._is_absent:
+                    self._name, self._vehicles, self._is_absent = name, own._vehicles, False
+
+    def __getitem__(self, name: str) -> "Radio":
+        """The vehicle's radio of a name."""
+        if name not in self._radios:
+            raise KeyError(f"radio[{name!r}]: the radios of {self._vehicle} are {', '.join(self._radios) or 'without names'}")
+        return self._radios[name]
 
     def send(
         self,
@@ -159,6 +177,8 @@ class Radio:
             size_bytes: payload size for the channel; default: the encoded size of the body.
             priority: a message of higher priority overtakes others in this radio's queue (macs ``dcf``, ``csma154``).
         """
+        if self._is_absent:
+            raise ValueError(f"radio.send(): {self._vehicle} has no radio")
         if to is not None and (to not in self._vehicles or to == self._vehicle):
             raise ValueError(f"radio.send(to={to!r}): unknown receiver; other vehicles: {', '.join(sorted(self._vehicles))}")
         if isinstance(body, bytes):
@@ -174,12 +194,14 @@ class Radio:
         size = natural if size_bytes is None else int(size_bytes)
         if not 0 <= size <= LARGEST_MESSAGE_BYTES:
             raise ValueError(f"radio.send(size_bytes={size}): must be from 0 to {LARGEST_MESSAGE_BYTES}")
-        self._outbox.append(Message(sender=self._vehicle, body=content, size_bytes=size, to=to, priority=int(priority)))
+        message = Message(sender=self._vehicle, body=content, size_bytes=size, to=to, priority=int(priority), radio=self._name)
+        self._outbox.append(message)
         return size
 
     def drain(self) -> list[Message]:
         """Take the messages sent since the last call (for the host of the agent)."""
-        outbox, self._outbox = self._outbox, []
+        outbox = self._outbox.copy()
+        self._outbox.clear()  # the radios of a vehicle share it
         return outbox
 
 

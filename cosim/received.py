@@ -12,7 +12,7 @@ from typing import Any, overload
 import msgspec
 import numpy as np
 
-from vcmvsp.cosim.types import Array, Message, Reception, Receptions
+from vcmvsp.cosim.types import Array, Reception, Receptions
 from vcmvsp.cosim.vehicle_clock import VehicleClocks
 
 _MUTABLE = frozenset({dict, list})  # types that MessagePack decodes to
@@ -162,9 +162,7 @@ class _SortedBatch:
             self._arrival_ns = columns.arrival_ns.tolist()
         number = self.numbers[row]
         sent = self.columns.messages[number]
-        message = Message(
-            sender=sent.sender, body=self.body(number), size_bytes=sent.size_bytes, to=sent.to, priority=sent.priority
-        )
+        message = msgspec.structs.replace(sent, body=self.body(number))
         return Reception(
             message=message, rssi_dbm=self._rssi_dbm[row], sent_ns=self._sent_ns[number], received_ns=self._arrival_ns[row]
         )

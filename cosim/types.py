@@ -256,6 +256,7 @@ class Message(Value, frozen=True, kw_only=True, tag="message"):
     size_bytes: int  # payload
     to: str | None = None  # None: broadcast
     priority: int = 0  # a message of higher priority overtakes others in its sender's queue, if the mac supports it
+    radio: str | msgspec.UnsetType = msgspec.UNSET  # name of the radio; unset: the only one, or the first
 
 
 class Reception(Value, frozen=True, kw_only=True, tag="reception"):
@@ -265,6 +266,11 @@ class Reception(Value, frozen=True, kw_only=True, tag="reception"):
     rssi_dbm: float  # received power
     sent_ns: int  # time at which the sender gave it to its radio
     received_ns: int  # time of arrival; the agent sees it at its next tick
+
+    @property
+    def radio(self) -> str | None:
+        """Name of the radio that received it; None: the only one."""
+        return self.message.radio or None
 
 
 class Receptions(Value, frozen=True, kw_only=True, tag="receptions"):
@@ -310,6 +316,7 @@ class FrameReport(Value, frozen=True, kw_only=True, tag="frame"):
     wall_loss_db: Array | None = None
     shadowing_db: Array | None = None
     fading_db: Array | None = None  # as a gain
+    radio: str | msgspec.UnsetType = msgspec.UNSET  # name of its radio; unset: the run has only one
 
 
 class Datagrams(Value, frozen=True, kw_only=True, tag="datagrams"):

@@ -2,16 +2,17 @@
 
 import itertools
 from collections.abc import Collection, Iterator, Sequence
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
 from vcmvsp.cosim.clock import Ticks, seconds_to_ns
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
-from vcmvsp.cosim.rng import stream
-from vcmvsp.cosim.types import Array, Changed, Datagrams, FrameReport, Message, Outage, Seconds, States, Traffic
+from vcmvsp.cosim.rng import keys64, stream
+from vcmvsp.cosim.types import Array, Changed, Datagrams, FrameReport, Message, Outage, Seconds, States, Traffic, frozen
 from vcmvsp.netsim.channel.channel import Channel
-from vcmvsp.netsim.channel.reception import ReceptionLog, TrafficLog, received, without_distant
+from vcmvsp.netsim.channel.reception import ReceptionLog, TrafficLog, only, received, without_distant
 from vcmvsp.netsim.routing.network import RoutingNetwork
 from vcmvsp.netsim.routing.router import Routing
 
@@ -19,6 +20,19 @@ MANY = 1_000_000  # frames
 FORECAST_AT = 20  # frames: their rate is the forecast for the rest of the run
 Post = tuple[int, Message, int, int | None]  # see `RadioFederate._posts`
 _ORDERS = (Outage, Changed)  # of an operator
+
+
+class Network(NamedTuple):
+    """One of several radios: its name, the vehicles that have it, and whether it is the first."""
+
+    name: str
+    members: tuple[str, ...]
+    is_first: bool
+
+
+def own_seed(seed: int, networks: Collection[str]) -> int:
+    """The seed of a channel: of the only radio, that of the run."""
+    return int(keys64(seed, [f"radio/networks/{'/'.join(networks)}"])[0] >> np.uint64(1)) if networks else seed
 
 
 class RadioFederate:
@@ -44,6 +58,9 @@ class RadioFederate:
     the medium idle and collide. So, if several vehicles send at one instant, a message takes up to ``handover_s`` to reach the
     queue of its radio, uniformly distributed, in order for each sender.
 
+    Of several radios (`Network`) each channel has such a federate, with the vehicles that have a radio on it. Draws are those
+    of the channel's own networks: what happens on another channel changes nothing.
+
     With routing a message may need several frames, sent by the vehicles on its route (`netsim.routing`).
 
     The federate is stepped with the senders, and when a frame ends on a contended medium or is forwarded; it never polls. With
@@ -65,7 +82,14 @@ class RadioFederate:
         programs: bool = False,  # external programs may send any number of frames
         woken: Collection[str] = (),  # vehicles with a reader that a reception wakes
         reported_from_dbm: float | None = None,  # level of receivers in reports (`without_distant`); None: any
+        networks: Sequence[Network] = (),  # on this channel, of several radios; none: the only radio
+        numbers: Iterator[int] | None = None,  # of the frames of all channels
     ) -> None:
+        self._networks = {network.name: frozenset(network.members) for network in networks}
+        self._takes_others = not networks or networks[0].is_first
+        self._numbers, self._numbered = numbers or itertools.count(), dict[int, int]()
+        if networks:
+            self.name = f"radio.{'.'.join(self._networks)}"
         self._channel, self._routing, self._programs, self._woken = channel, router, programs, frozenset(woken)
         self._least_dbm = reported_from_dbm
         self._handover_ns = seconds_to_ns(handover_s) if channel.contends else 0
@@ -73,7 +97,8 @@ class RadioFederate:
 
     def start(self, run: RunInfo) -> int | None:
         """Start with an idle channel."""
-        self._channel.start(run.seed, run.clocks)
+        self._seed = own_seed(run.seed, self._networks)
+        self._channel.start(self._seed, run.clocks)
         if run.paced:  # no compilation during the run, which takes seconds
             self._channel.expect(MANY if self._programs else 0)
         self._end_ns, self._vehicles = run.duration_ns, run.vehicles
@@ -82,7 +107,6 @@ class RadioFederate:
         self._states: States | None = None
         self._open: dict[int, tuple[Message, int | None]] = {}  # by undecided frame: message, number of the datagram
         self._frames = 0  # so far
-        self._seed = run.seed
         self._handover: dict[str, np.random.Generator] = {}
         self._in_queue_ns: dict[str, int] = {}  # by sender: arrival of the last message at the queue
         self._network: RoutingNetwork | None = None
@@ -95,9 +119,10 @@ class RadioFederate:
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
         """Report frames that are decided by now, then send new messages."""
         reports: list[FrameReport] = []
+        inbox = [event for event in inbox if self._takes(event.value)] if self._networks else inbox
         for event in inbox:
             if isinstance(event.value, States):
-                self._states = event.value
+                self._states = self._of_members(event.value)
             elif isinstance(event.value, _ORDERS):
                 reports += self._apply(event.value, event.time_ns)
         reports += self._channel.advance(now_ns)  # events of the medium precede messages of the same instant
@@ -141,6 +166,7 @@ class RadioFederate:
         reports = self._channel.send_all(now_ns, [post[1] for post in posts], names, position)
         for number, (_, message, _, datagram) in enumerate(posts if reports else (), self._frames):
             self._open[number] = message, datagram
+            self._number(number)
         self._frames += len(reports or ())
         return reports
 
@@ -148,6 +174,7 @@ class RadioFederate:
         """Hand a frame to the channel; returns its number and the reports of decided frames."""
         if self._states is None:
             raise ValueError(f"{frame.sender} sends before the first message of world/states: it has no position yet")
+        self._number(self._frames)
         self._frames += 1
         if self._frames == FORECAST_AT and sent_ns > 0:
             self._channel.foresee(FORECAST_AT * (self._end_ns - sent_ns) // sent_ns)
@@ -160,8 +187,15 @@ class RadioFederate:
         return reports + self._channel.finish() if now_ns == self._end_ns else reports
 
     def levels_dbm(self, states: States) -> Array:
-        """Mean levels, (n, n) dBm: sender by row, receiver by column, NaN at the sender."""
-        return self._channel.levels_dbm(states.names, states.position)
+        """Mean levels, (n, n) dBm: sender by row, receiver by column, NaN at the sender and without a radio."""
+        own = self._of_members(states)
+        levels_dbm = self._channel.levels_dbm(own.names, own.position)
+        if own is states:
+            return levels_dbm
+        rows = [states.names.index(name) for name in own.names]
+        every = np.full((len(states.names), len(states.names)), np.nan)
+        every[np.ix_(rows, rows)] = levels_dbm
+        return every
 
     def close(self) -> None:
         """Release the channel."""
@@ -169,7 +203,7 @@ class RadioFederate:
 
     def adjustable(self) -> dict[str, float]:
         """Keys that may change during the run, with their values: ``radio.loss.probability``."""
-        return self._channel.operated.numbers()
+        return {} if self._networks else self._channel.operated.numbers()
 
     def check_change(self, key: str, value: float, earlier: Sequence[tuple[str, float]] = ()) -> None:
         """Check a change of a key of `adjustable` after ``earlier`` changes, without making it.
@@ -177,6 +211,8 @@ class RadioFederate:
         Raises:
             ValueError: unknown key, or invalid value.
         """
+        if self._networks:
+            raise ValueError(f"{key} cannot change during a run with several radios")
         self._channel.operated.check(key, value, earlier)
 
     def _apply(self, order: Outage | Changed, at_ns: int) -> list[FrameReport]:
@@ -228,6 +264,8 @@ class RadioFederate:
         with_messages: list[tuple[Message, FrameReport]] = []
         for report in reports:
             message, datagram = self._open.pop(report.frame)
+            if self._networks:
+                report, message = self._named(report, message)  # noqa: PLW2901
             if datagram is None:
                 events.append(Event("radio/frame", now_ns, report))
                 with_messages.append((message, report))
@@ -243,6 +281,36 @@ class RadioFederate:
             self._add_receptions(receptions, message, report)
         of_programs = traffic.events(now_ns) if traffic else []
         return [*of_programs, *receptions.events(now_ns), *events]
+
+    def _takes(self, value: object) -> bool:
+        """Whether a value of the inbox concerns this channel."""
+        if isinstance(value, Message):
+            return value.radio in self._networks if value.radio else self._takes_others
+        return self._takes_others or not isinstance(value, Datagrams)
+
+    def _of_members(self, states: States) -> States:
+        """Names and positions of the vehicles with a radio on this channel."""
+        if not self._networks:
+            return states
+        members = frozenset[str]().union(*self._networks.values())
+        rows = [row for row, name in enumerate(states.names) if name in members]
+        if len(rows) == len(states.names):
+            return states
+        names = tuple([states.names[row] for row in rows])
+        return msgspec.structs.replace(states, names=names, position=frozen(states.position[rows]))
+
+    def _number(self, frame: int) -> None:
+        """Give a frame of this channel its number in the run."""
+        if self._networks:
+            self._numbered[frame] = next(self._numbers)
+
+    def _named(self, report: FrameReport, message: Message) -> tuple[FrameReport, Message]:
+        """The report and the message with the name of their network, at its vehicles alone."""
+        name = message.radio or next(iter(self._networks))
+        kept = np.array([each in self._networks[name] for each in report.receivers], np.bool_)
+        report = only(report, kept) if not kept.all() else report
+        report = msgspec.structs.replace(report, frame=self._numbered.pop(report.frame), radio=name)
+        return report, msgspec.structs.replace(message, radio=name)
 
     def _reported(self, events: list[Event]) -> list[Event]:
         """The events, in reports without receivers below the least level."""

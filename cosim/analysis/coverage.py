@@ -65,6 +65,7 @@ def _site(folder: Path | None, parsed: Scenario, source: Source) -> Site:
 
     Layers that may not be imported are replaced by the preset's, such a world by the solids in the recording.
     """
+    parsed = parsed.with_radio(next(iter(parsed.radios))) if parsed.radios else parsed
     known, own = (parsed, ()) if folder is None else without_own_layers(parsed)
     if folder is None:
         world, _ = worlds.build(parsed.world, source, seed=parsed.seed)
@@ -80,9 +81,11 @@ def _site(folder: Path | None, parsed: Scenario, source: Source) -> Site:
 
 def without_own_layers(parsed: Scenario) -> tuple[Scenario, tuple[str, ...]]:
     """A scenario without radio layers whose classes may not be imported, and the names of the removed layers."""
-    kinds = {name: table["kind"] for name, table in parsed.radio.items() if isinstance(table, Mapping) and "kind" in table}
+    kinds = {
+        name: table["kind"] for name, table in parsed.first_radio.items() if isinstance(table, Mapping) and "kind" in table
+    }
     own = tuple(f"radio.{name}" for name, kind in kinds.items() if name in KINDS and not registry.may_import(name, kind))
-    layers = {name: value for name, value in parsed.radio.items() if f"radio.{name}" not in own}
+    layers = {name: value for name, value in parsed.first_radio.items() if f"radio.{name}" not in own}
     return msgspec.structs.replace(parsed, radio=layers), own
 
 
@@ -158,7 +161,7 @@ def _map(site: Site, parsed: Scenario, vehicle: str, size_bytes: int, height_m: 
     return Map(
         scenario=parsed.name,
         vehicle=vehicle,
-        preset=parsed.radio.get("preset", "ideal"),
+        preset=parsed.first_radio.get("preset", "ideal"),
         seed=parsed.seed,
         size_bytes=size_bytes,
         height_m=height_m,

@@ -98,6 +98,8 @@ def _radio(log: Log, pair: Pair) -> dict[str, Any] | None:
     if not path.is_file():
         return None
     parsed, source = loader.load(path)
+    if parsed.radios:
+        return None
     known, own = without_own_layers(parsed)
     channel, radios, _ = channel_of(known, source, solids=())
     if "radio.phy" in own or not all(name in radios for name in pair):

@@ -1,6 +1,7 @@
 """Build the channel from ``[radio]``: a preset with changed layers."""
 
 import contextlib
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -19,16 +20,16 @@ from vcmvsp.netsim.presets import preset as preset_of
 
 if TYPE_CHECKING:
     from vcmvsp.netsim.channel.channel import Channel
-    from vcmvsp.netsim.federate import RadioFederate
+    from vcmvsp.netsim.federate import Network, RadioFederate
     from vcmvsp.netsim.interfaces.layers import Radio
     from vcmvsp.physics.world.solids import AnySolid
 
 
-GIVEN = ("channel", "router", "programs", "woken", "reported_from_dbm")
+GIVEN = ("channel", "router", "programs", "woken", "reported_from_dbm", "networks", "numbers")
 """Parameters of the federate that are no keys of ``[radio]``."""
 
 
-def federate_of(
+def federates_of(
     scenario: Scenario,
     source: Source,
     resolution: Resolution,
@@ -37,19 +38,74 @@ def federate_of(
     recorded: Path | None,
     programs: bool,
     tell: Tell,
-) -> "RadioFederate":
-    """The federate `radio` of a scenario.
+) -> "list[RadioFederate]":
+    """The federate `radio` of a scenario; of several radios, one for each channel.
 
     Args:
         resolution: receives the complete ``[radio]`` and ``[routing]``.
         recorded: ``radio.parquet`` of an earlier run, whose frame outcomes are repeated.
         programs: whether programs in wall time take part; they may send any number of frames.
     """
+    from vcmvsp.netsim.federate import Network
+
+    build_one = partial(_federate, source=source, resolution=resolution, solids=solids, programs=programs, tell=tell)
+    if not scenario.radios:
+        return [build_one(scenario, recorded=recorded)]
+    if scenario.routing:
+        raise source.error("needs one [radio] without a name, not several: leave the routing out", "routing")
+    if recorded is not None:
+        raise source.error("frames of several radios cannot be repeated: run the scenario again", "radio")
+    channels: dict[Any, list[Network]] = {}
+    for name, members in scenario.radio_members.items():
+        is_first = name == next(iter(scenario.radios))
+        channels.setdefault(scenario.radios[name].get("channel", name), []).append(Network(name, members, is_first))
+    numbers, federates, tables = itertools.count(), [], dict[str, Any]()
+    for networks in channels.values():
+        first = networks[0].name
+        _check_one_each(networks, source)
+        federates.append(build_one(scenario.with_radio(first), key=f"radio.{first}", networks=networks, numbers=numbers))
+        complete = resolution.tables["radio"]
+        for name, *_ in networks:
+            if name != first:
+                build_one(scenario.with_radio(name), key=f"radio.{name}", networks=networks)
+            if resolution.tables["radio"] != complete:
+                problem = f"has the channel of {first} and must have its keys, too: both are one medium"
+                raise source.error(f"{problem}; or give it another channel", f"radio.{name}")
+            own = {key: value for key, value in scenario.radios[name].items() if key in ("name", "channel")}
+            tables[name] = {**own, **complete}
+    resolution.tables["radio"] = [tables[name] for name in scenario.radios]
+    return federates
+
+
+def _check_one_each(networks: "Sequence[Network]", source: Source) -> None:
+    """Check that no vehicle has two radios on one channel."""
+    for one, other in itertools.combinations(networks, 2):
+        if both := sorted({*one.members} & {*other.members}):
+            problem = (
+                f"{both[0]} has also {one.name}, on the same channel: list its radios (radios = [...]) or use another channel"
+            )
+            raise source.error(problem, f"radio.{other.name}.channel")
+
+
+def _federate(
+    scenario: Scenario,
+    source: Source,
+    resolution: Resolution,
+    *,
+    solids: "Sequence[AnySolid]",
+    programs: bool,
+    tell: Tell,
+    recorded: Path | None = None,
+    key: str = "radio",
+    networks: "Sequence[Network]" = (),
+    numbers: Iterator[int] | None = None,
+) -> "RadioFederate":
+    """The federate of a scenario with one radio, with the table at ``key``."""
     from vcmvsp.netsim.channel.replayed import RecordedFrames
     from vcmvsp.netsim.federate import RadioFederate
 
     portable, keep = resolution.portable, resolution.keep
-    channel, _, resolved = channel_of(scenario, source, solids=solids, portable=portable, keep=keep)
+    channel, _, resolved = channel_of(scenario, source, solids=solids, portable=portable, keep=keep, key=key)
     channel.recorded = None if recorded is None else RecordedFrames(recorded, tell)
     for line in _enclosed(channel, scenario):
         tell(line)
@@ -57,15 +113,17 @@ def federate_of(
     if scenario.routing:
         router, resolution.tables["routing"] = resolution.component("routing", scenario.routing, "routing")
     keys = _federate_keys()
-    own = {name: value for name, value in scenario.radio.items() if name in keys}
+    own = {name: value for name, value in scenario.first_radio.items() if name in keys}
     given = {
         "channel": channel,
         "router": router,
         "programs": programs,
         "woken": scenario.sockets.vehicles,
         "reported_from_dbm": scenario.record.least_rssi_dbm,
+        "networks": networks,
+        "numbers": numbers,
     }
-    federate: RadioFederate = binding.call(RadioFederate, own, key="radio", origin=source, given=given)
+    federate: RadioFederate = binding.call(RadioFederate, own, key=key, origin=source, given=given)
     resolution.tables["radio"] = {**binding.complete(RadioFederate, own, without=given), **resolved}
     return federate
 
@@ -77,17 +135,18 @@ def channel_of(
     solids: "Sequence[AnySolid]",
     portable: registry.Portable = str,
     keep: registry.Keep = registry.name_of,
+    key: str = "radio",
 ) -> "tuple[Channel, Mapping[str, Radio], dict[str, Any]]":
-    """The channel of a scenario, the radio of each vehicle, and the complete ``[radio]``; arguments as for `build`."""
+    """The channel of a scenario with one radio, the radio of each vehicle, the complete ``[radio]``; arguments: see `build`."""
     from vcmvsp.netsim.interfaces.layers import Radio
 
     radios: dict[str, Radio] = {
         each.name: binding.call(Radio, each.radio, key=f"vehicle.{each.name}.radio", origin=source) for each in scenario.vehicle
     }
     keys = _federate_keys()
-    layers = {name: value for name, value in scenario.radio.items() if name not in keys}
+    layers = {name: value for name, value in scenario.first_radio.items() if name not in keys}
     channel, resolved = build(
-        layers, source, solids=solids, radios=radios, vehicles=list(radios), portable=portable, keep=keep, also=keys
+        layers, source, key=key, solids=solids, radios=radios, vehicles=list(radios), portable=portable, keep=keep, also=keys
     )
     return channel, radios, resolved
 

@@ -15,15 +15,19 @@ LONG_DELAY_S = 10.0  # longer than networks of vehicles have, and like one in ms
 
 
 def remarks(
-    scenario: Scenario, radio: Mapping[str, Any], models: Mapping[str, Any], agents: Sequence[AgentInfo]
+    scenario: Scenario,
+    radio: Mapping[str, Any] | Sequence[Mapping[str, Any]],
+    models: Mapping[str, Any],
+    agents: Sequence[AgentInfo],
 ) -> Iterator[str]:
     """Lines on the keys of a scenario, each beginning with the key.
 
     Args:
-        radio: its complete ``[radio]``.
+        radio: its complete ``[radio]``; there are no remarks on several.
         models: of its vehicles, by name.
         agents: descriptions of its agents.
     """
+    radio = radio if isinstance(radio, Mapping) else {}
     end_s, from_s = scenario.duration_s, scenario.metrics.from_s
     if from_s > end_s:
         yield f"metrics.from_s = {from_s:g}: the run ends at {end_s:g} s, so no formation error and no age is measured"

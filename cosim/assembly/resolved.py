@@ -150,7 +150,7 @@ class Resolution:
         if "positioning" in shared:
             shared["positioning"] = _sensor(shared["positioning"])
         shared.pop("sensors", None)  # the vehicles' own tables are complete
-        if "radio" in shared:
+        if "radio" in shared and not self._scenario.radios:
             shared["radio"] = _radio(shared["radio"])
         for name, table in (("battery", BatteryTable), ("clock", VehicleClock)):
             if name in shared:
@@ -165,7 +165,8 @@ class Resolution:
             **_present(pose=vehicle.pose) or _present(position=vehicle.position, heading=vehicle.heading),
             pose_source=vehicle.pose_source,
             positioning=None if vehicle.positioning is None else _sensor(vehicle.positioning),
-            radio=_radio(vehicle.radio),
+            radio=self._radio_of(vehicle),
+            radios=vehicle.radios,
             battery=None if vehicle.battery is None else binding.plain(vehicle.battery),
             clock=None if vehicle.clock is None else binding.plain(vehicle.clock),
             sensors=self.sensors[vehicle.name] or None,
@@ -173,6 +174,10 @@ class Resolution:
         )
         full |= self.vehicles[vehicle.name] | self.real.get(vehicle.name, {})
         return {name: value for name, value in full.items() if name not in shared or value != shared[name]}
+
+    def _radio_of(self, vehicle: VehicleTable) -> dict[str, Any]:
+        """Its ``radio``, complete; of several radios as it is."""
+        return binding.plain(vehicle.radio) if self._scenario.radios else _radio(vehicle.radio)
 
     def _station(self, vehicle: VehicleTable) -> dict[str, Any]:
         """The table of a station, to which no shared default applies."""

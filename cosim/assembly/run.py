@@ -66,7 +66,7 @@ class AssembledRun:
     info: RunInfo
     federates: Sequence[Federate]
     world: "World"
-    radio: "RadioFederate"
+    radios: "Sequence[RadioFederate]"
     operator: Operator
     robots: "Hardware | None"
     bridge: "Bridge | None"
@@ -201,9 +201,10 @@ def assemble(
         scenario.world, source, seed=scenario.seed, portable=resolution.portable, keep=resolution.keep
     )
     bridges = bool(scenario.bridge.doors) and bridged is None
-    air = radio.federate_of(
+    airs = radio.federates_of(
         scenario, source, resolution, solids=world.solids, recorded=recorded_radio, programs=bridges, tell=tell
     )
+    air = airs[0]
     fleet = Fleet(scenario, source, resolution)
     radius_m = {name: model.radius_m for name, model in fleet.models.items()}
     stacked = stacks.of_scenario(scenario, source, resolution, fleet.models, fleet.sensors, tell=tell)
@@ -263,9 +264,9 @@ def assemble(
         source=source,
         clock=clock,
         info=_info(scenario, fleet, agents),
-        federates=[physics, air, operator, *hosts.federates, *others],
+        federates=[physics, *airs, operator, *hosts.federates, *others],
         world=world,
-        radio=air,
+        radios=airs,
         operator=operator,
         robots=robots,
         bridge=programs.bridge,
@@ -409,6 +410,7 @@ def _info(scenario: Scenario, fleet: Fleet, agents: Sequence[AgentInfo]) -> RunI
         wanted=tuple(sorted(read | fleet.recorded())),
         periods_s={info.vehicle: float(info.ticks.period) / SECOND_NS for info in agents},
         clocks={each.name: each.clock for each in scenario.vehicle if each.clock is not None},
+        radios=scenario.radio_members,
         stations=tuple([name for name, model in fleet.models.items() if isinstance(model, Station)]),
     )
 

@@ -138,8 +138,9 @@ def _alone(scenario: Scenario, fleet: Fleet) -> "list[tuple[str, str]]":
         found.append(("physics.kind", 'vehicles have bodies unless physics.kind is "kinematic" or "flight"'))
     if scenario.world.get("kind", "empty") != "empty" or "wind" in scenario.world:
         found.append(("world", "a world with obstacles or wind"))
-    if scenario.routing or scenario.intervention or scenario.bridge.doors or scenario.sockets.vehicles or scenario.stack:
-        found.append(("routing", "routing, interventions and external programs"))
+    programs = scenario.bridge.doors, scenario.sockets.vehicles, scenario.stack
+    if any((scenario.routing, scenario.radios, scenario.intervention, *programs)):
+        found.append(("routing", "routing, several radios, interventions and external programs"))
     if scenario.agents.latency_s:
         found.append(("agents.latency_s", "a latency of commands"))
     for each in scenario.vehicle:

@@ -9,7 +9,7 @@ from typing import Any
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.util.documents import read_toml, toml_tokens
 
-_VEHICLE = re.compile(r"^(vehicle|station)\[\d+\]")
+_VEHICLE = re.compile(r"^(vehicle|station|radio)\[\d+\]")
 
 
 def lines_of(text: str) -> dict[str, int]:

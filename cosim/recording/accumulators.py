@@ -12,6 +12,7 @@ import functools
 import hashlib
 import math
 import struct
+from array import array
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
@@ -37,7 +38,7 @@ from vcmvsp.cosim.metrics.radio import Parts, connectivity_metrics, informed, ra
 from vcmvsp.cosim.metrics.routing import COLUMNS as ROUTES
 from vcmvsp.cosim.metrics.routing import Routing
 from vcmvsp.cosim.recording.scene import DrawnWorld
-from vcmvsp.cosim.tables.columns import names_of, nulls, numbers
+from vcmvsp.cosim.tables.columns import name_column, names_of, nulls, numbers
 from vcmvsp.cosim.tables.radio_frames import Frames
 from vcmvsp.cosim.tables.schema import (
     DERIVED,
@@ -83,6 +84,8 @@ class Accumulators:
         self._noted, self._mission, self._batteries = Noted(), Mission(), BatteryReadings()
         self._notes = NoteRows(run.vehicles, folder)
         self._routing = Routing(run.vehicles)
+        self._radios = {name: code for code, name in enumerate(run.radios)}
+        self._radio_of = array("h")  # number of the radio by frame; -1: not known
         self._commands = {name: bytearray() for name in run.vehicles}  # packed `_COMMAND` records
         self._presences: list[tuple[str, types.Presence]] = []
         self._statuses: defaultdict[str, list[tuple[int, types.RealStatus]]] = defaultdict(list)  # of real vehicles
@@ -93,8 +96,8 @@ class Accumulators:
         self._others = hashlib.sha256()  # hash of all earlier ones
         self._tables: tuple[RunTable, RunTable] | None = None
         self._takers: dict[type, Take] = {
-            types.FrameReport: lambda _key, _time_ns, report: self._frames.extend((report,)),
-            types.Traffic: lambda _key, _time_ns, traffic: self._frames.extend(traffic.reports),
+            types.FrameReport: lambda _key, _time_ns, report: self._take_frames((report,)),
+            types.Traffic: lambda _key, _time_ns, traffic: self._take_frames(traffic.reports),
             types.Routed: lambda _key, _time_ns, routed: self._routing.take(routed),
             types.Follows: self._take_follows,
             types.Note: self._take_note,
@@ -165,6 +168,8 @@ class Accumulators:
             facts, states, frames, routing = self.facts, self._states, self._frames, self._routing
 
             def radio(columns: Collection[str] | None, rows: tuple[int, int]) -> pa.Table:
+                if self._radios:
+                    return self._with_radios(facts, columns, rows)
                 if not routing or not (columns is None or set(columns) & set(ROUTES)):
                     return radio_table(frames, facts, columns, rows)
                 known = None if columns is None else {*columns, "frame", "sent_ns"}
@@ -176,6 +181,19 @@ class Accumulators:
                 RunTable(frames.rows, radio),
             )
         return self._tables
+
+    def _take_frames(self, reports: Sequence[types.FrameReport]) -> None:
+        self._frames.extend(reports)
+        for report in reports if self._radios else ():
+            self._radio_of.extend([-1] * (report.frame + 1 - len(self._radio_of)))
+            self._radio_of[report.frame] = self._radios[report.radio or ""]
+
+    def _with_radios(self, facts: RunFacts, columns: Collection[str] | None, rows: tuple[int, int]) -> pa.Table:
+        """The table of frames of several radios, with a column of their names."""
+        table = radio_table(self._frames, facts, None if columns is None else {*columns, "frame"}, rows)
+        codes = np.array(self._radio_of, np.int32)[numbers(table, "frame")]
+        table = table.append_column("radio", name_column([*self._radios], codes))
+        return table if columns is None else table.select([*columns])
 
     def write_tables(self, folder: Path) -> None:
         """Write ``states.parquet``, ``radio.parquet`` and, if a vehicle follows another, ``errors.parquet``."""

@@ -26,7 +26,7 @@ from mcap.writer import MCAP0_MAGIC
 from numpy.lib.stride_tricks import sliding_window_view
 
 from vcmvsp.cosim.recording.foxglove import FoxgloveMessage, to_json
-from vcmvsp.cosim.types import Array, FrameReport, Looks
+from vcmvsp.cosim.types import Array, FrameReport, Looks, Message
 
 LIBRARY = "vcmvsp"
 CHUNK_BYTES, CHUNK_NS = 1 << 20, 5_000_000_000  # before compression; simulated; a killed process loses at most one chunk
@@ -96,6 +96,8 @@ def schema_of(message_type: type) -> Schema:
     known = issubclass(message_type, FoxgloveMessage)
     title = f"foxglove.{name}" if known else f"vcmvsp.{name.removesuffix('Report')}"
     (root,), definitions = msgspec.json.schema_components([message_type], schema_hook=_array_schema)
+    for each in (Message, FrameReport):
+        definitions.get(each.__name__, {"properties": {}})["properties"].pop("radio", None)  # only with several radios
     schema = _simple(root, definitions)
     if message_type is Looks:
         schema["properties"] |= {"cells": _listed(_listed({"type": "integer"})), "hits": _listed({"type": "boolean"})}

@@ -110,7 +110,7 @@ EXTRA_DOCS: Mapping[str, Mapping[str, str]] = {
         "seed": "seed of all random numbers",
         "physics": "engine that moves the vehicles; default: Bullet",
         "world": "surroundings of the vehicles; default: a floor",
-        "radio": "radio channel between the vehicles; default: the preset `ideal`",
+        "radio": "radio channel between the vehicles, or several `[[radio]]`; default: the preset `ideal`",
         "routing": "forwarding of messages over other vehicles; default: none",
         "bridge": "unchanged network programs, in wall-clock time",
         "sockets": "network programs in simulated time",

@@ -37,6 +37,9 @@ def scenario_schema() -> Schema:
     vehicle = _inside(_inside(root, "vehicle"), "NAME")
     shared = {name: each for name, each in vehicle["properties"].items() if name not in NOT_SHARED}
     root["properties"]["vehicles"] |= {"properties": shared}
+    tables.definitions["radio"], one = root["properties"]["radio"], {"$ref": "#/$defs/radio"}
+    several = {"type": "array", "items": {**one, "required": ["name"]}}
+    root["properties"]["radio"] = {"if": {"type": "array"}, "then": several, "else": one}
     return {**root, "$defs": tables.definitions}
 
 

@@ -223,6 +223,20 @@ def extra_keys(place: Place) -> Iterator[Key]:
             without="",
             meaning=f"sets all layers; the table of a layer changes some of its keys: {', '.join(PRESETS)}",
         )
+        for name, meaning, without in (
+            ("name", "of one of several radios, each a table `[[radio]]`", "there is one radio"),
+            ("channel", "one of several radios with this channel share a medium and must agree in all keys", "its own"),
+        ):
+            yield Key(
+                name=name,
+                type="string",
+                unit="",
+                schema={"type": "string"},
+                required=False,
+                default=None,
+                without=without,
+                meaning=meaning,
+            )
 
 
 @functools.cache

@@ -215,7 +215,9 @@ def _unrecorded(run: AssembledRun, observe: Observer) -> Steps:
     ticks = {info.ticks for info in run.agents}
     has_batteries = any(vehicle.battery is not None for vehicle in run.scenario.vehicle)  # frames take power when they end
     if len(ticks) == 1 and not (run.scenario.routing or run.has_outside or has_batteries):
-        run.radio.report_at = ticks.pop()
+        at = ticks.pop()
+        for each in run.radios:
+            each.report_at = at
     kernel = Kernel(run.info, run.federates, clock=run.clock)
     run.start(kernel)
     try:

@@ -26,7 +26,7 @@ from vcmvsp.cosim.scenario.schema import (
     StudyTable,
     VehicleTable,
 )
-from vcmvsp.cosim.types import Vec3
+from vcmvsp.cosim.types import Name, Vec3
 from vcmvsp.cosim.util import limits
 from vcmvsp.cosim.util.documents import DEEPEST, check_depth, read_toml
 
@@ -163,9 +163,8 @@ def parse(raw: Mapping[str, Any], source: Source) -> Scenario:
         "vehicle": vehicles,
         "station": stations,
         "vehicles": defaults,
-        **{
-            name: _mapping(raw[name], name, source) for name in ("physics", "world", "radio", "routing", "stack") if name in raw
-        },
+        **{name: _mapping(raw[name], name, source) for name in ("physics", "world", "routing", "stack") if name in raw},
+        "radio": _radio(raw.get("radio", {}), vehicles, source),
         **{
             name: binding.call(kind, _mapping(raw[name], name, source), key=name, origin=source)
             for name, kind in (
@@ -286,17 +285,17 @@ def assign(raw: dict[str, Any], key: str, value: object, source: Source) -> None
     """Set one key path; ``vehicle.NAME`` and ``station.NAME`` find one by its name."""
     *parents, last = key.split(".")
     group = key.partition(".")[0]
-    if group in NAMED:
+    if group in NAMED or (group == "radio" and isinstance(raw.get("radio"), list)):
         listed = raw.get(group)
         if len(parents) < 2 or not isinstance(listed, list):
             raise source.error(f"write {group}.NAME.KEY for a key of one {group}", key)
     here: Any = raw
     for depth, part in enumerate(parents):
-        if depth == 0 and part in NAMED:
+        if depth == 0 and isinstance(raw.get(part), list):
             if names_copy(raw, key):
                 raw["vehicle"] = repeated(raw["vehicle"], source)  # one copy gets its own value
             here = {str(each.get("name")): each for each in raw.get(part, []) if isinstance(each, dict)}
-        elif depth == 1 and parents[0] in NAMED and part not in here:
+        elif depth == 1 and isinstance(raw.get(parents[0]), list) and part not in here:
             raise source.error(binding.unknown(parents[0], part, here), key)
         elif depth == 2 and parents[0] == "vehicle":  # one key of a table in [vehicles]
             here = here.setdefault(part, copy.deepcopy(raw.get("vehicles", {}).get(part, {})))
@@ -337,6 +336,23 @@ def _vehicle(raw: dict[str, Any], defaults: Mapping[str, Any], source: Source) -
         raise ScenarioError("is missing, and [vehicles] has no kind for all", key=f"{here}.kind", source=source.of(here))
     parsed = _open_table(VehicleTable, content, "params", here, source)
     return msgspec.structs.replace(parsed, agent=agent)
+
+
+def _radio(raw: object, vehicles: Sequence[VehicleTable], source: Source) -> Mapping[str, Any] | tuple[Mapping[str, Any], ...]:
+    """``[radio]``, or several ``[[radio]]`` with names."""
+    if not isinstance(raw, list):
+        return _mapping(raw, "radio", source)
+    for index, each in enumerate(raw):
+        _check_named(each, f"radio[{index}]", source)
+        binding.convert(each["name"], Name, key=f"radio.{each['name']}.name", origin=source)
+    names = [each["name"] for each in raw]
+    if len({*names}) < len(names):
+        raise source.error("two radios have one name; use distinct names", "radio")
+    for vehicle in vehicles:
+        for name in vehicle.radios or ():
+            if name not in names:
+                raise source.error(binding.unknown("radio", name, names), f"vehicle.{vehicle.name}.radios")
+    return tuple(raw)
 
 
 def _station(raw: dict[str, Any], source: Source) -> StationTable:
@@ -381,7 +397,7 @@ def _path_of(value: object, wanted: float, key: str = "") -> str:
         return key
     items = value.items() if isinstance(value, Mapping) else enumerate(value if isinstance(value, list) else ())
     for name, each in items:
-        is_named = key in NAMED and isinstance(each, dict) and isinstance(each.get("name"), str)
+        is_named = key in (*NAMED, "radio") and isinstance(each, dict) and isinstance(each.get("name"), str)
         own = f".{each['name']}" if is_named else f"[{name}]" if isinstance(name, int) else f".{name}"
         if found := _path_of(each, wanted, f"{key}{own}".removeprefix(".")):
             return found

@@ -81,6 +81,7 @@ class VehicleTable(msgspec.Struct, frozen=True, kw_only=True):
     safety: Mapping[str, Any] = {}  # keys of [safety] that are this vehicle's own
     sensors: Mapping[str, Mapping[str, Any]] = {}  # what else it carries, by names of one's own: a table with a kind each
     radio: Mapping[str, Any] = {}  # what its own radio has: tx_power_dbm, antenna_gain_dbi, ...
+    radios: tuple[Name, ...] | None = None  # names of those of several radios that it has; None: all
     battery: BatteryTable | None = None  # its energy; default: it never ends
     clock: VehicleClock | None = None  # its own clock; default: the time of the run
     agent: AgentTable | None = None  # None: it has no agent and stands still
@@ -111,6 +112,7 @@ class StationTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     position: Vec3 = (0.0, 0.0, 0.0)  # x, y, z m
     sensors: Mapping[str, Mapping[str, Any]] = {}  # what it carries, by names of one's own: a table with a kind each
     radio: Mapping[str, Any] = {}  # what its own radio has: tx_power_dbm, antenna_gain_dbi, ...
+    radios: tuple[Name, ...] | None = None  # names of those of several radios that it has; None: all
     battery: BatteryTable | None = None  # its energy; default: it never ends
     clock: VehicleClock | None = None  # its own clock; default: the time of the run
     agent: AgentTable | None = None  # None: it has no agent
@@ -233,7 +235,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True):
     seed: Seed = 0
     physics: Mapping[str, Any] = {}  # kind = "bullet" | "kinematic" | "mujoco" | "flight"
     world: Mapping[str, Any] = {}  # kind = "empty" | "boxes"
-    radio: Mapping[str, Any] = {}  # preset = "ideal" | "wss" | "wifi-b-1" | "zigbee", and its layers
+    radio: Mapping[str, Any] | tuple[Mapping[str, Any], ...] = {}  # preset = "ideal" | "wss" | "wifi-b-1" | ..., and its layers
     routing: Mapping[str, Any] = {}  # kind = "none" | "flooding" | "static" | "distance_vector"
     bridge: BridgeTable = BridgeTable()
     sockets: SocketsTable = SocketsTable()
@@ -248,6 +250,31 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True):
     intervention: tuple[InterventionTable, ...] = ()
     vehicle: tuple[VehicleTable, ...]  # the stations are the last ones
     station: tuple[StationTable, ...] = ()
+
+    @property
+    def radios(self) -> dict[str, Mapping[str, Any]]:
+        """Tables of several radios, by name; empty: there is one without a name."""
+        return {} if isinstance(self.radio, Mapping) else {each["name"]: each for each in self.radio}
+
+    @property
+    def first_radio(self) -> Mapping[str, Any]:
+        """The table of the only radio, or of the first of several."""
+        return self.radio if isinstance(self.radio, Mapping) else self.radio[0]
+
+    @property
+    def radio_members(self) -> dict[str, tuple[str, ...]]:
+        """Vehicles with each of several radios, by its name."""
+        every = self.vehicle
+        return {radio: tuple([v.name for v in every if v.radios is None or radio in v.radios]) for radio in self.radios}
+
+    def with_radio(self, name: str) -> "Scenario":
+        """The scenario with one of several radios as its only one, also in the tables ``radio`` of its vehicles."""
+        table = {key: value for key, value in self.radios[name].items() if key not in ("name", "channel")}
+        vehicles = []
+        for each in self.vehicle:
+            common = {key: value for key, value in each.radio.items() if key not in self.radios}
+            vehicles.append(msgspec.structs.replace(each, radio={**common, **each.radio.get(name, {})}))
+        return msgspec.structs.replace(self, radio=table, vehicle=tuple(vehicles))
 
     @property
     def real(self) -> tuple[str, ...]:

@@ -382,6 +382,11 @@ def without_distant(report: FrameReport, least_dbm: float) -> FrameReport:
     if kept.all():
         return report
     kept[report.rssi_dbm.argmax()] = True  # every frame has a row in the table
+    return only(report, kept)
+
+
+def only(report: FrameReport, kept: Bools) -> FrameReport:
+    """The report of a frame at some of its receivers, (n,)."""
     places = np.flatnonzero(kept)
     listed, rest = places.tolist(), dict[str, Any]()
     for name in report.__struct_fields__:

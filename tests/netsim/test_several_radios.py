@@ -1,0 +1,141 @@
+"""Several radios: each network as if alone on its own channel, one medium on a shared one, and what agents say on them."""
+
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+import vcmvsp
+from vcmvsp.cosim.agent import Radio
+
+WIFI = {"name": "wifi", "preset": "wifi-b-1", "loss": {"probability": 0.3}, "fading": {"kind": "nakagami", "m": 1.0}}
+LORA = {"name": "lora", "preset": "lora-sf7", "mac": {"kind": "aloha", "duty_cycle": 0.5}, "shadowing": {"sigma_db": 6.0}}
+KINEMATIC = {"kind": "kinematic", "agent": {}}
+
+
+class Both(vcmvsp.Agent):
+    """Sends on each of some radios at each tick, and keeps what it hears."""
+
+    def __init__(self, *names: str) -> None:
+        self.names, self.heard = names, list[tuple[str, str | None, Any]]()
+
+    def act(self, obs: vcmvsp.Observation, radio: vcmvsp.Radio) -> vcmvsp.Velocity:
+        self.heard += [(each.message.sender, each.radio, each.message.body) for each in obs.heard]
+        for name in self.names:
+            radio[name].send(on=name)
+        return vcmvsp.Velocity(linear=(0.5, 0.0, 0.0))
+
+
+def scenario(*radios: dict[str, Any], vehicles: int = 4, **own: Any) -> dict[str, Any]:
+    cars = [{**KINEMATIC, "name": f"car{i}", "position": [12.0 * i, 5.0 * i * i, 0.0]} for i in range(vehicles)]
+    listed = [{**car, **own.get(str(car["name"]), {})} for car in cars]
+    return {"name": "radios", "duration_s": 3.0, "physics": {"kind": "kinematic"}, "radio": [*radios], "vehicle": listed}
+
+
+def run(content: dict[str, Any], *names: str, **others: tuple[str, ...]) -> tuple[vcmvsp.Result, dict[str, Both]]:
+    agents = {each["name"]: Both(*others.get(each["name"], names)) for each in content["vehicle"]}
+    return vcmvsp.run(content, agents=agents, mcap=False), agents
+
+
+def rows(result: vcmvsp.Result, name: str) -> pd.DataFrame:
+    """Frames of one radio, without their numbers in the run."""
+    frames = result.radio.to_pandas()
+    own = frames[frames.radio == name].drop(columns=["frame", "radio"])
+    return own.astype({"sender": str, "receiver": str, "outcome": str}).reset_index(drop=True)
+
+
+def test_networks_on_channels_of_their_own_are_as_if_alone() -> None:
+    members: dict[str, Any] = {"car3": {"radios": ["wifi"]}}
+    both, _ = run(scenario(WIFI, LORA, **members), "wifi", "lora", car3=("wifi",))
+    wifi, _ = run(scenario(WIFI, vehicles=4), "wifi")
+    lora, _ = run(scenario(LORA, vehicles=3), "lora")
+    for alone, name in ((wifi, "wifi"), (lora, "lora")):
+        assert len(rows(both, name)) > 100
+        pd.testing.assert_frame_equal(rows(both, name), rows(alone, name))
+    assert both.states.equals(wifi.states)
+
+
+def test_networks_on_one_channel_are_one_medium() -> None:
+    """Two networks of LoRa: frames of both overlap, and none is 6 dB above the other at a receiver that is as far from both."""
+    parts: dict[str, Any] = {
+        "car0": {"radios": ["a"]},
+        "car1": {"radios": ["a"]},
+        "car2": {"radios": ["b"]},
+        "car3": {"radios": ["b"]},
+    }
+    outcomes = {}
+    for channel in ("1", "2"):
+        pair = ({**LORA, "name": "a", "channel": "1"}, {**LORA, "name": "b", "channel": channel})
+        content = scenario(*({**each, "mac": {"kind": "aloha", "duty_cycle": 1.0}} for each in pair), **parts)
+        for number, each in enumerate(content["vehicle"]):
+            each["position"] = [10.0 * (number % 2), 10.0 * (number // 2), 0.0]  # a square
+        result, agents = run(content, car0=("a",), car1=(), car2=("b",), car3=())
+        frames = result.radio.to_pandas().astype({"outcome": str})
+        assert set(zip(frames.sender, frames.receiver, strict=True)) == {("car0", "car1"), ("car2", "car3")}
+        outcomes[channel] = set(frames.outcome)
+        assert {each[1] for agent in agents.values() for each in agent.heard} <= {"a", "b"}
+    assert "collision" in outcomes["1"]
+    assert outcomes["2"] == {"received"}
+
+
+def test_receptions_name_their_radio_and_the_first_one_is_the_default() -> None:
+    class Plain(Both):
+        def act(self, obs: vcmvsp.Observation, radio: vcmvsp.Radio) -> vcmvsp.Velocity:
+            radio.send(on="the first")
+            return super().act(obs, radio)
+
+    content = scenario({"name": "fast", "preset": "ideal"}, {"name": "slow", "preset": "ideal"}, vehicles=2)
+    agents = {"car0": Plain("slow"), "car1": Plain()}
+    vcmvsp.run(content, agents=agents, mcap=False)
+    assert {(radio, body["on"]) for _, radio, body in agents["car1"].heard} == {("fast", "the first"), ("slow", "slow")}
+    assert {(radio, body["on"]) for _, radio, body in agents["car0"].heard} == {("fast", "the first")}
+
+
+def test_a_radio_reaches_only_vehicles_that_have_it() -> None:
+    radio = Radio("car0", ("car0", "car1", "car2"), {"wifi": ("car0", "car1"), "lora": ("car0", "car2")})
+    radio["lora"].send(to="car2")
+    with pytest.raises(ValueError, match="unknown receiver"):
+        radio.send(to="car2")
+    with pytest.raises(KeyError, match="wifi, lora"):
+        radio["zigbee"]
+    with pytest.raises(ValueError, match="car0 has no radio"):
+        Radio("car0", ("car0", "car1"), {"wifi": ("car1",)}).send(x=1)
+    assert [message.radio for message in radio.drain()] == ["lora"]
+    assert radio.drain() == []
+
+
+def test_the_resolved_scenario_gives_the_same_bytes(tmp_path: Path) -> None:
+    content = scenario(WIFI, LORA, car1={"radio": {"antenna_gain_dbi": 3.0, "lora": {"tx_power_dbm": 20.0}}})
+    content["vehicle"] = [{**each, "agent": {"kind": "trajectory", "path": "straight"}} for each in content["vehicle"]]
+    vcmvsp.run(content, out=tmp_path / "one")
+    vcmvsp.run(tmp_path / "one" / "scenario.toml", out=tmp_path / "two")
+    for name in ("run.mcap", "radio.parquet", "metrics.json"):
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("radios", "own", "settings", "message"),
+    [
+        ([WIFI, WIFI], {}, {}, "radio: two radios have one name"),
+        ([{"preset": "zigbee"}], {}, {}, "radio[0].name: is missing"),
+        ([WIFI], {"radios": ["lora"]}, {}, "vehicle.car0.radios"),
+        ([WIFI, {**WIFI, "name": "b", "channel": "wifi"}], {}, {}, "radio.b.channel: car0 has also wifi"),
+        ([WIFI, {**LORA, "phy": {"kind": "lora", "sf": 7}}], {}, {}, "radio.lora.phy.sf"),
+        ([WIFI, LORA], {}, {"radio.lora.loss.probability": 2.0}, "radio.lora.loss.probability"),
+        ([WIFI, LORA], {}, {"routing.kind": "flooding"}, "routing: needs one [radio]"),
+    ],
+)
+def test_wrong_tables_end_with_one_line(
+    radios: list[dict[str, Any]], own: dict[str, Any], settings: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(vcmvsp.ScenarioError) as caught:
+        vcmvsp.run(scenario(*radios, car0=own), agents={}, set=settings, mcap=False)
+    assert message in str(caught.value)
+
+
+def test_radios_of_one_channel_must_agree() -> None:
+    parts: dict[str, Any] = {f"car{i}": {"radios": ["ab"[i % 2]]} for i in range(4)}
+    content = scenario({**WIFI, "name": "a", "channel": "6"}, {**LORA, "name": "b", "channel": "6"}, **parts)
+    with pytest.raises(vcmvsp.ScenarioError, match=r"radio\.b: has the channel of a"):
+        run(content)
