@@ -154,7 +154,7 @@ def channel_of(
 def _enclosed(channel: "Channel", scenario: Scenario) -> Iterator[str]:
     """A line on antennas that start inside a solid, where rays find no way out of it."""
     rays: Any = channel.budgets.path_loss
-    if scenario.radio.get("path_loss", {}).get("kind") != "rays" or not scenario.vehicle:
+    if scenario.first_radio.get("path_loss", {}).get("kind") != "rays" or not scenario.vehicle:
         return
     names = tuple(each.name for each in scenario.vehicle)
     antennas = np.array([each.start[0] for each in scenario.vehicle]) + channel.budgets.antennas_above(names)
