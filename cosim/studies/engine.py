@@ -16,6 +16,7 @@ import msgspec
 from vcmvsp.cosim.assembly.run import assemble
 from vcmvsp.cosim.errors import AgentError, Interrupted, ScenarioError, UsageError, VcmvspError
 from vcmvsp.cosim.kernel.kernel import Kernel
+from vcmvsp.cosim.metrics.catalogue import METRICS
 from vcmvsp.cosim.processes.worker_pool import Answered, Pool, cores
 from vcmvsp.cosim.runs import api, notebook
 from vcmvsp.cosim.scenario import loader
@@ -323,4 +324,5 @@ def _names(plan: Plan, base: Base, point: tuple[Any, ...]) -> set[str]:
         if error.result is None:
             return set()
         result = error.result  # of an own metric that fails on so short a run
-    return {name for name, value in flat(result.metrics).items() if not isinstance(value, str) and name not in plan.vary}
+    names = {name for name, value in flat(result.metrics).items() if not isinstance(value, str) and name not in plan.vary}
+    return names | ({name for name in METRICS if name.startswith("routing.")} if parsed.routing else set())

@@ -40,6 +40,9 @@ def main(names: Sequence[str]) -> None:
             if path.stem == "demo":
                 command(folder, "demo", "--out", "demo")
                 shutil.copy(Path(folder, "demo", "comparison.png"), path)
+            elif path.stem == "relay-canyon":
+                subprocess.run([sys.executable, ROOT / "examples" / "relay_canyon.py", folder], check=True)
+                shutil.copy(Path(folder, "relay_canyon.png"), path)
             elif path.stem == "demo-film":
                 command(folder, "demo", "--out", "demo")
                 command(folder, "export", "demo/hold", "--mp4")

@@ -48,7 +48,10 @@ LEARNED = "tests/docs/test_examples.py::test_learning_writes_policies_that_fly_a
 LEARNING_TASK = "tests/cosim/cli/test_new.py::test_it_runs_and_passes_its_own_test_unedited"
 EXAMPLES = "tests/docs/test_examples.py::test_a_script_makes_its_picture"
 
+RELAYS = "tests/validation/test_relay_canyon.py::test_rays_reach_round_corners_where_walls_do_not"
+
 ELSEWHERE = _in_the_gallery() | {
+    "vcmvsp study relay-canyon --vary vehicle.relay.count=1,2,3,4 --seeds 1 --metric routing.delivery_ratio": RELAYS,
     ".venv/bin/python examples/loss_and_delay.py": EXAMPLES,
     ".venv/bin/python examples/own_agent.py pictures": EXAMPLES,
     "vcmvsp new task meet": LEARNING_TASK,

@@ -1,0 +1,25 @@
+"""Relays round two corners: what rays reach, and walls do not."""
+
+import pytest
+
+import vcmvsp
+
+RELAYS = "vehicle.relay.count"
+
+
+def test_rays_reach_round_corners_where_walls_do_not() -> None:
+    """A second relay helps with rays, and hardly where all that is not in sight is silent."""
+    shares = []
+    for keys in (
+        {"radio.path_loss.reflections": 0},
+        {"radio.path_loss": {"kind": "log_distance"}, "radio.walls.kind": "itu"},
+    ):
+        table = vcmvsp.study(
+            "relay-canyon", vary={RELAYS: [1, 2]}, seeds=1, metrics=["routing.delivery_ratio"], set=keys, jobs=1
+        )
+        shares.append(table.to_pandas().sort_values(RELAYS)["routing.delivery_ratio"].tolist())
+    rays, walls = shares
+    assert rays[1] > rays[0] + 0.05
+    assert rays[0] > walls[0]
+    assert rays[1] > walls[1] + 0.1
+    assert walls[1] == pytest.approx(walls[0], abs=0.1)
