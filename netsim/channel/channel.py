@@ -193,8 +193,8 @@ class Channel:
     def expect(self, frames: int) -> None:
         """Hint of the number of frames; decides now whether to compile. Changes no result."""
         self._expected = frames
-        if hasattr(self.budgets.path_loss, "prepare"):
-            self.budgets.path_loss.prepare()
+        for layer in (self.budgets.path_loss, self.fading):
+            getattr(layer, "prepare", lambda: None)()
         medium = self.mac.open(self.phy, 2, np.zeros(2, np.uint64), self.hearing.noise_mw)  # a temporary medium
         if medium is not None:
             medium.expect(frames)
