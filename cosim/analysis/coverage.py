@@ -127,7 +127,7 @@ def coverage(
     if at_s is not None:
         if folder is None:
             raise UsageError("a time needs a recorded run: name the folder of a run, or leave it out")
-        site = msgspec.structs.replace(site, places=_places_at(folder, at_s))
+        site = msgspec.structs.replace(site, places=places_at(folder, at_s * SECOND_NS))
     return _map(site, parsed, vehicle, size_bytes, height_m, resolution_m)
 
 
@@ -205,14 +205,15 @@ def _round_step(step_m: float) -> float:
     return next(power * digit for digit in (1.0, 2.0, 5.0, 10.0) if power * digit >= step_m * (1.0 - 1e-9))
 
 
-def _places_at(folder: Path, at_s: float) -> dict[str, Vec3]:
+def places_at(folder: Path, at_ns: float) -> dict[str, Vec3]:
+    """The vehicles' positions in a run at a time, m, world."""
     try:
         moved = motion(tables_of(folder, radio=()).states)
     except (OSError, ValueError) as error:  # a damaged table
         raise UsageError(f"{folder} cannot be read: {error}") from error
-    instant = int(np.searchsorted(moved.time_ns, at_s * SECOND_NS, side="right")) - 1
-    if instant < 0 or not at_s * SECOND_NS <= moved.time_ns[-1]:
-        raise UsageError(f"{at_s:g} s: the run in {folder} lasted from 0 to {moved.time_ns[-1] / SECOND_NS:g} s")
+    instant = int(np.searchsorted(moved.time_ns, at_ns, side="right")) - 1
+    if instant < 0 or not at_ns <= moved.time_ns[-1]:
+        raise UsageError(f"{at_ns / SECOND_NS:g} s: the run in {folder} lasted from 0 to {moved.time_ns[-1] / SECOND_NS:g} s")
     return {name: tuple(moved.position[:, instant, moved.column(name)].tolist()) for name in moved.names}
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from vcmvsp.cosim.analysis import ray_paths
 from vcmvsp.cosim.analysis.coverage import without_own_layers
 from vcmvsp.cosim.analysis.links import NUMBERS, LinkFrames, Log, Pair
 from vcmvsp.cosim.assembly.radio import channel_of
@@ -63,7 +64,17 @@ def frame_report(log: Log, pair: Pair, which: str, *, with_scenario: bool = True
         "survival": _survival(row, radio),
         "outcome": outcome,
     }
-    return {**report, "why": why(report)}
+    paths = _paths(log, pair, row["sent_ns"], report["budget"], trust=trust) if with_scenario else []
+    return {**report, "why": why(report), **({"paths": paths} if paths else {})}
+
+
+def _paths(log: Log, pair: Pair, sent_ns: int, budget: Budget, *, trust: bool) -> list[dict[str, Any]]:
+    """The paths of rays with their levels, dBm, the strongest first."""
+    if not (log.folder / "scenario.toml").is_file():
+        return []
+    sent_dbm = sum(budget[name] or 0.0 for name in ("power_dbm", "tx_gain_dbi", "rx_gain_dbi"))
+    rows = ray_paths.of_frame(log.folder, pair, sent_ns, trust=trust)
+    return [{**row, "level_dbm": sent_dbm + row["gain_db"]} for row in rows]
 
 
 def _find(log: Log, frames: LinkFrames, pair: Pair, which: str) -> int:

@@ -89,7 +89,21 @@ def frame_text(frame: Row) -> str:
         items.append((budget["floor"].removeprefix("the "), budget["floor_dbm"], "dBm", beside))
     lines = [[name, _figure(value, 2), unit if value is not None else "", note] for name, value, unit, note in items]
     head = f"frame {frame['frame']}, {frame['sender']} -> {frame['receiver']}, {frame['size_bytes']} bytes"
-    return f"{head}, sent at {frame['sent_s']:.3f} s\n\n{_table(lines, (1,))}\n{frame['why']}\n"
+    text = f"{head}, sent at {frame['sent_s']:.3f} s\n\n{_table(lines, (1,))}\n{frame['why']}\n"
+    return text + (_paths_text(frame["paths"]) if "paths" in frame else "")
+
+
+_SHOWN_PATHS = 12
+
+
+def _paths_text(paths: Sequence[Row]) -> str:
+    """The strongest paths of rays with their levels."""
+    rows = [["dBm", "delay ns", "path", "over (x, y, z) m"]]
+    for path in paths[:_SHOWN_PATHS]:
+        points = " ".join("({:.1f}, {:.1f}, {:.1f})".format(*point) for point in path["points"])
+        rows.append([f"{path['level_dbm']:.2f}", f"{path['delay_ns']:.2f}", path["kinds"], points])
+    more = f", the strongest {_SHOWN_PATHS}" if len(paths) > _SHOWN_PATHS else ""
+    return f"\n{len(paths)} paths{more}:\n\n{_table(rows, (0, 1))}"
 
 
 def _table(rows: Sequence[Sequence[str]], right: Container[int]) -> str:

@@ -5,8 +5,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vcmvsp.cosim.analysis.coverage import site_of
+import numpy as np
+
+from vcmvsp.cosim.analysis.coverage import places_at, site_of
 from vcmvsp.cosim.errors import ScenarioError, UsageError
+from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.tables.schema import write_table
 from vcmvsp.cosim.util.files import replacing
 
@@ -45,6 +48,24 @@ def ray_paths(
         raise ScenarioError(error.problem, key=error.key, source=source.of(error.key)) from error
     except UsageError as error:
         raise UsageError(f"{points}: {error}; scenario {parsed.name}") from error
+
+
+def of_frame(folder: Path, pair: tuple[str, str], sent_ns: int, *, trust: bool = False) -> list[dict[str, Any]]:
+    """The paths of a frame of a run, by gain: ``kinds``, ``gain_db``, ``delay_ns``, ``points``; none if its radio has no rays.
+
+    They lie between the antennas at the newest recorded positions.
+    """
+    from vcmvsp.cosim.assembly.parts import channel_trial
+
+    radio = loader.load(folder / "scenario.toml")[0].radio
+    table = radio.get("path_loss") if isinstance(radio, Mapping) else None
+    if not isinstance(table, Mapping) or table.get("kind") != "rays":
+        return []
+    _, _, site = site_of(folder, settings=None, seed=None, trust=trust)
+    places = {**site.places, **places_at(folder, sent_ns)}
+    antennas = np.array([places[name] for name in pair]) + site.channel.budgets.antennas_above(pair)
+    rows = channel_trial.ray_paths(site.channel, antennas).drop_columns(["a", "b", "phase_rad"]).to_pylist()
+    return sorted(rows, key=lambda row: -row["gain_db"])
 
 
 def save(table: "pa.Table", path: Path) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+import vcmvsp
 from tests.support.cosim.command_line import Outcome, vcmvsp_command
 from vcmvsp.cosim.tables.schema import RADIO_SCHEMA
 from vcmvsp.netsim.channel.channel import Channel
@@ -371,6 +372,22 @@ def test_what_rays_cannot_do_is_one_error(corner: Path, change: tuple[str, ...],
     assert told.code == 2
     assert re.search(words, told.err), told.err
     assert "Traceback" not in told.err
+
+
+def test_the_paths_of_a_frame_make_its_level(corner: Path) -> None:
+    second = '[[vehicle]]\nname = "car2"\nkind = "p2dx"\npose = [22.0, 16.0, 0.0]\nagent = { kind = "trajectory" }\n'
+    (corner / "two.toml").write_text(f"{CORNER}{second}", "utf-8")
+    vcmvsp.run(corner / "two.toml", set={"duration_s": 0.3, "physics.kind": "kinematic"}, out=corner / "run")
+    told = vcmvsp_command("radio", str(corner / "run"), "--link", "car1/car2", "--frame", "2", "--json")
+    assert told.code == 0, told.err
+    frame = json.loads(told.out)["frame"]
+    levels = [path["level_dbm"] for path in frame["paths"]]
+    assert levels == sorted(levels, reverse=True)
+    total = 10.0 * math.log10(sum(10.0 ** (level / 10.0) for level in levels))
+    assert total == pytest.approx(frame["budget"]["rssi_dbm"], abs=1e-6)
+    text = vcmvsp_command("radio", str(corner / "run"), "--link", "car2/car1", "--frame", "lost").out
+    assert " paths" in text
+    assert "diffraction" in text
 
 
 def test_antennas_that_start_inside_a_solid_are_counted(corner: Path) -> None:
