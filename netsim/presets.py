@@ -35,6 +35,7 @@ _INSTANT: Tables = {
     "mac": {"kind": "ideal"},
 }
 _B_RATES = {"1": 1e6, "2": 2e6, "5.5": 5.5e6, "11": 11e6}
+_HT_RATES = {f"{rate:g}": rate * 1e6 for rate in (6.5, 13, 19.5, 26, 39, 52, 58.5, 65)}
 _OFDM_RATES = {f"{rate}": rate * 1e6 for rate in (6, 9, 12, 18, 24, 36, 48, 54)}
 
 
@@ -80,6 +81,10 @@ _PRESETS: dict[str, Tables] = {
         f"wifi-{letter}-{name}": _wifi({"kind": "ofdm", "rate_bps": rate, "band": band}, frequency_hz, reference_loss_db)
         for letter, band, frequency_hz, reference_loss_db in (("g", "2.4GHz", 2.4e9, 40.052), ("a", "5GHz", 5.15e9, 46.684))
         for name, rate in _OFDM_RATES.items()
+    },
+    **{
+        f"wifi-n-{name}": _wifi({"kind": "ofdm", "rate_bps": rate, "band": "2.4GHz"}, 2.4e9, 40.052)
+        for name, rate in _HT_RATES.items()
     },
     # 802.15.4 at 1 mW, with the sensitivity that the standard requires.
     "zigbee": {

@@ -7,7 +7,7 @@ import numpy as np
 from bench.ns3.program import Floats
 
 SIZE = 100  # bytes of payload, most often
-REFERENCE_LOSS_DB = {"b": 40.052, "g": 40.052, "a": 46.684}  # at 1 m: of the presets wifi-b, wifi-g, wifi-a
+REFERENCE_LOSS_DB = {"b": 40.052, "g": 40.052, "a": 46.684, "n": 40.052}  # at 1 m: of the presets wifi-b, -g, -a, -n
 _UNLOADED_MS = {"b-1": 1.33, "b-11": 0.341, "g-6": 0.264, "g-54": 0.1, "a-6": 0.242, "a-54": 0.078}
 
 
@@ -110,4 +110,14 @@ UNICAST = (
         for n in (2, 5, 20)
     ),
 )
-CASES = (*SQUARES, *WIDE, *UNICAST)
+HT = (
+    *(Case(f"n-{rate}", n, hz) for rate, hz in (("6.5", 50), ("65", 100)) for n in (10, 50)),
+    *(Case(f"n-{rate}", 50, 10, side_m=600.0, exponent=3.0, duration_s=2.0, seeds=10) for rate in ("13", "39", "65")),
+    *(
+        Case(f"n-{rate}", n, 0, unicast=True, saturated=True, drain_s=0.6, seeds=5)
+        for rate in ("6.5", "26", "65")
+        for n in (2, 10)
+    ),
+    Case("n-65", 10, 20, unicast=True, size=1000, seeds=20),
+)
+CASES = (*SQUARES, *WIDE, *UNICAST, *HT)

@@ -89,12 +89,22 @@ void Build(const std::vector<std::vector<double>>& positions)
     const bool dsss = opt.rate == "1" || opt.rate == "2" || opt.rate == "5.5" || opt.rate == "11";
     std::string digits = opt.rate;
     std::replace(digits.begin(), digits.end(), '.', '_');
-    const StringValue mode((dsss ? "DsssRate" : opt.standard == "a" ? "OfdmRate" : "ErpOfdmRate") + digits + "Mbps");
+    std::string name = (dsss ? "DsssRate" : opt.standard == "a" ? "OfdmRate" : "ErpOfdmRate") + digits + "Mbps";
+    const std::map<std::string, WifiStandard> standards{
+        {"a", WIFI_STANDARD_80211a}, {"b", WIFI_STANDARD_80211b}, {"g", WIFI_STANDARD_80211g}, {"n", WIFI_STANDARD_80211n}};
     WifiHelper wifi;
-    wifi.SetStandard(opt.standard == "b" ? WIFI_STANDARD_80211b : opt.standard == "g" ? WIFI_STANDARD_80211g : WIFI_STANDARD_80211a);
-    wifi.SetRemoteStationManager("ns3::ConstantRateWifiManager", "DataMode", mode, "NonUnicastMode", mode);
+    wifi.SetStandard(standards.at(opt.standard));
     WifiMacHelper mac;
     mac.SetType("ns3::AdhocWifiMac");
+    if (opt.standard == "n") // one stream, 20 MHz, 800 ns, no aggregation
+    {
+        const std::vector<std::string> rates{"6.5", "13", "19.5", "26", "39", "52", "58.5", "65"};
+        name = "HtMcs" + std::to_string(std::find(rates.begin(), rates.end(), opt.rate) - rates.begin());
+        phy.Set("ChannelSettings", StringValue("{0, 20, BAND_2_4GHZ, 0}"));
+        mac.SetType("ns3::AdhocWifiMac", "BE_MaxAmpduSize", UintegerValue(0));
+    }
+    const StringValue mode(name);
+    wifi.SetRemoteStationManager("ns3::ConstantRateWifiManager", "DataMode", mode, "NonUnicastMode", mode);
     devices = wifi.Install(phy, mac, nodes);
     WifiHelper::AssignStreams(devices, 1000);
 }
@@ -134,8 +144,8 @@ void StartTraffic(uint32_t n)
 int main(int argc, char** argv)
 {
     CommandLine cmd;
-    cmd.AddValue("standard", "b, g or a", opt.standard);
-    cmd.AddValue("rate", "Mbit/s: 1, 2, 5.5, 11, 6 .. 54", opt.rate);
+    cmd.AddValue("standard", "b, g, a, or n at 2.4 GHz", opt.standard);
+    cmd.AddValue("rate", "Mbit/s: 1, 2, 5.5, 11, 6 .. 54, 6.5 .. 65", opt.rate);
     cmd.AddValue("positions", "file, rows x,y,z in m", opt.positions);
     cmd.AddValue("arrivals", "file, rows seconds,sender[,to[,size]]; to -1: all; instead of --hz", opt.arrivals);
     cmd.AddValue("hz", "frames a second and node", opt.hz);

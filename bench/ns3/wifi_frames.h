@@ -162,9 +162,10 @@ void Trace(uint32_t node)
                                     }));
     if (opt.log)
     {
-        mac->GetTxop()->TraceConnectWithoutContext(
+        const Ptr<Txop> txop = mac->GetQosSupported() ? Ptr<Txop>(mac->GetQosTxop(AC_BE)) : mac->GetTxop();
+        txop->TraceConnectWithoutContext(
             "BackoffTrace", Callback<void, uint32_t, uint8_t>([node](auto slots, auto) { Log(node, "backoff " + std::to_string(slots)); }));
-        mac->GetTxop()->TraceConnectWithoutContext(
+        txop->TraceConnectWithoutContext(
             "CwTrace", Callback<void, uint32_t, uint8_t>([node](auto cw, auto) { Log(node, "cw " + std::to_string(cw)); }));
         phy->GetState()->TraceConnectWithoutContext(
             "RxOk", Callback<void, Ptr<const Packet>, double, WifiMode, WifiPreamble>([node](auto packet, auto, auto, auto) {

@@ -1,4 +1,4 @@
-"""OFDM (IEEE 802.11a and g): time on the air and packet errors, 6 to 54 Mbit/s.
+"""OFDM (IEEE 802.11a, g and n): time on the air and packet errors, 6 to 65 Mbit/s.
 
 There are three models of packet errors, which differ by up to 5 dB:
 
@@ -37,17 +37,30 @@ MODES = {
     48e6: (64, "2/3"),
     54e6: (64, "3/4"),
 }
+# The same of HT, MCS 0 to 7: one stream in 20 MHz, guard interval 800 ns (IEEE 802.11-2016, table 19-27).
+HT_MODES = {
+    6.5e6: (2, "1/2"),
+    13e6: (4, "1/2"),
+    19.5e6: (4, "3/4"),
+    26e6: (16, "1/2"),
+    39e6: (16, "3/4"),
+    52e6: (64, "2/3"),
+    58.5e6: (64, "3/4"),
+    65e6: (64, "5/6"),
+}
 RATES_BPS = tuple(MODES)
-CODE_RATES = {"1/2": 1.0 / 2.0, "2/3": 2.0 / 3.0, "3/4": 3.0 / 4.0}
+ALL_MODES = MODES | HT_MODES
+CODE_RATES = {"1/2": 1.0 / 2.0, "2/3": 2.0 / 3.0, "3/4": 3.0 / 4.0, "5/6": 5.0 / 6.0}
 
 # Lightest error events of the standard's code (generators 133, 171): (free distance d, bit errors at d, and at d + 1).
-LIGHTEST = {"1/2": (10, 11, 0), "2/3": (6, 1, 16), "3/4": (5, 8, 31)}
+LIGHTEST = {"1/2": (10, 11, 0), "2/3": (6, 1, 16), "3/4": (5, 8, 31), "5/6": (4, 14, 69)}
 
 # For the model "table", of frames below LONG_BITS and of longer ones: (a, b, c, d). At a SINR of a + x dB it has the errors of
 # yans at b + c x + d sqrt(x^2 + 1) dB, a straight line that bends at a. Fitted to the SINR at which ns-3.44
 # TableBasedErrorRateModel delivers 10 to 90 % of frames of 13 sizes from 14 to 399 bytes, and of 9 from 400 to 2304, so that
 # the largest difference is smallest: 0.08 and 0.10 dB (where 5 % arrive 0.24, where 1 % do 0.7). It has two tables, of frames
-# of 32 and of 1458 bytes, and takes other sizes as powers of those; none for 9 Mbit/s, where it takes yans.
+# of 32 and of 1458 bytes, and takes other sizes as powers of those; none for 9 Mbit/s, where it takes yans. HT has the same
+# tables by modulation and code, and its own at 65 Mbit/s (0.08 and 0.10 dB).
 ONTO_TABLE_DB = {
     6e6: ((-0.3, -1.19, 1.22, 0.29), (0.0, -0.98, 1.08, 0.54)),
     12e6: ((1.3, 0.02, 1.09, 0.30), (2.5, 1.58, 1.02, 0.44)),
@@ -56,7 +69,10 @@ ONTO_TABLE_DB = {
     36e6: ((12.8, 13.01, 1.35, 0.40), (11.0, 11.94, 1.32, -0.49)),
     48e6: ((11.9, 11.31, 1.46, -0.21), (14.8, 14.81, 0.94, 0.35)),
     54e6: ((14.8, 15.58, 0.92, 0.10), (16.9, 17.57, 0.89, 0.25)),
+    65e6: ((16.5, 17.85, 0.86, 0.13), (17.7, 19.48, 1.05, -0.10)),
 }
+ALIKE_BPS = {6.5e6: 6e6, 13e6: 12e6, 19.5e6: 18e6, 26e6: 24e6, 39e6: 36e6, 52e6: 48e6, 58.5e6: 54e6}
+"""Rates of HT, and those of the same modulation and code."""
 LONG_BITS = 8 * 400  # rate x time after the preamble, as in ns-3.44: padding and signal extension included
 
 # Information bit errors of all events of weight d0, d0 + step, ...: (d0, step, information bits k that they count for, errors).
@@ -70,20 +86,23 @@ SPECTRA = {
 
 @dataclass(frozen=True)
 class Ofdm:
-    """IEEE 802.11a (``band`` 5GHz) or 802.11g (2.4GHz, no protection) in 20 MHz, at 6, 9, 12, 18, 24, 36, 48 or 54 Mbit/s.
+    """IEEE 802.11a (``band`` 5GHz) or g (2.4GHz, no protection) in 20 MHz at 6 to 54 Mbit/s, 802.11n at 6.5 to 65 Mbit/s.
 
     Air time (IEEE 802.11-2016, 17.4.3 and 18.5.3): preamble and header 20 us, then symbols of 4 us with 16 bits of service, the
     PSDU and 6 bits of tail, the last one filled up; at 2.4 GHz 6 us of silence end it (signal extension). The PSDU is the
     payload and 36 bytes: MAC header 24, FCS 4, LLC and SNAP 8. An MSDU has 2304 bytes at most, 2296 of payload: a longer
     message crosses as several frames, SIFS (10 us, at 5 GHz 16) apart, and is received or lost as one.
 
+    802.11n is HT-mixed with one stream and a guard interval of 800 ns, without aggregation (19.3, 19.4.3): preamble and headers
+    36 us, the other rates (MCS 0 to 7), and a MAC header of 26 bytes (QoS). Acknowledgements are those of 802.11a and g.
+
     Power, sensitivity and noise are as in ns-3.44 and `netsim.phy.dsss.Dsss`: 16.0206 dBm, and -82 dBm for every rate. The
     standard requires -82 dBm at 6 Mbit/s and -65 dBm at 54 (17.3.10.2); here this difference comes from the packet errors of
     ``error_model`` (`OfdmErrors`, whose three models differ by up to 5 dB).
     """
 
-    rate_bps: BitRate = 6e6  # 6e6, 9e6, 12e6, 18e6, 24e6, 36e6, 48e6 or 54e6
-    band: Literal["2.4GHz", "5GHz"] = "2.4GHz"  # 802.11g or 802.11a
+    rate_bps: BitRate = 6e6  # 6e6 to 54e6: 802.11a, g; 6.5e6, 13e6, 19.5e6, 26e6, 39e6, 52e6, 58.5e6 or 65e6: n
+    band: Literal["2.4GHz", "5GHz"] = "2.4GHz"  # 802.11g or a; n has both
     tx_power_dbm: Decibels = 16.0206  # transmitted power
     sensitivity_dbm: Decibels = -82.0  # weakest level at which a frame is noticed
     noise_figure_db: Decibels = 7.0  # of the receiver, above the thermal noise in 20 MHz
@@ -91,9 +110,17 @@ class Ofdm:
     error_model: Literal["table", "yans", "nist"] = "table"  # packet errors by SINR; they differ by up to 5 dB
 
     def __post_init__(self) -> None:
-        if self.rate_bps not in RATES_BPS:
-            allowed = ", ".join(f"{rate / 1e6:g}e6" for rate in RATES_BPS)
-            raise ScenarioError(f"must be {allowed} bit/s (802.11a/g), not {self.rate_bps:g}", key="rate_bps")
+        if self.rate_bps not in ALL_MODES:
+            legacy, ht = (", ".join(f"{rate / 1e6:g}e6" for rate in modes) for modes in (MODES, HT_MODES))
+            problem = f"must be {legacy} bit/s (802.11a/g) or {ht} (n), not {self.rate_bps:g}"
+            raise ScenarioError(problem, key="rate_bps")
+        if self.is_ht and self.error_model == "nist":
+            raise ScenarioError("nist has no errors of 802.11n: use table or yans", key="error_model")
+
+    @property
+    def is_ht(self) -> bool:
+        """Whether it is 802.11n (high throughput)."""
+        return self.rate_bps in HT_MODES
 
     @property
     def noise_dbm(self) -> float:
@@ -108,14 +135,15 @@ class Ofdm:
     def air_time_ns(self, size_bytes: int) -> int:
         """20 us + 4 us x ceil((22 + 8 PSDU) / (4 us x rate)), + 6 us at 2.4 GHz; of all frames, with the spaces between."""
         sifs_us = 10 if self.band == "2.4GHz" else 16
-        return over_frames(size_bytes, LARGEST_MSDU_BYTES, lambda size: 20 + self._payload_us(size), sifs_us) * US
+        head_us = 36 if self.is_ht else 20
+        return over_frames(size_bytes, LARGEST_MSDU_BYTES, lambda size: head_us + self._payload_us(size), sifs_us) * US
 
     def payload_bits(self, size_bytes: int) -> int:
         """Bits for the error rate: rate x time after preamble and header, padding and extension included."""
-        return int(self.rate_bps) // 1_000_000 * over_frames(size_bytes, LARGEST_MSDU_BYTES, self._payload_us)
+        return int(self.rate_bps) * over_frames(size_bytes, LARGEST_MSDU_BYTES, self._payload_us) // 1_000_000
 
     def _payload_us(self, size_bytes: int) -> int:
-        bits = 22 + 8 * (size_bytes + 36)
+        bits = 22 + 8 * (size_bytes + (38 if self.is_ht else 36))
         symbols = -(-bits // (4 * int(self.rate_bps) // 1_000_000))
         return 4 * symbols + (6 if self.band == "2.4GHz" else 0)
 
@@ -147,9 +175,10 @@ class OfdmErrors(ErrorRate):
         """Hazard by the model, (n,); see `yans_bit_error` and `nist_bit_error`."""
         if self.model == "nist":
             return hazard_of(nist_bit_error(sinr, self.rate_bps))
-        if self.model == "table" and self.rate_bps in ONTO_TABLE_DB:
-            sinr = _onto_table(sinr, *ONTO_TABLE_DB[self.rate_bps][self.long])
-        return hazard_of(yans_bit_error(sinr, self.rate_bps))
+        rate_bps = ALIKE_BPS.get(self.rate_bps, self.rate_bps) if self.model == "table" else self.rate_bps
+        if self.model == "table" and rate_bps in ONTO_TABLE_DB:
+            sinr = _onto_table(sinr, *ONTO_TABLE_DB[rate_bps][self.long])
+        return hazard_of(yans_bit_error(sinr, rate_bps))
 
 
 def _onto_table(sinr: Floats, at_db: float, yans_db: float, slope: float, bend: float) -> Floats:
@@ -167,7 +196,7 @@ def yans_bit_error(sinr: Floats, rate_bps: float) -> Floats:
     ``z = (1 - 1 / sqrt M) erfc sqrt(1.5 E log2 M / (M - 1))``; E = x 20 MHz / coded bit rate (M. Lacage, T. Henderson, Yet
     another network simulator, WNS2 2006).
     """
-    points, code = MODES[rate_bps]
+    points, code = ALL_MODES[rate_bps]
     energy = sinr * 20e6 * CODE_RATES[code] / rate_bps
     distance, errors, errors_next = LIGHTEST[code]
     if points == 2:

@@ -2,7 +2,7 @@
 
 As in ns-3.44 (``ChannelAccessManager``, ``Txop``, ``FrameExchangeManager``), a backoff counts whole slots from DIFS after the
 end of the last busy time, freezes while the medium is busy, and is drawn after every transmission, even if no other frame
-waits. A frame that finds the medium idle and no backoff left waits for DIFS.
+waits. A frame that finds the medium idle and no backoff left waits for DIFS; in 802.11n (EDCA) for the end of the slot.
 
 A radio stores the slots left at the last extension of the busy time, and the time at which they end without another extension:
 slots are no events. After a payload that could not be decoded it waits for EIFS. The queues are linked lists in the arrays of
@@ -119,6 +119,8 @@ def arrive(s: DcfState, rules: DcfRules, f: int, now: int) -> None:
         if s.slots[i] == 0:
             if s.idle_ns[i] > now:
                 back_off(s, rules, i, now)
+            elif rules.aligned:
+                wait(s, rules, i, next_slot_ns(s, rules, i, now))
             else:
                 wait(s, rules, i, now + rules.difs_ns)
         request(s, rules, i, now)
@@ -316,8 +318,9 @@ def expected_ns(s: DcfState, rules: DcfRules, i: int, now: int) -> int:
 
 
 def count_down(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
-    """Subtract the slots that have passed at radio i, without the current one."""
-    s.slots[i] = min(max((s.over_ns[i] + (rules.slot_ns - 1 - now)) // rules.slot_ns, 0), s.slots[i])
+    """Subtract the slots that have passed at radio i, without the current one; in EDCA, which counts from AIFS on, with it."""
+    current = rules.aligned if now >= s.over_ns[i] - s.slots[i] * rules.slot_ns else 0
+    s.slots[i] = min(max((s.over_ns[i] + (rules.slot_ns - 1 - now)) // rules.slot_ns - current, 0), s.slots[i])
 
 
 def request(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
@@ -345,6 +348,12 @@ def wait(s: DcfState, rules: DcfRules, i: int, counting_ns: int) -> None:
     """Count the remaining slots of radio i from ``counting_ns`` if the medium is idle."""
     begins = max(counting_ns, max(s.idle_ns[i], s.eifs_ns[i]) + rules.difs_ns)
     s.over_ns[i] = begins + s.slots[i] * rules.slot_ns
+
+
+def next_slot_ns(s: DcfState, rules: DcfRules, i: int, now: int) -> int:
+    """The first slot boundary of radio i that is not earlier than now."""
+    begin = max(s.idle_ns[i], s.eifs_ns[i]) + rules.difs_ns
+    return int(begin + max(0, now - begin + rules.slot_ns - 1) // rules.slot_ns * rules.slot_ns)
 
 
 def enqueue(s: DcfState, i: int, f: int) -> None:

@@ -30,11 +30,13 @@ class Standard(NamedTuple):
     faintest_dbm: float  # ns-3.44 WifiPhy::RxSensitivity, over the standard's bandwidth
     ack_rates_bps: tuple[float, ...]
     lowest_ack_us: int  # at the lowest rate of the band
+    aifsn: int = 2  # slots in DIFS, or in AIFS of best effort (table 9-155)
 
 
 B = Standard(20.0, 10.0, 31, 144, 48, -101.0 + 10.0 * math.log10(22.0 / 20.0), (1e6, 2e6, 5.5e6, 11e6), 304)
 G = Standard(20.0, 10.0, 15, 16, 4, -101.0, (6e6, 12e6, 24e6), 304)
 A = Standard(9.0, 16.0, 15, 16, 4, -101.0, (6e6, 12e6, 24e6), 44)
+BEST_EFFORT_AIFSN = 3  # of 802.11n
 
 
 Attempts = Annotated[int, msgspec.Meta(ge=1, le=28)]
@@ -47,7 +49,8 @@ class Dcf:
     """Medium access of IEEE 802.11: carrier sense, random backoff and collisions.
 
     The phy selects the standard: `netsim.phy.dsss.Dsss` is 802.11b, `netsim.phy.ofdm.Ofdm` 802.11a at 5 GHz and g at
-    2.4 GHz (ad hoc, no protection, long slots). None: the standard's value. All defaults are as in ns-3.44.
+    2.4 GHz (ad hoc, no protection, long slots), or n with EDCA of best effort. None: the standard's value. All defaults are as
+    in ns-3.44.
     """
 
     slot_us: Micros | None = None  # unit of backoffs; None: the standard's
@@ -94,7 +97,8 @@ class Dcf:
         return DcfRules(
             slot_ns=slot_ns,
             sifs_ns=sifs_ns,
-            difs_ns=sifs_ns + 2 * slot_ns,
+            difs_ns=sifs_ns + standard.aifsn * slot_ns,
+            aligned=int(standard.aifsn == BEST_EFFORT_AIFSN),
             eifs_ns=sifs_ns + standard.lowest_ack_us * US,
             detect_ns=round(self.preamble_time_us * US),
             preamble_ns=standard.preamble_us * US,
@@ -120,10 +124,11 @@ class Dcf:
 
 
 def standard_of(phy: Dsss | Ofdm) -> Standard:
-    """Constants of 802.11b, or of a or g by the band."""
+    """Constants of 802.11b, or of a, g or n by band and rate."""
     if isinstance(phy, Dsss):
         return B
-    return A if phy.band == "5GHz" else G
+    standard = A if phy.band == "5GHz" else G
+    return standard._replace(aifsn=BEST_EFFORT_AIFSN) if phy.is_ht else standard
 
 
 def ack_phy(phy: Dsss | Ofdm, standard: Standard) -> Dsss | Ofdm:

@@ -46,7 +46,8 @@ class DcfRules(NamedTuple):
 
     slot_ns: int
     sifs_ns: int
-    difs_ns: int
+    difs_ns: int  # 802.11n: AIFS
+    aligned: int  # 1: a frame that finds the medium idle waits for the end of the slot, not for DIFS
     eifs_ns: int  # wait before DIFS after a payload that could not be decoded
     detect_ns: int  # from the start of a frame to its detection
     preamble_ns: int

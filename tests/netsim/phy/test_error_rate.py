@@ -12,13 +12,14 @@ from vcmvsp.netsim.phy.constant_rate import ThermalNoise
 from vcmvsp.netsim.phy.dsss import DsssErrors, biorthogonal_error
 from vcmvsp.netsim.phy.error_rate import ErrorRate, look_up, look_up_one, steps
 from vcmvsp.netsim.phy.ieee802154 import OqpskErrors
-from vcmvsp.netsim.phy.ofdm import MODES, OfdmErrors
+from vcmvsp.netsim.phy.ofdm import HT_MODES, MODES, OfdmErrors
 
 pytestmark = pytest.mark.slow
 
 DSSS = [DsssErrors(rate) for rate in (1e6, 2e6, 5.5e6, 11e6)]
 OFDM = [OfdmErrors(rate, model=model) for rate in MODES for model in ("table", "yans", "nist")]
-MODELS: list[ErrorRate] = [*DSSS, *OFDM, *(OfdmErrors(rate, long=True) for rate in MODES), OqpskErrors()]
+HT = [OfdmErrors(rate, model=model) for rate in HT_MODES for model in ("table", "yans")]
+MODELS: list[ErrorRate] = [*DSSS, *OFDM, *HT, *(OfdmErrors(rate, long=True) for rate in MODES), OqpskErrors()]
 
 Points = tuple[tuple[float, float], ...]
 NS3_SUCCESS: dict[ErrorRate, Points] = {  # of 1088 bits (100 bytes of payload), at SINRs in dB: (SINR, success), ...

@@ -31,6 +31,28 @@ def test_a_lone_frame_takes_difs_and_its_air_time(phy: Dsss | Ofdm, delay_us: in
     assert decided.attempts == 1
 
 
+@pytest.mark.parametrize("at_us", [10_000, 10_010, 10_011, 10_029])
+def test_a_lone_frame_of_802_11n_takes_the_rest_of_a_slot_and_its_air_time(at_us: int) -> None:
+    """EDCA as in ns-3.44: slots begin AIFS, 70 us, after the last busy time, which is here the start of the run."""
+    (decided,) = run(open_air(2, Ofdm(65e6)), [frame(0, at_us * US, 0, all_equal(2))], 1000 * MS)
+    assert decided.start_ns == (70 + 20 * -(-(at_us - 70) // 20)) * US
+    assert decided.end_ns - decided.start_ns == 62 * US
+
+
+def test_a_backoff_of_802_11n_counts_the_slot_in_which_the_air_becomes_busy() -> None:
+    """EDCA decrements at the end of AIFS, too: a radio that lost with b slots against a has b - a - 1 left, not b - a."""
+    left = set()
+    for seed in range(20):
+        alone = [run(open_air(3, Ofdm(65e6), seed=seed), [frame(0, 0, i, all_equal(3))], 1000 * MS)[0] for i in range(2)]
+        both = run(open_air(3, Ofdm(65e6), seed=seed), [frame(i, 0, i, all_equal(3)) for i in range(2)], 1000 * MS)
+        first, last = sorted(each.start_ns for each in alone)
+        if first < last:
+            assert both[0].start_ns == first
+            assert both[1].start_ns == both[0].end_ns + 70 * US + (last - first - SLOT)
+            left.add(last - first)
+    assert len(left) > 5
+
+
 def test_every_radio_counts_a_first_backoff_down_from_time_0() -> None:
     starts = set()
     for seed in range(40):

@@ -6,6 +6,7 @@ import pytest
 from tests.support.netsim.dcf_runs import MS, PHYS, UNTIL, bytes_of, mixed, open_air, periodic, run, square
 from vcmvsp.netsim.mac.dcf.parameters import Dcf
 from vcmvsp.netsim.mac.dcf.state import DcfState
+from vcmvsp.netsim.phy.ofdm import Ofdm
 
 pytestmark = pytest.mark.slow
 
@@ -23,6 +24,13 @@ def test_compiled_is_the_same_to_the_last_bit(seed: int) -> None:
     interpreted, machine = open_air(6, phy, mac, seed=seed), open_air(6, phy, mac, seed=seed, compiled=True)
     assert bytes_of(run(machine, frames, UNTIL)) == bytes_of(run(interpreted, frames, UNTIL))
     assert bits(machine._state) == bits(interpreted._state)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_compiled_802_11n_is_the_same_to_the_last_bit(seed: int) -> None:
+    frames, phy = mixed(seed, frames=300), Ofdm(65e6)
+    interpreted, machine = open_air(6, phy, seed=seed), open_air(6, phy, seed=seed, compiled=True)
+    assert bytes_of(run(machine, frames, UNTIL)) == bytes_of(run(interpreted, frames, UNTIL))
 
 
 def test_compiled_many_at_once_that_are_hidden_from_each_other() -> None:
