@@ -158,6 +158,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "zenoh": "vcmvsp.hardware.remote_robot.run_side.driver:ZenohDriver",
         "ros2": "vcmvsp.hardware.drivers.ros2.driver:Ros2Driver",
         "mavlink": "vcmvsp.hardware.drivers.mavlink.driver:MavlinkDriver",
+        "crazyflie": "vcmvsp.hardware.drivers.crazyflie:CrazyflieDriver",
     },
     "firmware": {
         "ardupilot": "vcmvsp.hardware.firmware.ardupilot:ArduPilot",

@@ -25,7 +25,7 @@ from vcmvsp.hardware.stacks.crtp import GREETING, NULL, Crazyflie, Manoeuvre, Or
 STABILIZE_S, SHUTDOWN_S = 0.5, 2.0
 GAIN = 2.0  # 1/s, speed for each m of error
 FALL_M_PER_S = 1.0  # of a stopped aircraft: its autopilot cannot turn off the rotors
-SOURCE = 0xF1  # header of the request with which a connection begins
+CHANNEL, SOURCE = 0xF3, 0xF1  # bits of port and channel in a header, and those of the request with which a connection begins
 LOOK_S = 0.1
 
 Port = Annotated[int, msgspec.Meta(ge=1, le=65535)]
@@ -237,7 +237,7 @@ class CrazyflieStack:
 
     def _take(self, each: _Aircraft, packet: bytes, client: tuple[str, int]) -> None:
         with self._lock:
-            begins = packet[:1] == bytes([SOURCE])
+            begins = len(packet) > 0 and packet[0] & CHANNEL == SOURCE
             if begins or each.client is None:
                 each.client = client
             elif client != each.client and packet != NULL:

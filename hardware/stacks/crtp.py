@@ -206,7 +206,7 @@ class Crazyflie:
         """Change a block of the log; returns the error number."""
         if command in (6, 7):
             known = self._blocks.get(number, _Block(number)) if command == 7 else _Block(number)
-            added = [struct.unpack_from("<BH", rest, place) for place in range(0, len(rest), 3)]
+            added = [*struct.iter_unpack("<BH", rest[: len(rest) // 3 * 3])]  # cflib begins an entry that has no room
             if any(each >= len(self._log_names) or kind & 15 not in LOG_TYPES for kind, each in added):
                 return ENOENT
             known.variables += [(self._log_names[each], kind & 15) for kind, each in added]

@@ -18,7 +18,6 @@ topic                         type                           content
 A message is made only if somebody subscribes. Of one instant, ``odom`` is published last.
 """
 
-import math
 import queue
 import time
 from collections import Counter
@@ -46,6 +45,7 @@ MAP, ODOM, BASE = "map", "odom", "base_link"
 INPUTS = {"cmd_vel": TWIST, "goal_pose": POSE, "radio/send": SEND}
 OUTPUTS = {"odom": "nav_msgs/msg/Odometry", "tf": "tf2_msgs/msg/TFMessage", "radio/received": RECEIVED}
 DEFAULT = "tcp/127.0.0.1:7447"  # where rmw_zenoh looks for its router
+LARGEST = 1e9  # m, m/s, rad/s
 WAITING = 4096  # messages in the queue
 LOOK_S = 0.1  # between two looks while the run waits
 
@@ -401,8 +401,7 @@ def _command(program: _Program, topic: str, message: ReceivedMessage) -> tuple[V
         said = _decoded(message)
         place, turn = said.pose.position, said.pose.orientation
         numbers = place.x, place.y, place.z, yaw_of((turn.w, turn.x, turn.y, turn.z))
-        if not all(map(math.isfinite, numbers)):
-            raise _Refused("content", "the pose is not finite")
+        _check_size(*numbers)
         return Waypoint(position=numbers[:3], yaw=numbers[3]), ros.nanoseconds(said.header.stamp)
     _check_type(message, TWIST, TWIST_STAMPED)
     try:
@@ -410,9 +409,15 @@ def _command(program: _Program, topic: str, message: ReceivedMessage) -> tuple[V
     except ValueError as error:
         raise _Refused("content", str(error)) from None
     x, y, z = twist.linear
+    _check_size(x, y, z, twist.angular[2])
     if program.flies:  # a Twist is along the body's axes, a command in the world's
         x, y = rotate2(x, y, program.yaw)
     return Velocity(linear=(x, y, z), yaw_rate=twist.angular[2]), twist.stamp_ns
+
+
+def _check_size(*numbers: float) -> None:
+    if not all(abs(each) <= LARGEST for each in numbers):  # also refuses NaN
+        raise _Refused("content", f"numbers must be from {-LARGEST:g} to {LARGEST:g}")
 
 
 def _check_type(message: ReceivedMessage, *known: str) -> None:
