@@ -95,7 +95,7 @@ def test_a_connection_brings_both_tables_and_a_second_program_is_refused() -> No
                 third.bind(("127.0.0.1", 0))
                 third.sendto(b"\x80\x03\x00", ("127.0.0.1", first + 1))
 
-    vcmvsp.run(scenario(first, 10.0), tell=start)
+    vcmvsp.run(scenario(first, 15.0), tell=start)
     (said,) = json.loads(started[0].communicate(timeout=20.0)[0]).values()
     assert said["log"] == sorted(LOG)
     assert {*said["param"]} == {*PARAMETERS}
