@@ -21,6 +21,7 @@ from vcmvsp.cosim.recording.recorded_run import tables_of
 from vcmvsp.cosim.scenario import loader as scenario
 from vcmvsp.cosim.scenario.schema import Scenario
 from vcmvsp.cosim.types import Array, Vec3
+from vcmvsp.cosim.util.files import write_whole
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.assembly.parts.radio import Channel
@@ -215,6 +216,28 @@ def places_at(folder: Path, at_ns: float) -> dict[str, Vec3]:
     if instant < 0 or not at_ns <= moved.time_ns[-1]:
         raise UsageError(f"{at_ns / SECOND_NS:g} s: the run in {folder} lasted from 0 to {moved.time_ns[-1] / SECOND_NS:g} s")
     return {name: tuple(moved.position[:, instant, moved.column(name)].tolist()) for name in moved.names}
+
+
+def write_antennas(folder: Path, target: Path) -> int:
+    """Write the antennas' recorded places of a run as CSV, ``t,name,x,y,z`` (s, m); returns the number of lines."""
+    parsed, source = scenario.load(folder / "scenario.toml")
+    channel, _, _ = radio.channel_of(without_own_layers(parsed)[0], source, solids=())
+    try:
+        moved = motion(tables_of(folder, radio=()).states)
+    except (OSError, ValueError) as error:  # a damaged table
+        raise UsageError(f"{folder} cannot be read: {error}") from error
+    above = channel.budgets.antennas_above(moved.names)
+    lines = ["t,name,x,y,z"]
+    for row, time_ns in enumerate(moved.time_ns.tolist()):
+        places = moved.position[:, row].T + above
+        for name, place in zip(moved.names, places.tolist(), strict=True):
+            if not math.isnan(place[0]):
+                lines.append(",".join([repr(time_ns / SECOND_NS), name, *map(repr, place)]))
+    try:
+        write_whole(target, "\n".join([*lines, ""]).encode("utf-8"))
+    except OSError as error:
+        raise UsageError(f"--positions {target}: {error.strerror or error}") from error
+    return len(lines) - 1
 
 
 def to_table(found: Map) -> dict[str, Any]:

@@ -118,5 +118,38 @@ def draw(world: "World", target: Path) -> None:
         raise UsageError(f"--png {target}: cannot be written: {error.strerror}") from error
 
 
+def write_mitsuba(world: "World", folder: Path, *, slab_m: float = 0.5, ground: str = "concrete") -> int:
+    """Write a scene of Mitsuba that Sionna RT loads; returns the number of its meshes.
+
+    Args:
+        world: with materials of ITU-R P.2040-3.
+        folder: for the files, `scene.xml` and meshes.
+        slab_m, ground: as for ``path_loss = { kind = "rays" }``.
+    """
+    from vcmvsp.netsim.propagation.rays.coefficients import MATERIALS
+    from vcmvsp.physics.raycast import mitsuba_scene
+
+    for solid in world.solids:
+        if solid.material not in MATERIALS:
+            raise UsageError(f"--mitsuba: {solid.words} is of {solid.material!r}, not one of {', '.join(MATERIALS)}")
+    content = mitsuba_scene.files(world.solids, slab_m, ground)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, text in content.items():
+            write_whole(folder / name, text.encode("utf-8"))
+    except OSError as error:
+        raise UsageError(f"--mitsuba {folder}: cannot be written: {error.strerror}") from error
+    return len(content) - 1
+
+
+def ground_of(what: str) -> dict[str, Any]:
+    """The keys ``slab_m`` and ``ground`` of the rays of a scenario, as far as it has them."""
+    if what not in scenarios.names() and not (Path(what).is_file() and _is_scenario(Path(what))):
+        return {}
+    rays = scenarios.load(what)[0].first_radio.get("path_loss")
+    table_ = rays if isinstance(rays, Mapping) and rays.get("kind") == "rays" else {}
+    return {name: table_[name] for name in ("slab_m", "ground") if name in table_}
+
+
 def _is_scenario(path: Path) -> bool:
     return path.suffix == ".toml" and "vehicle" in scenarios.table_of(path)

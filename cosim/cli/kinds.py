@@ -118,18 +118,25 @@ def world_command(
     png: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="Draw it from above and in perspective [NAME.png].")
     ] = None,
+    mitsuba: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Write a scene for Sionna RT instead.")] = None,
     set_: Annotated[Changes, changes("A key of the world, e.g. seed=3; of a scenario: world.seed=3.")] = None,
     json: AsJson = False,
 ) -> None:
     """Draw a world from above and in perspective, and count its objects.
 
-    Examples: vcmvsp world urban --set seed=3 --png city.png; vcmvsp world plant.geojson
+    Examples: vcmvsp world urban --set seed=3 --png city.png; vcmvsp world plant.geojson;
+    vcmvsp world relay-canyon --mitsuba canyon
     """
     from vcmvsp.cosim.assembly import worlds
     from vcmvsp.cosim.scenario import loader as scenarios
 
     built, name = worlds.world_of(world, scenarios.settings_of(set_ or []))
     about = worlds.describe(built, name)
+    if mitsuba is not None:
+        meshes = worlds.write_mitsuba(built, mitsuba, **worlds.ground_of(world))
+        told = {**about, "meshes": meshes, "scene": str(mitsuba / "scene.xml")}
+        sys.stdout.write(to_json(told) if json else "".join(f"{key:<10} {value}\n" for key, value in told.items()))
+        return
     target = png or Path(f"{name}.png")
     worlds.draw(built, target)
     if json:

@@ -40,6 +40,10 @@ def radio_command(
     paths: Annotated[
         Path | None, typer.Option(metavar="POINTS.csv", help="Write all paths of rays between points, x,y,z (m) a line.")
     ] = None,
+    positions: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv", help="Write where the antennas of a run were, t,name,x,y,z (s, m) a line."),
+    ] = None,
     coverage: Annotated[str | None, typer.Option(metavar="VEHICLE", help="Draw a coverage map of this vehicle.")] = None,
     at: Annotated[float | None, typer.Option(metavar="S", help="Map: time in the run, s [at its start].")] = None,
     size: Annotated[int | None, typer.Option(metavar="BYTES", min=0, help="Map: payload of the frames [100].")] = None,
@@ -63,7 +67,9 @@ def radio_command(
     """
     of_map = {"at": at, "size": size, "height": height, "resolution": resolution, "out": out, "seed": seed, "set": set_ or None}
     given: dict[str, Any] = {name: value for name, value in of_map.items() if value is not None}
-    if paths is not None:
+    if positions is not None:
+        answer, text = _places(Path(what), positions, beside=(given or None, link, frame, coverage, paths))
+    elif paths is not None:
         others = {"link": link, "frame": frame, "coverage": coverage, **given}
         for name, value in others.items():
             if value is not None and name not in ("out", "seed", "set"):
@@ -234,6 +240,17 @@ def _explained(folder: Path, link: str | None, frame: str | None, *, trust: bool
     if link is not None:
         rows = [links.link_report(log, (row["sender"], row["receiver"])) for row in rows]
     return {**head, "links": rows}, text
+
+
+def _places(folder: Path, target: Path, *, beside: tuple[object, ...]) -> tuple[dict[str, Any], str]:
+    from vcmvsp.cosim.analysis.coverage import write_antennas
+
+    if any(value is not None for value in beside):
+        raise UsageError("--positions is asked for alone")
+    if not (folder / "scenario.toml").is_file():
+        raise UsageError(f"--positions needs the folder of a run: {folder} has no scenario.toml")
+    lines = write_antennas(folder, target)
+    return {"file": str(target), "positions": lines}, f"{lines} positions of antennas: {target}\n"
 
 
 def _traced(what: str, points: Path, given: dict[str, Any], *, json: bool, trust: bool) -> tuple[dict[str, Any], str]:

@@ -390,6 +390,20 @@ def test_the_paths_of_a_frame_make_its_level(corner: Path) -> None:
     assert "diffraction" in text
 
 
+def test_positions_of_antennas_are_those_of_the_vehicles_and_heights(corner: Path) -> None:
+    vcmvsp.run(corner / "corner.toml", set={"duration_s": 0.2, "physics.kind": "kinematic"}, out=corner / "run")
+    places = corner / "places.csv"
+    told = vcmvsp_command("radio", str(corner / "run"), "--positions", str(places))
+    assert told.code == 0, told.err
+    head, first, *_ = places.read_text("utf-8").splitlines()
+    assert head == "t,name,x,y,z"
+    assert first.startswith("0.0,car1,0.0,0.0,0.5")
+    again = vcmvsp_command("radio", str(corner / "run"), "--positions", str(places), "--frame", "1")
+    assert (again.code, "--positions is asked for alone" in again.err) == (2, True)
+    other = vcmvsp_command("radio", str(corner / "corner.toml"), "--positions", str(places))
+    assert (other.code, "needs the folder of a run" in other.err) == (2, True)
+
+
 def test_antennas_that_start_inside_a_solid_are_counted(corner: Path) -> None:
     low = "world.boxes=[{center=[0,0,0.65],size=[2,2,0.5]}]"
     told = vcmvsp_command("check", str(corner / "corner.toml"), "--set", low)

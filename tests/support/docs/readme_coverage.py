@@ -145,6 +145,9 @@ UNRUN = {
 """Why a command cannot be run here, nor anything like it."""
 
 SHOWN = {
+    ("docs/explanation/rays.md", "load_scene("): (
+        "tests/physics/raycast/test_mitsuba_scene.py::test_sionna_finds_the_same_paths"
+    ),
     ("README.md", "dead-reckoning  52 %"): "tests/docs/test_readme.py::test_the_demo_prints_what_the_readme_says",
     ("README.md", "class KeepGap"): "tests/docs/test_readme.py::test_the_twenty_lines_keep_the_gap",
     ("docs/howto/programs.md", "where are you?"): TEN_LINES,
