@@ -243,9 +243,9 @@ def _item(annotation: object, number: int) -> object:
         return _item(inner[0], number)
     if origin in (typing.Union, types.UnionType):
         return next((found for each in inner if (found := _item(each, number)) is not Any), Any)
-    if not inner:
-        return Any
-    return inner[0] if len(inner) == 1 or inner[-1] is Ellipsis else inner[number]
+    if len(inner) == 1 or inner[-1:] == (Ellipsis,):
+        return inner[0]
+    return inner[number] if number < len(inner) else Any  # of a union, the items may be those of another type
 
 
 def _known(annotation: object, value: object) -> dict[str, Parameter]:

@@ -30,10 +30,13 @@ _NAMES = {
 def problems(words: list[str], folder: Path) -> list[str]:
     """What is wrong with how a command behaves in a folder; its output is in ``said`` beside it."""
     before, said = contents(folder), folder.with_name("said")
+    resident, shared = map(int, Path("/proc/self/statm").read_text().split()[1:3])  # pages
+    had_kib = (resident - shared) * resource.getpagesize() // 2**10  # with which a fork begins
     child = os.fork()
     if child == 0:
         os._exit(_run(words, folder, said))
     _, status, used = os.wait4(child, 0)
+    grown_kib = used.ru_maxrss - had_kib
     code, text = os.waitstatus_to_exitcode(status), said.read_text("utf-8", "replace")
     changed = set(before.items() ^ contents(folder).items())
     return [
@@ -41,7 +44,7 @@ def problems(words: list[str], folder: Path) -> list[str]:
         *(["a traceback"] if "Traceback (most recent call last)" in text else []),
         *(["it fails without a word"] if code and not text.strip() else []),
         *([f"{used.ru_utime + used.ru_stime:.1f} s of processor time"] if used.ru_utime + used.ru_stime > CPU_S else []),
-        *([f"{used.ru_maxrss / 2**10:.0f} MiB"] if used.ru_maxrss * 2**10 > MEMORY_BYTES else []),
+        *([f"{grown_kib / 2**10:.0f} MiB"] if grown_kib * 2**10 > MEMORY_BYTES else []),
         *([f"it wrote outside --out: {', '.join(sorted({name for name, _ in changed}))}"] if changed else []),
         *(line for line in text.splitlines() if line.startswith(_OUTSIDE)),
     ]

@@ -51,7 +51,7 @@ def _burn() -> None:
         (lambda: sys.exit(4), "exit code 4"),
         (lambda: next(iter(())), "a traceback"),
         (_burn, "s of processor time"),
-        (lambda: len(b"x" * 2**30), "MiB"),
+        (lambda: len(b"x" * (2**30 + 2**26)), "MiB"),
         (lambda: Path("beside").write_text("x"), "it wrote outside --out: beside"),
         (lambda: Path("../../elsewhere").write_text("x"), "it wrote outside the folder: open"),
     ],
