@@ -104,6 +104,9 @@ UNKNOWN_KEYS = [
 WRONG_VALUES = [
     case("string for number", two_cars(top="seed = 'x'"), "s.toml line 4: seed", "a whole number >= 0", "not 'x'"),
     case("boolean for number", two_cars(tail="[metrics]\nfrom_s = true"), "metrics.from_s", "a number >= 0", "not True"),
+    case(
+        "list for a table or a list", two_cars(), "bridge.zenoh.listen: must be", sets=("bridge.zenoh.listen=[1.0, 2.0, 3.0]",)
+    ),
     case("negative", two_cars(agents="k1 = -0.8"), "s.toml line 9: agents.k1", "a number >= 0", "not -0.8"),
     case("negative own", two_cars(agents="latency_s = -0.1"), "s.toml line 9: agents.latency_s", "a number >= 0", "not -0.1"),
     case("zero period", two_cars(agents="period_s = 0"), "agents.period_s", "a number >= 1e-06", "not 0"),
