@@ -127,6 +127,42 @@ def thousand() -> Row:
     return _speed(name, scenario, lambda: bare.simpy_cpu_s(1000, 5.0), 1.0)
 
 
+def _rays(name: str, world: Mapping[str, Any], places: Sequence[tuple[float, float]], reflections: int, least: float) -> Row:
+    """Thirty vehicles without bodies that report at 10 Hz, beside the same with a law of distance."""
+    way = [(2.0, 0.0, 0.0), (0.0, 0.0, 0.0)]
+    scenario = {
+        "name": "rays",
+        "duration_s": 10.0,
+        "physics": {"kind": "kinematic"},
+        "world": world,
+        "radio": {"preset": "wifi-g-6", "path_loss": {"kind": "rays", "frequency_hz": 2.437e9, "reflections": reflections}},
+        "vehicles": {"kind": "kinematic"},
+        "agents": {"kind": "patrol", "way": way, "relative": True, "speed": 1.0, "period_s": 0.1, "report_s": 0.1},
+        "vehicle": [{"name": f"v{k}", "position": (*place, 0.0), "agent": {}} for k, place in enumerate(places)],
+    }
+    plain = {**scenario, "radio": {"preset": "wifi-g-6"}}
+    run_cpu_s({**scenario, "duration_s": 1.0})  # compiles where nothing is in the cache
+    return _speed(
+        f"whole run: 30 kinematic vehicles, 10 Hz, {name}; beside it log-distance", scenario, lambda: run_cpu_s(plain), least
+    )
+
+
+def canyon() -> Row:
+    """Rays between the buildings of relay-canyon."""
+    places = [(7.0 * k - 85.0, 3.0 * (k % 3 - 1)) for k in range(20)]
+    places += [(60.0, 8.0 + 12.0 * k) for k in range(5)] + [(70.0 + 12.0 * k, 80.0) for k in range(5)]
+    world = built_in("relay-canyon", 1.0)["world"]
+    return _rays("rays among six buildings, two reflections and diffraction", world, places, 2, 2.0)
+
+
+def town() -> Row:
+    """Rays in a town."""
+    streets = [46.0 * k - 115.0 for k in range(6)]
+    places = [(7.3 * k - 110.0, streets[k % 6]) for k in range(30)]
+    world = {"kind": "urban", "size": [240.0, 240.0], "density": 1.0, "seed": 1}
+    return _rays("rays among 100 buildings, one reflection and diffraction", world, places, 1, 1.0)
+
+
 def robots() -> Row:
     """Fifty robots beside Bullet's own steps."""
     fleet = Fleet(50, 0)
@@ -146,7 +182,7 @@ def swarm_10() -> Row:
     return _swarm(0.1)
 
 
-ALL: Sequence[Callable[[], Row]] = (swarm_1, swarm_10, mixed, formation, kinematic, thousand, robots)
+ALL: Sequence[Callable[[], Row]] = (swarm_1, swarm_10, mixed, formation, kinematic, thousand, canyon, town, robots)
 
 
 def rows() -> list[Row]:
