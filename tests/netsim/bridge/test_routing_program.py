@@ -107,7 +107,7 @@ def next_hop(chain: Chain, car: str, to: str) -> str:
 
 
 def test_routes_over_five_hops_carry_everything_and_are_repaired(chain: Chain) -> None:
-    """Delivery is (1 - loss)^hops within 3 %, as the page says; the deviation of 2000 datagrams is 0.7 %."""
+    """Delivery is (1 - loss)^hops within 3 %, as the page says; the deviation of 1000 datagrams is 1 %."""
     both = (("car1", "10.77.0.6"), ("car6", "10.77.0.1"))
     chain.until(lambda: all(next_hop(chain, *each) for each in both), ROUTES_S)
     assert [next_hop(chain, car, "10.77.0.6") for car in CARS[:5]] == ["car2", "car3", "car4", "car5", "car6"]
@@ -115,10 +115,10 @@ def test_routes_over_five_hops_carry_everything_and_are_repaired(chain: Chain) -
     assert "ttl=60" in said
     assert int(re.search(r"(\d+) received", said)[1]) >= 8  # type: ignore[index]  # of 20, with 0.98^10 = 0.82
     chain.call(command("iperf3 -s"))
-    told = json.loads(chain.call(f"{command('iperf3 -c')} -t 20 --json"))["end"]["sum"]
-    assert told["packets"] == pytest.approx(2000, rel=0.05)
+    told = json.loads(chain.call(f"{command('iperf3 -c')} -t 10 --json"))["end"]["sum"]
+    assert told["packets"] == pytest.approx(1000, rel=0.05)
     assert 1.0 - told["lost_packets"] / told["packets"] == pytest.approx((1.0 - LOSS) ** HOPS, abs=0.03)
-    chain.until(lambda: chain.time_s > 75.0, 80.0)  # now car3 is out of range
+    chain.until(lambda: chain.time_s > 41.0, 50.0)  # now car3 is out of range
     chain.until(lambda: next_hop(chain, "car2", "10.77.0.6") == next_hop(chain, "car4", "10.77.0.1") == "relief", REPAIR_S)
     said = chain.call(command(" ping "), check=False)
     assert "ttl=60" in said

@@ -104,7 +104,7 @@ ELSEWHERE = _in_the_gallery() | {
     "sudo vcmvsp net exec car2 -- ping car1": NETWORK,
     "sudo vcmvsp net status": LEFT_OVER,
     "for car in car1 car2 car3 car4 car5 car6 relief; do": ROUTED,
-    'ip netns exec vcmvsp-chain-$car babeld -w -I "" -S "" radio0': ROUTED,
+    'ip netns exec vcmvsp-chain-$car babeld -w -h 1 -I "" -S "" radio0': ROUTED,
     "done": ROUTED,
     "wait": ROUTED,
     "sudo vcmvsp net up chain.toml": ROUTED,
