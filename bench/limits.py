@@ -28,6 +28,7 @@ from bench.limits_ways import ways
 from bench.measure import Row
 from bench.ns3.cases import Case
 from bench.radio import _ours_s
+from bench.whole import town_of
 from bench.workloads import run_cpu_s
 
 DOCUMENT = Path(__file__).resolve().parent.parent / "cosim" / "SCALING.md"
@@ -38,6 +39,7 @@ HOSTS = ((1, 1), (2, 2), (4, 4), (8, 8), (16, 16), (32, 32), (8, 1), (32, 1), (1
 STRETCHES = 3
 TALKING = 100  # vehicles, of the table of frames
 TICKS = 10
+TOWNS = ((1, 3), (2, 4), (5, 5), (9, 8), (16, 16))  # blocks of four buildings
 
 
 class Section(NamedTuple):
@@ -150,13 +152,30 @@ def files() -> Section:
     return Section("files", ("", "a vehicle and simulated second, states at 10 Hz", "a frame and receiver"), lines)
 
 
+def buildings() -> Section:
+    """What the rays of thirty vehicles cost by the number of buildings."""
+    lines = []
+    for blocks in TOWNS:
+        count = 4 * blocks[0] * blocks[1]
+        _tell(f"rays, {count} buildings")
+        scenario = town_of(blocks)
+        short = {**scenario, "duration_s": 1.0}
+        plain = {**short, "radio": {"preset": "wifi-g-6"}}
+        run_cpu_s(short)  # compiles where nothing is in the cache
+        begin, whole, rest = run_cpu_s(short), run_cpu_s(scenario), run_cpu_s(plain)
+        each_s = (whole - begin) / (scenario["duration_s"] - 1.0)
+        lines.append((f"{count}", f"{each_s:.2f} CPU s", f"{rest:.2f} CPU s", f"{max(begin - each_s, 0.0):.1f} CPU s"))
+    columns = ("buildings", "a simulated second with rays", "with log-distance", "once, for what is seen from where")
+    return Section("buildings", columns, lines)
+
+
 def changes() -> Section:
     """What the ways past the limits bring."""
     lines = [(way.what, way.ours, way.other, f"{way.ratio:.2f}") for way in ways(_tell)]
     return Section("changes", ("", "so", "beside it", "ratio"), lines)
 
 
-SECTIONS: Sequence[Callable[[], Section]] = (vehicles, hosts, frames, files, changes)
+SECTIONS: Sequence[Callable[[], Section]] = (vehicles, hosts, frames, buildings, files, changes)
 
 
 def rows() -> Iterator[Row]:

@@ -127,10 +127,10 @@ def thousand() -> Row:
     return _speed(name, scenario, lambda: bare.simpy_cpu_s(1000, 5.0), 1.0)
 
 
-def _rays(name: str, world: Mapping[str, Any], places: Sequence[tuple[float, float]], reflections: int, least: float) -> Row:
-    """Thirty vehicles without bodies that report at 10 Hz, beside the same with a law of distance."""
+def with_rays(world: Mapping[str, Any], places: Sequence[tuple[float, float]], reflections: int) -> dict[str, Any]:
+    """Vehicles without bodies that report at 10 Hz, for 10 s."""
     way = [(2.0, 0.0, 0.0), (0.0, 0.0, 0.0)]
-    scenario = {
+    return {
         "name": "rays",
         "duration_s": 10.0,
         "physics": {"kind": "kinematic"},
@@ -140,27 +140,35 @@ def _rays(name: str, world: Mapping[str, Any], places: Sequence[tuple[float, flo
         "agents": {"kind": "patrol", "way": way, "relative": True, "speed": 1.0, "period_s": 0.1, "report_s": 0.1},
         "vehicle": [{"name": f"v{k}", "position": (*place, 0.0), "agent": {}} for k, place in enumerate(places)],
     }
+
+
+def town_of(blocks: tuple[int, int]) -> dict[str, Any]:
+    """Thirty vehicles with rays in the streets of a town with four buildings in each block."""
+    size = [46.0 * count + 10.0 for count in blocks]
+    rows = [46.0 * k + 5.0 - 0.5 * size[1] for k in range(blocks[1] + 1)]
+    places = [((k + 0.5) / 30.0 * (size[0] - 20.0) - 0.5 * size[0] + 8.0, rows[k % len(rows)]) for k in range(30)]
+    return with_rays({"kind": "urban", "size": size, "density": 1.0, "seed": 1}, places, 1)
+
+
+def _rays(name: str, scenario: dict[str, Any], least: float) -> Row:
+    """Rays beside the same with a law of distance."""
     plain = {**scenario, "radio": {"preset": "wifi-g-6"}}
     run_cpu_s({**scenario, "duration_s": 1.0})  # compiles where nothing is in the cache
-    return _speed(
-        f"whole run: 30 kinematic vehicles, 10 Hz, {name}; beside it log-distance", scenario, lambda: run_cpu_s(plain), least
-    )
+    name = f"whole run: 30 kinematic vehicles, 10 Hz, rays among {name}; beside it log-distance"
+    return _speed(name, scenario, lambda: run_cpu_s(plain), least)
 
 
 def canyon() -> Row:
     """Rays between the buildings of relay-canyon."""
     places = [(7.0 * k - 85.0, 3.0 * (k % 3 - 1)) for k in range(20)]
     places += [(60.0, 8.0 + 12.0 * k) for k in range(5)] + [(70.0 + 12.0 * k, 80.0) for k in range(5)]
-    world = built_in("relay-canyon", 1.0)["world"]
-    return _rays("rays among six buildings, two reflections and diffraction", world, places, 2, 2.0)
+    scenario = with_rays(built_in("relay-canyon", 1.0)["world"], places, 2)
+    return _rays("six buildings, two reflections and diffraction", scenario, 2.0)
 
 
 def town() -> Row:
     """Rays in a town."""
-    streets = [46.0 * k - 115.0 for k in range(6)]
-    places = [(7.3 * k - 110.0, streets[k % 6]) for k in range(30)]
-    world = {"kind": "urban", "size": [240.0, 240.0], "density": 1.0, "seed": 1}
-    return _rays("rays among 100 buildings, one reflection and diffraction", world, places, 1, 1.0)
+    return _rays("100 buildings, one reflection and diffraction", town_of((5, 5)), 1.0)
 
 
 def robots() -> Row:
