@@ -216,6 +216,7 @@ def command_line(draw: random.Random, folder: Path, results: Path) -> Case:
     shutil.copytree(results, folder / "results")
     name = draw.choice(SAFE)
     command = COMMANDS[name]
+    writes = {"--out", "--png", "--mitsuba", *(["--positions"] if name == "radio" else [])}
     case, options = [name], []
     for parameter in command.params:
         if parameter.param_type_name == "argument":
@@ -223,7 +224,7 @@ def command_line(draw: random.Random, folder: Path, results: Path) -> Case:
                 draw.choice(["s.toml", "s.toml", "results", "results/run.mcap", *WORDS])
                 for _ in range(draw.choice([0, 1, 1, 1]))
             ]
-        elif not set(parameter.opts) & {*DOERS, "--help", "--out", "--png"}:
+        elif not set(parameter.opts) & {*DOERS, "--help", *writes}:
             options.append(parameter)
     for option in draw.sample(options, min(len(options), draw.choice([0, 1, 2, 4]))):
         case += [
