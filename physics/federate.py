@@ -43,7 +43,7 @@ from vcmvsp.physics.scene_builder import SceneBuilder
 from vcmvsp.physics.sensor_scheduler import SensorScheduler
 from vcmvsp.physics.vehicles.models import DifferentialDrive, GroundVehicle, Point, Quadrotor
 from vcmvsp.physics.vehicles.specification import VehicleSpec, flies
-from vcmvsp.physics.vehicles.station import Station
+from vcmvsp.physics.vehicles.station import FixedStation
 from vcmvsp.physics.vehicles.urdf import UrdfDrive
 from vcmvsp.physics.world.world import World
 
@@ -271,7 +271,7 @@ class Physics:
         air = {n: model for n in numbers if isinstance(model := self.vehicles[n].model, Point | Quadrotor)}
         if air:
             engines.append((AerialEngine([*air.values()], *zip(*(starts[n] for n in air), strict=True)), [*air]))
-        fixed = [n for n in numbers if isinstance(self.vehicles[n].model, Station)]
+        fixed = [n for n in numbers if isinstance(self.vehicles[n].model, FixedStation)]
         if fixed:
             engines.append((StationEngine(*zip(*(starts[n] for n in fixed), strict=True)), fixed))
         return engines

@@ -9,7 +9,7 @@ from vcmvsp.cosim.types import Array, Pushed, Vec3, frozen
 from vcmvsp.cosim.util.polygons import overlap_m
 from vcmvsp.physics.dynamics.engine import BodyMotion, Touch, on_time, still
 from vcmvsp.physics.vehicles.specification import VehicleSpec
-from vcmvsp.physics.vehicles.station import NO_HULL, Station
+from vcmvsp.physics.vehicles.station import NO_HULL, FixedStation
 from vcmvsp.physics.world.solids import Hull, rectangle
 from vcmvsp.physics.world.world import Movable, Moving, Scene, World
 
@@ -21,7 +21,7 @@ class SceneBuilder:
         things: list[Movable | Moving] = [*world.movables, *world.moving]
         self._world, self._gravity = world, gravity
         self._vehicles = tuple(spec.name for spec in vehicles)
-        own = [NO_HULL if isinstance(spec.model, Station) else spec.model.hull for spec in vehicles]
+        own = [NO_HULL if isinstance(spec.model, FixedStation) else spec.model.hull for spec in vehicles]
         self._hulls = (*own, *(each.solid.hull for each in things))
         self.names = (*self._vehicles, *[each.name for each in things])
         self._standing = start_of(world.movables)  # if no engine can push movables

@@ -353,12 +353,12 @@ def _energy(scenario: Scenario, source: Source, fleet: Fleet, gravity: float) ->
         return None
     from vcmvsp.physics.energy import Energy, flight_power, rolling_power
     from vcmvsp.physics.vehicles.specification import flies
-    from vcmvsp.physics.vehicles.station import Station
+    from vcmvsp.physics.vehicles.station import FixedStation
 
     batteries = {}
     for name, table in tables.items():
         model = fleet.models[name]
-        if isinstance(model, Station):
+        if isinstance(model, FixedStation):
             batteries[name] = table, rolling_power(table, 0.0, gravity)
             continue
 
@@ -398,7 +398,7 @@ def _own_metrics(scenario: Scenario, source: Source, resolution: Resolution) -> 
 
 
 def _info(scenario: Scenario, fleet: Fleet, agents: Sequence[AgentInfo]) -> RunInfo:
-    from vcmvsp.physics.vehicles.station import Station
+    from vcmvsp.physics.vehicles.station import FixedStation
 
     read = {f"{info.vehicle}/{name}" for info in agents for name in info.sensors}
     return RunInfo(
@@ -411,7 +411,7 @@ def _info(scenario: Scenario, fleet: Fleet, agents: Sequence[AgentInfo]) -> RunI
         periods_s={info.vehicle: float(info.ticks.period) / SECOND_NS for info in agents},
         clocks={each.name: each.clock for each in scenario.vehicle if each.clock is not None},
         radios=scenario.radio_members,
-        stations=tuple([name for name, model in fleet.models.items() if isinstance(model, Station)]),
+        stations=tuple([name for name, model in fleet.models.items() if isinstance(model, FixedStation)]),
     )
 
 

@@ -71,7 +71,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "kinematic": "vcmvsp.physics.vehicles.models:Kinematic",
         "lag": "vcmvsp.physics.vehicles.models:Lag",
         "inertial": "vcmvsp.physics.vehicles.models:Inertial",
-        "station": "vcmvsp.physics.vehicles.station:Station",
+        "station": "vcmvsp.physics.vehicles.station:FixedStation",
     },
     "sensor": {
         "range_scanner": "vcmvsp.physics.sensors.range_scanner:RangeScanner",

@@ -11,7 +11,7 @@ from vcmvsp.cosim.types import Value, Vec3
 from vcmvsp.physics.sensors.positioning import Positioning
 from vcmvsp.physics.sensors.sensor import Sensor
 from vcmvsp.physics.vehicles.models import DifferentialDrive, Point, Quadrotor
-from vcmvsp.physics.vehicles.station import Station
+from vcmvsp.physics.vehicles.station import FixedStation
 from vcmvsp.physics.vehicles.urdf import UrdfDrive
 from vcmvsp.physics.world.solids import Hull
 
@@ -36,7 +36,7 @@ class Vehicle(Protocol):
 
 def flies(model: Vehicle | type[Vehicle]) -> bool:
     """Whether a model, or a class of models, takes commands of aerial vehicles, or is a station, at any height like them."""
-    return issubclass(model if isinstance(model, type) else type(model), Point | Quadrotor | Station)
+    return issubclass(model if isinstance(model, type) else type(model), Point | Quadrotor | FixedStation)
 
 
 def body_of(model: Vehicle) -> Body:

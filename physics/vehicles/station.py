@@ -13,7 +13,7 @@ NO_HULL = Hull((0.0, 0.0, 0.0))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Station:
+class FixedStation:
     """A fixed place without a body: ground control, a relay, a sensor. Nothing hits it, and no scanner or camera sees it."""
 
     radius_m: ClassVar[float] = 0.2  # of its mark in drawings
