@@ -200,7 +200,7 @@ def changed(value: Any) -> list[Any]:
         return [{**value, key: other} for key, old in value.items() for other in changed(old)]
     if isinstance(value, tuple):
         return [(*value[:i], other, *value[i + 1 :]) for i, old in enumerate(value) for other in changed(old)]
-    if value is None:
+    if value is None or value is msgspec.UNSET:
         return []
     if isinstance(value, bool):
         return [not value]
