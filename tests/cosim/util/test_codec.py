@@ -54,6 +54,7 @@ BY_ANNOTATION: dict[Any, st.SearchStrategy[Any]] = {
     bool: st.booleans(),
     bytes: st.binary(max_size=16),
     str | None: TEXT | st.none(),
+    str | msgspec.UnsetType: TEXT | st.just(msgspec.UNSET),
     tuple[str, ...]: st.lists(TEXT, max_size=3).map(tuple),
     tuple[str, ...] | None: st.lists(TEXT, max_size=3).map(tuple) | st.none(),
     tuple[float, float]: st.tuples(FLOATS, FLOATS),
