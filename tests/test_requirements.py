@@ -29,6 +29,8 @@ def test_fixture(program): pass
 
 def test_right(): requirements.not_allowed("IPv6")
 
+def test_apart(): requirements.installed_apart("no_such_peer")
+
 def test_library(): pytest.importorskip("no_such_library")
 
 @pytest.mark.xfail
@@ -48,10 +50,11 @@ def test_what_is_left_out_is_named_and_fails_where_ci_is_set(ci: str, workers: s
     command = [sys.executable, "-m", "pytest", "-q", "-n", workers, "-p", "no:cacheprovider", "--rootdir", ".", "test_some.py"]
     done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=500, cwd=tmp_path, env=environment)
     counts = set(done.stdout.strip().rpartition("\n")[2].partition(" in ")[0].split(", "))
-    assert counts == {"1 passed", "1 xfailed", *(("1 skipped", "1 failed", "3 errors") if ci else ("5 skipped",))}
+    assert counts == {"1 passed", "1 xfailed", *(("2 skipped", "1 failed", "3 errors") if ci else ("6 skipped",))}
     assert done.returncode == bool(ci)
     summary = done.stdout.partition(" not tested ")[2]
     assert "1 test: this machine does not allow IPv6\n" in summary
+    assert "1 test: installed apart from vcmvsp's environment: no_such_peer\n" in summary
     assert ("2 tests: there is no no-such-program: install the Debian package no-such-program\n" in summary) == (not ci)
     assert ("As root, .ci/debian-packages installs" in summary) == (not ci)
     assert "there is no sshd: install the Debian package openssh-server" in done.stdout

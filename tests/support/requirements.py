@@ -1,16 +1,18 @@
 """What tests need of the machine, and what the summary says of those that were left out.
 
 A program that is missing can be installed: a test that needs it is skipped, the summary says what to install, and where `CI` is
-set the test fails. What a machine does not allow (network namespaces, IPv6) cannot: that test is skipped and named everywhere.
+set the test fails. What a machine does not allow (network namespaces, IPv6) cannot, and large programs beside which results are
+compared are not: such a test is skipped and named everywhere.
 """
 
+import importlib
 import os
 import shutil
 import sys
 from collections import Counter
 from collections.abc import Generator
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import pytest
 
@@ -25,6 +27,7 @@ PACKAGES = {  # where a program and its package have different names
 }
 QUICK = "not processes and not sockets and not browser and not slow"  # of `make quick`
 NOT_ALLOWED = "this machine does not allow "
+APART = "installed apart from vcmvsp's environment: "
 
 
 def program(name: str) -> Path:
@@ -37,6 +40,14 @@ def program(name: str) -> Path:
 
 def not_allowed(what: str) -> NoReturn:
     pytest.skip(f"{NOT_ALLOWED}{what}")
+
+
+def installed_apart(module: str) -> Any:
+    """A module of a program that is no part of the environment; the test is skipped where it is missing."""
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        pytest.skip(f"{APART}{module}")
 
 
 @pytest.fixture(scope="session")
@@ -92,7 +103,8 @@ def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.Tes
     """Where `CI` is set, whatever could be installed is."""
     report = yield
     reason = _reason(report)
-    if os.environ.get("CI") and report.skipped and not hasattr(report, "wasxfail") and NOT_ALLOWED not in reason:
+    left_out = report.skipped and not hasattr(report, "wasxfail") and not reason.startswith((NOT_ALLOWED, APART))
+    if os.environ.get("CI") and left_out:
         report.outcome, report.longrepr = "failed", f"{reason} (CI is set: no test is left out for what can be installed)"
     return report
 
@@ -103,7 +115,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         terminalreporter.section("not tested")
     for reason, count in sorted(reasons.items()):
         terminalreporter.line(f"{count} {'test' if count == 1 else 'tests'}: {reason}")
-    if any(NOT_ALLOWED not in each for each in reasons):
+    if any(not each.startswith((NOT_ALLOWED, APART)) for each in reasons):
         terminalreporter.line("As root, .ci/debian-packages installs all programs that tests need.")
 
 

@@ -12,6 +12,7 @@ from pettingzoo.test import max_cycles_test, parallel_api_test, parallel_seed_te
 from pettingzoo.utils.conversions import parallel_to_aec
 
 import vcmvsp
+from tests.support.requirements import installed_apart
 from vcmvsp import Agent, Observation, Radio, ScenarioError, UsageError, Velocity
 from vcmvsp.env import Formation, Gates, Search, Task, VehiclesEnv, Worlds, env, parallel_env
 
@@ -53,7 +54,7 @@ def test_one_vehicle_keeps_the_contract_of_gymnasium(task: str) -> None:
 
 
 def test_wrappers_of_supersuit_put_copies_side_by_side() -> None:
-    supersuit = pytest.importorskip("supersuit")  # no wheels of what it needs for Python 3.14
+    supersuit = installed_apart("supersuit")  # no wheels of what it needs for Python 3.14
     many = supersuit.pettingzoo_env_to_vec_env_v1(parallel_env("gates", max_cycles=20))
     many = supersuit.concat_vec_envs_v1(many, 2, num_cpus=1, base_class="gymnasium")
     observations, _ = many.reset(seed=3)

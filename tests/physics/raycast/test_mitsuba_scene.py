@@ -5,9 +5,9 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from tests.support.netsim.ray_worlds import rays_among, traced
+from tests.support.requirements import installed_apart
 from vcmvsp.physics.raycast.mitsuba_scene import SCENE, files
 from vcmvsp.physics.world.solids import Box
 
@@ -35,7 +35,7 @@ def test_a_solid_is_a_mesh_with_shared_corners_and_a_thin_one_its_middle_plane()
 
 
 def test_sionna_finds_the_same_paths(tmp_path: Path) -> None:
-    rt = pytest.importorskip("sionna.rt")
+    rt = installed_apart("sionna.rt")
     for name, text in files([HOUSE], 0.5, "concrete").items():
         (tmp_path / name).write_text(text, "utf-8")
     a, b = (0.0, 3.0, 1.0), (12.0, 2.0, 2.0)
