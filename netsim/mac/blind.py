@@ -7,16 +7,16 @@ the sum of the others. A radio that sends at any time of a frame does not receiv
 
 import heapq
 import math
-from collections import deque
 from collections.abc import Iterator, Sequence
 from enum import IntEnum
 from itertools import pairwise
-from typing import Generic, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from vcmvsp.netsim.interfaces.layers import Floats, Phy
 from vcmvsp.netsim.interfaces.medium import Codes, Decided, Fate, Offered
+from vcmvsp.netsim.mac.event_medium import EventMedium
 from vcmvsp.netsim.phy.error_rate import ErrorRate
 
 
@@ -53,7 +53,7 @@ class BlindRadio:
 R = TypeVar("R", bound=BlindRadio)
 
 
-class BlindMedium(Generic[R]):
+class BlindMedium(EventMedium[BlindEvent, R]):
     """Base of the `netsim.interfaces.medium.Medium` without carrier sense; a subclass says when a radio sends.
 
     Args:
@@ -64,51 +64,28 @@ class BlindMedium(Generic[R]):
     """
 
     def __init__(self, queue_frames: int | None, phy: Phy, radios: Sequence[R], noise_mw: float) -> None:
+        super().__init__()
         self._limit, self._phy, self._radios, self._noise_mw = queue_frames, phy, radios, noise_mw
         self._errors: ErrorRate | None = getattr(phy, "errors", None)
         self._preamble_snr = 10.0 ** (getattr(phy, "preamble_snr_db", -math.inf) / 10.0)
         capture_db: float | None = getattr(phy, "capture_db", None)
         self._capture = None if capture_db is None else 10.0 ** (capture_db / 10.0)
-        self._events: list[tuple[int, BlindEvent, int, R, int]] = []  # heap: time, kind, number, radio, number of its turn
         self._frames: dict[int, BlindFrame] = {}  # by row of the sender: on the air
         self._ended: list[BlindFrame] = []  # that may overlap one on the air
-        self._offers: deque[Offered] = deque()
-        self._running = 0
-        self._decided: list[Decided] = []
         self.levels: Floats = np.zeros((len(radios), len(radios)))  # of acknowledgements, which there are none of
         self.sensitivity_mw: Floats = np.zeros(len(radios))
-
-    def expect(self, frames: int) -> None:
-        """Ignored: nothing is compiled."""
-
-    def offer(self, frame: Offered) -> None:
-        """Hand over a frame."""
-        self._offers.append(frame)
-
-    def advance(self, until_ns: int) -> Sequence[Decided]:
-        """Process all events and offers up to ``until_ns``."""
-        events, offers = self._events, self._offers
-        while True:
-            event_ns = events[0][0] if events else until_ns + 1
-            if offers and offers[0].time_ns < event_ns:
-                if offers[0].time_ns > until_ns:
-                    break
-                self._enqueue(offers.popleft())
-            elif event_ns <= until_ns:
-                now_ns, kind, _, radio, turn = heapq.heappop(events)
-                if kind is BlindEvent.ENDED:
-                    self._end(now_ns, radio)
-                else:
-                    self._take_turn(now_ns, radio, turn)
-            else:
-                break
-        decided, self._decided = self._decided, []
-        return decided
 
     def next_ns(self) -> int | None:
         """Lower bound of the next decision; None: no frame has a turn to come."""
         times = [event[0] for event in self._events[:1]]
         return min([*times, *(frame.time_ns for frame in list(self._offers)[:1])], default=None)
+
+    def _happen(self) -> None:
+        now_ns, kind, _, radio, turn = heapq.heappop(self._events)
+        if kind is BlindEvent.ENDED:
+            self._end(now_ns, radio)
+        else:
+            self._take_turn(now_ns, radio, turn)
 
     def _schedule(self, time_ns: int, kind: BlindEvent, radio: R, turn: int = 0) -> None:
         self._running += 1

@@ -11,8 +11,6 @@ but not after a frame that it gave up. All this is as in ns-3.44.
 
 import heapq
 import math
-from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum, IntEnum, auto
 from typing import Annotated
@@ -27,6 +25,7 @@ from vcmvsp.cosim.types import Decibels, Seconds
 from vcmvsp.netsim.interfaces.layers import BACKOFF_SLOT, US, Floats, Keys, Phy
 from vcmvsp.netsim.interfaces.medium import Codes, Decided, Fate, Medium, Offered
 from vcmvsp.netsim.mac.csma154.receivers import AirborneFrame, Csma154Air
+from vcmvsp.netsim.mac.event_medium import EventMedium
 from vcmvsp.netsim.phy.error_rate import ErrorRate
 from vcmvsp.netsim.phy.ieee802154 import OqpskErrors
 
@@ -112,54 +111,32 @@ class _Kind(IntEnum):
     TOOK_OFF = 4  # start of a frame
 
 
-class Csma154Medium:
+class Csma154Medium(EventMedium[_Kind, Csma154Radio]):
     """The `netsim.interfaces.medium.Medium`: an event queue over the radios' state machines."""
 
     def __init__(self, rules: "Csma154", air: Csma154Air, phy: Phy, errors: ErrorRate, keys: Keys) -> None:
+        super().__init__()
         self._rules, self._air, self._phy, self._errors = rules, air, phy, errors
         self._lifetime_ns = math.inf if rules.lifetime_s is None else seconds_to_ns(rules.lifetime_s)
         self._radios = [Csma154Radio(row, keys[row : row + 1], rules) for row in range(len(keys))]
-        self._events: list[tuple[int, _Kind, int, Csma154Radio, int]] = []  # heap: time, kind, running number, radio, its stamp
-        self._offers: deque[Offered] = deque()
         self._handlers = {
             _Kind.ASSESSED: self._assessed,
             _Kind.LANDED: self._landed,
             _Kind.READY: self._ready,
             _Kind.UNANSWERED: self._unanswered,
         }
-        self._running = 0
         self._waiting: dict[int, None] = {}  # numbers of frames, in the order in which they were offered
         self._soonest: dict[int, int] = {}  # by row: earliest decision of its frame
-        self._decided: list[Decided] = []
         # Levels between radios, (n, n), as far as known from frames: for acknowledgements at third radios.
         self._levels = np.zeros((len(keys), len(keys)) if rules.acknowledge else (0, 0))
         self.power_mw: Floats = np.ones(len(keys))  # of the radios; equal unless set
 
     # Interface
 
-    def expect(self, frames: int) -> None:
-        """Ignored: nothing is compiled."""
-
     def offer(self, frame: Offered) -> None:
         """Hand over a frame."""
-        self._offers.append(frame)
+        super().offer(frame)
         self._waiting[frame.number] = None
-
-    def advance(self, until_ns: int) -> Sequence[Decided]:
-        """Process all events and offers up to ``until_ns``."""
-        events, offers = self._events, self._offers
-        while True:
-            event_ns = events[0][0] if events else until_ns + 1
-            if offers and offers[0].time_ns < event_ns:
-                if offers[0].time_ns > until_ns:
-                    break
-                self._enqueue(offers.popleft())
-            elif event_ns <= until_ns:
-                self._happen()
-            else:
-                break
-        decided, self._decided = self._decided, []
-        return decided
 
     def next_ns(self) -> int | None:
         """Lower bound of the next decision; a busy channel may delay it. None: no frame waits."""
