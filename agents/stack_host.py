@@ -107,14 +107,14 @@ class RecordedStack:
                     self._lost[place] = why
 
     def start(self, run: RunInfo) -> None:
-        """Nobody connects."""
+        """No program connects."""
 
     def show(self, now_ns: int, readings: Sequence[Event]) -> None:
-        """Nobody sees the readings."""
+        """The readings are not passed on."""
         self._now_ns = now_ns
 
     def ask(self, observations: Mapping[str, Observation]) -> None:
-        """Nobody sees the observations."""
+        """The observations are not passed on."""
 
     def answer(self, vehicle: str) -> StackAnswer:
         """The recorded answer."""

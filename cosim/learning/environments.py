@@ -24,7 +24,7 @@ def parallel_env(
     """All vehicles of a task as agents of a PettingZoo ``ParallelEnv``.
 
     Args:
-        task: ``formation``, ``search`` or ``gates``; a task of one's own; or a scenario, whose rewards are 0.
+        task: ``formation``, ``search`` or ``gates``; a custom task; or a scenario, whose rewards are 0.
         seed: of the first episode; each one after it has the seed of the one before plus one. None: the scenario's.
         set: key path -> value, as of `vcmvsp.run`.
         render_mode: ``rgb_array``: pictures from above; ``human``: a control station for each episode.

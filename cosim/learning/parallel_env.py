@@ -42,7 +42,7 @@ def task_of(task: str | Path | Mapping[str, Any] | Task | type[Task]) -> Task:
     """The task of a name, a class, or a scenario.
 
     Raises:
-        UsageError: there is no such task or scenario, or a task of one's own has no scenario.
+        UsageError: there is no such task or scenario, or a custom task has no scenario.
     """
     if isinstance(task, type) and issubclass(task, Task):
         task = task()

@@ -167,7 +167,7 @@ def task_of_meta(meta: PolicyMeta, kind: type[Task] | None = None) -> Task:
 class Policy(Agent):
     """Runs a trained policy: it observes, sends and moves as in the environment that it was trained in.
 
-    With the true pose it gives the same actions as in `vcmvsp.env.parallel_env`. For a task of one's own, derive a class with
+    With the true pose it gives the same actions as in `vcmvsp.env.parallel_env`. For a custom task, derive a class with
     its ``task_class``.
 
     Args:

@@ -137,7 +137,7 @@ CELLS = 8
 class Search(Task):
     """Fly over all cells of a square; what others have seen is known from their messages only.
 
-    A vehicle observes which of the cells it has seen itself. Each cell that nobody has seen before gives every vehicle the
+    A vehicle observes which of the cells it has seen itself. Each cell that no vehicle has seen before gives every vehicle the
     reward 1 / 64; the task is done when all are seen.
     """
 
@@ -165,7 +165,7 @@ class Search(Task):
         return poses
 
     def begin(self, rng: np.random.Generator, starts: Floats) -> dict[str, Any]:
-        """The cells that each vehicle has seen, (n, 64), and those that anyone had seen at the last tick, (64,)."""
+        """The cells that each vehicle has seen, (n, 64), and those that any vehicle had seen at the last tick, (64,)."""
         return {"seen": np.zeros((self.vehicles, CELLS * CELLS), np.bool_), "found": np.zeros(CELLS * CELLS, np.bool_)}
 
     def features(self, worlds: Worlds) -> Floats:
@@ -186,12 +186,12 @@ class Search(Task):
         return np.broadcast_to(reward[:, None], inside.shape).copy(), found.all(axis=-1)
 
     def shared(self, worlds: Worlds) -> Floats:
-        """1 for each cell that anyone has seen, (w, 64)."""
+        """1 for each cell that any vehicle has seen, (w, 64)."""
         found: Floats = worlds.memory["found"].astype(float)
         return found
 
     def marks(self, worlds: Worlds) -> Floats:
-        """Cells that nobody has seen, (k, 2) m."""
+        """Cells that no vehicle has seen, (k, 2) m."""
         return self._cells()[~worlds.memory["found"][0]]
 
     def baseline(self, observations: Observed) -> Floats:

@@ -69,7 +69,7 @@ class Noted:
 
 
 def formation_errors(moved: Motion, follows: Sequence[Placement]) -> dict[str, Array]:
-    """``|z|`` (m,) in m of every follower, in the order of the run's vehicles; NaN before it follows anyone."""
+    """``|z|`` (m,) in m of every follower, in the order of the run's vehicles; NaN before it follows a leader."""
     return {name: _length(_offsets(moved, name, follows)) for name in followers(moved.names, follows)}
 
 

@@ -246,7 +246,7 @@ def _nanoseconds(seconds: float, name: str) -> int:
 
 
 def _greeted(stream: Stream, vehicle: str) -> Welcome | None:
-    """The answer to a greeting; None: whoever is there says nothing that makes sense, or is on the way out."""
+    """The answer to a greeting; None: the other end says nothing that makes sense, or is about to end."""
     stream.socket.settimeout(GREETING_S)
     try:
         stream.send(Hello(VERSION, vehicle))

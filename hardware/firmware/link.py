@@ -128,7 +128,7 @@ class FirmwareLink(ABC):
 
     @property
     def how_to_start(self) -> str:
-        """What to do, if somebody else has to start it."""
+        """What to do, if the run does not start it."""
         return "" if self._words else f"; start it by hand, instance {self.instance}, for port {self.port} of {LOOPBACK}"
 
     def why_ended(self) -> str:

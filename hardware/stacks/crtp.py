@@ -31,7 +31,7 @@ from vcmvsp.cosim.frames import Quaternion
 from vcmvsp.cosim.types import ORIGIN, Vec3, VehicleState
 
 VERSION = 10
-NULL = b"\xff"  # asks whether somebody is there
+NULL = b"\xff"  # asks whether a Crazyflie is there
 MOST_BLOCKS, MOST_VARIABLES = 16, 128  # of the log, as in the firmware
 GREETING = b"Crazyflie simulated by VCMVSP\n"
 LOG_TYPES = {1: "B", 2: "H", 3: "I", 4: "b", 5: "h", 6: "i", 7: "f", 8: "e"}

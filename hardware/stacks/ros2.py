@@ -15,7 +15,7 @@ topic                         type                           content
 ``<vehicle>/gps/fix``         sensor_msgs/NavSatFix          positions; of a named sensor ``<sensor>/fix``
 ============================  =============================  =======================================================
 
-A message is made only if somebody subscribes. Of one instant, ``odom`` is published last.
+A message is made only if the topic has subscribers. Of one instant, ``odom`` is published last.
 """
 
 import queue
@@ -71,20 +71,20 @@ class _News(NamedTuple):
 
 
 class Outlet:
-    """A topic that is published while somebody subscribes."""
+    """A topic that is published while it has subscribers."""
 
     def __init__(self, node: Node, topic: str, kind: str, *, complete: bool) -> None:
         self._wanted = False
         self._publish = node.publisher(Endpoint("MP", topic, kind), self._match, complete=complete)
 
     def put(self, make: Callable[[], ros.RosMessage]) -> None:
-        """Publish a message, if somebody subscribes."""
+        """Publish a message, if the topic has subscribers."""
         if self._wanted:
             self._publish(ros.encoded(make()))
 
     @property
     def wanted(self) -> bool:
-        """Whether somebody subscribes."""
+        """Whether the topic has subscribers."""
         return self._wanted
 
     def _match(self, wanted: bool) -> None:
@@ -363,11 +363,7 @@ class Ros2Stack:
 
     def _how_to_reach(self) -> str:
         topics = ", ".join(f"/{each}/cmd_vel" for each in list(self._names)[:3]) + (", ..." if len(self._names) > 3 else "")
-        config = (
-            ""
-            if self._endpoint == "tcp/127.0.0.1:7447"
-            else f" ZENOH_CONFIG_OVERRIDE='connect/endpoints=[\"{self._endpoint}\"]'"
-        )
+        config = "" if self._endpoint == DEFAULT else f" ZENOH_CONFIG_OVERRIDE='connect/endpoints=[\"{self._endpoint}\"]'"
         where = f"RMW_IMPLEMENTATION=rmw_zenoh_cpp ROS_DOMAIN_ID={self._domain}{config}"
         return f"stack.ros2: nodes with {where} drive by {topics}"
 
@@ -375,7 +371,7 @@ class Ros2Stack:
         until_s = time.monotonic() + self._join_s
         while missing := [f"/{name}/cmd_vel" for name, each in self._programs.items() if not each.publishers]:
             if time.monotonic() > until_s:
-                raise FederateError("stack.ros2", f"nobody publishes {', '.join(missing)} within {self._join_s:g} s")
+                raise FederateError("stack.ros2", f"no node publishes {', '.join(missing)} within {self._join_s:g} s")
             self._take(LOOK_S)
         for program in self._programs.values():
             program.lost = ""

@@ -1,4 +1,4 @@
-"""Pure Aloha: a radio sends at once whatever it has, whoever else is on the air; a duty cycle keeps it silent afterwards."""
+"""Pure Aloha: a radio sends each frame at once, also while others send; a duty cycle keeps it silent afterwards."""
 
 import math
 from collections.abc import Sequence

@@ -133,7 +133,7 @@ class World:
     solids: tuple[AnySolid, ...] = ()  # what stands still
     movables: tuple[Movable, ...] = ()  # bodies that can be pushed
     moving: tuple[Moving, ...] = ()  # obstacles that move by a timetable
-    targets: tuple[PlacedTarget, ...] = ()  # flat things on the floor that somebody is to find
+    targets: tuple[PlacedTarget, ...] = ()  # flat objects on the floor, to be found
     floor_friction: NonNegative = 1.0  # multiplies the friction of what rolls or slides on it
     zones: tuple[Zone, ...] = ()  # parts of the floor with another friction
     ground: GroundPicture = field(default_factory=GroundPicture)  # how the floor looks

@@ -238,7 +238,7 @@ def test_a_wrong_table_is_one_error(change: dict[str, Any], problem: str) -> Non
 def test_without_a_node_lock_step_does_not_begin(port: int) -> None:
     asked = scenario(port, "car1")
     asked["agents"] = {"join_timeout_s": 0.2}
-    with pytest.raises(FederateError, match=r"nobody publishes /car1/cmd_vel within 0\.2 s"):
+    with pytest.raises(FederateError, match=r"no node publishes /car1/cmd_vel within 0\.2 s"):
         vcmvsp.run(asked)
     router = Node(f"tcp/127.0.0.1:{port}", "listen", RmwZenoh(0, "router"), ())
     with contextlib.closing(router), pytest.raises(FederateError, match="end the other router"):

@@ -295,7 +295,9 @@ def test_the_wrong_robot_and_what_to_do(endpoint: str, monkeypatch: pytest.Monke
             Ros2Driver(endpoint=endpoint, mode="listen").open()
         with pytest.raises(HandshakeError, match="set stamped = true"):
             Ros2Driver(endpoint=endpoint, domain=3, connect_s=0.5).open()
-        with pytest.raises(HandshakeError, match=r"no odometry was received on x/odom .* somebody publishes odom \(nav_msgs"):
+        with pytest.raises(
+            HandshakeError, match=r"no odometry was received on x/odom .* another node publishes odom \(nav_msgs"
+        ):
             Ros2Driver(endpoint=endpoint, domain=3, connect_s=0.3, namespace="x").open()
         with pytest.raises(HandshakeError, match="with this domain"):
             Ros2Driver(endpoint=endpoint, connect_s=0.3).open()
