@@ -317,6 +317,9 @@ class FrameReport(Value, frozen=True, kw_only=True, tag="frame"):
     shadowing_db: Array | None = None
     fading_db: Array | None = None  # as a gain
     radio: str | msgspec.UnsetType = msgspec.UNSET  # name of its radio; unset: the run has only one
+    # Of the paths of the wave, (n,) each; unset: the channel does not know them.
+    path_delay_ns: Array | msgspec.UnsetType = msgspec.UNSET  # float64, travel time of the first path
+    delay_spread_ns: Array | msgspec.UnsetType = msgspec.UNSET  # float64, standard deviation over the paths, by power
 
 
 class Datagrams(Value, frozen=True, kw_only=True, tag="datagrams"):

@@ -26,6 +26,7 @@ from mcap.writer import MCAP0_MAGIC
 from numpy.lib.stride_tricks import sliding_window_view
 
 from vcmvsp.cosim.recording.foxglove import FoxgloveMessage, to_json
+from vcmvsp.cosim.tables.radio_frames import PATHS
 from vcmvsp.cosim.types import Array, FrameReport, Looks, Message
 
 LIBRARY = "vcmvsp"
@@ -59,6 +60,8 @@ FRAME = {
     "wall_loss_db": "loss in walls, dB; null: the channel has no such layer",
     "shadowing_db": "loss by shadowing, dB; null: the channel has no such layer",
     "fading_db": "gain by fading, dB, mostly negative; null: the channel has no such layer",
+    "path_delay_ns": "travel time of the first path, ns; only where path_loss.kind is rays",
+    "delay_spread_ns": "standard deviation of the travel times of all paths, by power, ns; only where path_loss.kind is rays",
 }
 """Descriptions of the fields of ``radio/frame``, for readers without this program."""
 
@@ -97,7 +100,8 @@ def schema_of(message_type: type) -> Schema:
     title = f"foxglove.{name}" if known else f"vcmvsp.{name.removesuffix('Report')}"
     (root,), definitions = msgspec.json.schema_components([message_type], schema_hook=_array_schema)
     for each in (Message, FrameReport):
-        definitions.get(each.__name__, {"properties": {}})["properties"].pop("radio", None)  # only with several radios
+        for name in ("radio", *PATHS):  # only with several radios; only where rays are traced
+            definitions.get(each.__name__, {"properties": {}})["properties"].pop(name, None)
     schema = _simple(root, definitions)
     if message_type is Looks:
         schema["properties"] |= {"cells": _listed(_listed({"type": "integer"})), "hits": _listed({"type": "boolean"})}

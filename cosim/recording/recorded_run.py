@@ -27,7 +27,7 @@ FILE = "run.mcap"
 TOLD_EVERY = 500  # messages
 _INT64 = range(-(2**63), 2**63)
 _NUMBERS_OF = attrgetter(*radio_frames.PER_FRAME)
-_COLUMNS_OF = attrgetter(*radio_frames.PER_ROW, *radio_frames.BUDGET, "outcome", "wall_materials")
+_COLUMNS_OF = attrgetter(*radio_frames.PER_ROW, *radio_frames.BUDGET, *radio_frames.PATHS, "outcome", "wall_materials")
 
 
 class Noted(msgspec.Struct, tag="note"):
@@ -158,7 +158,9 @@ class Values:
 def _checked(value: Any) -> Any:
     """The value. Raises `ValueError` (a frame with columns of different lengths, or with numbers beyond 64 bits)."""
     if isinstance(value, types.FrameReport):
-        if any(each is not None and len(each) != len(value.receivers) for each in _COLUMNS_OF(value)):
+        if any(
+            each is not None and each is not msgspec.UNSET and len(each) != len(value.receivers) for each in _COLUMNS_OF(value)
+        ):
             raise ValueError("its columns differ in length")
         if not all(each in _INT64 for each in _NUMBERS_OF(value)):
             raise ValueError("it has numbers of more than 64 bits")
@@ -205,8 +207,7 @@ def tables_of(
     if not (absent := _absent(folder)):
         return schema.load(folder, radio) if numbers else schema.load_tables(folder, radio)
     states, frames, facts = _recorded(folder, absent, tell, with_frames=radio is None or bool(radio), before_ns=before_ns)
-    known = radio if radio is None else [name for name in schema.RADIO_SCHEMA.names if name in radio]
-    return schema.Recording(states=states, radio=schema.radio_table(frames, facts, known), facts=facts, metrics={})
+    return schema.Recording(states=states, radio=schema.radio_table(frames, facts, radio), facts=facts, metrics={})
 
 
 def radio_columns(
@@ -215,7 +216,11 @@ def radio_columns(
     """Facts of a run, column names of its radio table, and a function that reads one column; errors as of `tables_of`."""
     if absent := _absent(folder):
         _, frames, facts = _recorded(folder, absent, tell)
-        return facts, schema.RADIO_SCHEMA.names, lambda name: schema.radio_table(frames, facts, (name,))
+        return (
+            facts,
+            schema.radio_table(frames, facts, rows=(0, 0)).schema.names,
+            lambda name: schema.radio_table(frames, facts, (name,)),
+        )
     path = folder / "radio.parquet"
     names = pq.read_schema(path).names if path.is_file() else ()
     return schema.load_tables(folder, ()).facts, names, lambda name: schema.read_table(path, (name,))

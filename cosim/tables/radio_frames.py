@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from msgspec import UNSET
 
 from vcmvsp.cosim.tables.columns import column, joined, name_column
 from vcmvsp.cosim.tables.spool import Spool
@@ -31,9 +32,11 @@ BUDGET = {  # zeros where the channel has no such layer
     "shadowing_db": np.float64,
     "fading_db": np.float64,
 }
+PATHS = {"path_delay_ns": np.float64, "delay_spread_ns": np.float64}
+"""Columns of tables of channels that know the paths of the wave; NaN: this channel does not."""
 NAMED = ("sender", "receiver", "outcome", "wall_materials")
 COLUMNS = (*PER_FRAME, "sender", "receiver", *PER_ROW, "delay_ns", "outcome", "wall_materials", *BUDGET)
-_FIELDS = (*PER_FRAME, *PER_ROW, *BUDGET, "sender", "receivers", "outcome", "wall_materials")
+_FIELDS = (*PER_FRAME, *PER_ROW, *BUDGET, *PATHS, "sender", "receivers", "outcome", "wall_materials")
 _FIELDS_OF = attrgetter(*_FIELDS)
 
 
@@ -97,6 +100,7 @@ class Frames:
         self._waiting: list[FrameReport] = []
         self._held = 0  # frames and rows not packed yet
         self._newest = 0  # greatest number of a packed frame
+        self._knows_paths = False
         self._is_sorted = True
         self._latest_ns: list[int] = []  # last arrival in each part
         self._named: dict[tuple[str, int], tuple[Names, Array]] = {}  # names and new codes of a column, for an end of the run
@@ -114,6 +118,12 @@ class Frames:
         """Number of rows so far."""
         self._pack()
         return self._kept.starts[-1]
+
+    @property
+    def knows_paths(self) -> bool:
+        """Whether some frame has the columns `PATHS`."""
+        self._pack()
+        return self._knows_paths
 
     def columns(
         self, end_ns: int = 2**63 - 1, wanted: Collection[str] = COLUMNS, rows: tuple[int, int] | None = None
@@ -210,6 +220,11 @@ class Frames:
                 if any(part is not None for part in told[name])
                 else np.zeros(sum(counts), dtype)
             )
+        for name, dtype in PATHS.items():
+            parts = zip(told[name], counts, strict=True)
+            known = [np.full(n, np.nan) if part is UNSET else part for part, n in parts]
+            packed[name] = joined(known, (0,), dtype)
+            self._knows_paths |= any(part is not UNSET for part in told[name])
         self._keep(packed)
         self._waiting, self._held = [], 0
 
@@ -253,7 +268,7 @@ def _selected(kept: Spool, frames: Array, first_of: Array) -> dict[str, Array]:
     chosen = counts[rows]
     starts = (np.cumsum(counts) - counts)[rows] - (np.cumsum(chosen) - chosen)
     places = np.repeat(starts, chosen) + np.arange(chosen.sum())
-    names = (*PER_FRAME, "receivers", "sender"), ("receiver", "outcome", "wall_materials", *PER_ROW, *BUDGET)
+    names = (*PER_FRAME, "receivers", "sender"), ("receiver", "outcome", "wall_materials", *PER_ROW, *BUDGET, *PATHS)
     of_frames = {name: kept.read(name, numbers, dtype_of(name))[rows] for name in names[0]}
     return of_frames | {name: kept.read(name, numbers, dtype_of(name))[places] for name in names[1]}
 
@@ -265,10 +280,10 @@ def _narrow(codes: Array) -> Array:
 
 def dtype_of(name: str) -> type[np.number]:
     """Type of a column's numbers, or of its codes of names."""
-    return np.int32 if name in NAMED else {**PER_ROW, **BUDGET}.get(name, np.int64)
+    return np.int32 if name in NAMED else {**PER_ROW, **BUDGET, **PATHS}.get(name, np.int64)
 
 
 def _known(name: str, values: Array, end_ns: int) -> Array | None:
     if name == "copy_ns":
         return np.asarray((values > 0) & (values <= end_ns))
-    return np.isfinite(values) if name == "sinr_db" else None
+    return np.isfinite(values) if name == "sinr_db" or name in PATHS else None

@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.tables.columns import column, joined
-from vcmvsp.cosim.tables.radio_frames import CHUNK_ROWS, NAMED, UNDER_WAY, Frames, Names, dtype_of
+from vcmvsp.cosim.tables.radio_frames import CHUNK_ROWS, NAMED, PATHS, UNDER_WAY, Frames, Names, dtype_of
 from vcmvsp.cosim.tables.spool import Spool
 from vcmvsp.cosim.types import Follows, FrameReport, States
 from vcmvsp.cosim.util import limits
@@ -50,9 +50,11 @@ RADIO_SCHEMA = pa.schema(
 )
 """See `cosim.recording.mcap_writer.FRAME`. Null: ``received_ns`` and ``delay_ns`` of frames lost or under way at the end of the
 run, ``copy_ns`` without a second copy, unknown items of a link budget."""
+PATHS_SCHEMA = pa.schema((name, pa.from_numpy_dtype(np.dtype(dtype))) for name, dtype in PATHS.items())
+"""Further columns of the radio table of a run whose channel knows the paths of the wave."""
 NOT_LOST = ("received", UNDER_WAY)  # outcomes
 DERIVED = ("yaw",)  # columns made from others, which do not enter the digest
-NULLABLE = ("received_ns", "delay_ns", "copy_ns", "sinr_db", "origin_number")  # columns with missing values
+NULLABLE = ("received_ns", "delay_ns", "copy_ns", "sinr_db", "origin_number", *PATHS)  # columns with missing values
 FACTS = b"vcmvsp.run"
 _STATE_TYPES: dict[str, type[np.number]] = {"time_ns": np.int64, "vehicle": np.int32}
 ROW_GROUP = 1 << 20  # rows of a file that are packed together
@@ -284,7 +286,8 @@ def radio_table(
     if not isinstance(frames, Frames):
         given, frames = frames, Frames(facts.vehicles)
         frames.extend(given)
-    fields = [field for field in RADIO_SCHEMA if columns is None or field.name in columns]
+    known = [*RADIO_SCHEMA, *(PATHS_SCHEMA if frames.knows_paths else ())]
+    fields = [field for field in known if columns is None or field.name in columns]
     found = frames.columns(facts.end_ns, [field.name for field in fields], rows)
     return with_facts(list(found.values()), pa.schema(fields), facts)
 

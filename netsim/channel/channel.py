@@ -330,7 +330,8 @@ class Channel:
         now = self.operated.layers
         loss, delay, outages = map(unless_nothing, (now["loss"], now["delay"], self.operated.outages))
         layers = loss, delay, self._script, self._trace, self._delivery
-        return Outcomes(self.hearing, *layers, fades=self.fading is not None, outages=outages)
+        propagation = getattr(now["delay"], "propagation", False)
+        return Outcomes(self.hearing, *layers, fades=self.fading is not None, propagation=propagation, outages=outages)
 
     def _meet_if_new(self, names: tuple[str, ...]) -> None:
         if names is not self._names and names != self._names:

@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import frozen
 from vcmvsp.netsim.interfaces.layers import (
     AT_POSITION,
@@ -31,6 +32,7 @@ from vcmvsp.netsim.interfaces.layers import (
 from vcmvsp.netsim.interfaces.medium import Codes
 from vcmvsp.netsim.phy.constant_rate import ThermalNoise
 from vcmvsp.netsim.phy.error_rate import ErrorRate
+from vcmvsp.netsim.propagation.path_loss import SPEED_OF_LIGHT
 from vcmvsp.netsim.propagation.walls import Bodies, through
 
 BELOW_SENSITIVITY, WALLS, SHADOWING, FADING = range(4)
@@ -75,6 +77,8 @@ class ReportColumns(msgspec.Struct, frozen=True):
     materials: tuple[str, ...] | None
     wall_loss_db: Floats | None
     shadowing_db: Floats | None
+    path_delay_ns: Floats | None
+    delay_spread_ns: Floats | None
 
     def at(self, to: slice) -> "ReportColumns":
         """The columns at some of these receivers."""
@@ -82,6 +86,11 @@ class ReportColumns(msgspec.Struct, frozen=True):
             name: None if value is None else value[to] for name, value in msgspec.structs.asdict(self).items()
         }
         return ReportColumns(**parts)
+
+
+def propagation_ns(distance_m: Floats) -> Ints:
+    """Travel time over distances in free space, whole ns."""
+    return np.rint(distance_m * (SECOND_NS / SPEED_OF_LIGHT)).astype(np.int64)
 
 
 class LinkBudget(msgspec.Struct, dict=True):
@@ -101,6 +110,8 @@ class LinkBudget(msgspec.Struct, dict=True):
     materials: tuple[str, ...] | None = None  # (n,) of the walls that are crossed, e.g. "2 brick, 1 wood"
     wall_loss_db: Floats | None = None  # (k, n)
     shadowing_db: Floats | None = None  # (k, n)
+    path_delay_ns: Floats | None = None  # (k, n) see `PathLoss`; None: only the straight line is known
+    delay_spread_ns: Floats | None = None  # (k, n)
     signals: dict[int, ReceivedSignal] = msgspec.field(default_factory=dict)  # by size: filled by `ReceiverModel`
     weakness: Codes | None = None  # (k, n) cause of a signal that is too weak: filled by `ReceiverModel`
 
@@ -130,6 +141,12 @@ class MeanBudget:
         power_mw: Floats = self.every.power_mw[self.place]
         return power_mw
 
+    @cached_property
+    def propagation_ns(self) -> Ints:
+        """Travel time of the first path, (n,) whole ns."""
+        known = self.every.path_delay_ns
+        return propagation_ns(self.paths.distance_m) if known is None else np.rint(known[self.place]).astype(np.int64)
+
     def report_columns(self, to: slice) -> ReportColumns:
         """Columns of frame reports for one receiver, or for all."""
         columns = self._columns.get(to.start)
@@ -144,6 +161,8 @@ class MeanBudget:
                 every.materials,
                 None if every.wall_loss_db is None else every.wall_loss_db[place],
                 None if every.shadowing_db is None else every.shadowing_db[place],
+                None if every.path_delay_ns is None else every.path_delay_ns[place],
+                None if every.delay_spread_ns is None else every.delay_spread_ns[place],
             )
             columns = self._columns[to.start] = columns if to.start is None else columns.at(to)
         return columns
@@ -252,6 +271,8 @@ class Budgets:
             paths = Paths(self._antennas[rows[0]], rx[0], distance_m[0], senders[0].seed)
             path_loss_db = frozen(self.path_loss.loss_db(paths))[None]
             loss_db, obstacles = self._obstacles(path_loss_db, paths, int(rows[0]), bodies=bodies)
+            if delays := getattr(self.path_loss, "delays_ns", None):
+                obstacles["path_delay_ns"], obstacles["delay_spread_ns"] = (frozen(each)[None] for each in delays(paths))
         budget = LinkBudget(
             senders=senders,
             rows=rows,

@@ -72,12 +72,14 @@ class Outcomes:
         delivery: Delivery | None,
         *,
         fades: bool,
+        propagation: bool = False,
         outages: Loss | None = None,
     ) -> None:
         self._hearing, self._delay, self._script, self._trace, self._delivery = hearing, delay, script, trace, delivery
         losses: list[tuple[Loss | None, int]] = [(outages, SCRIPT_SLOT)]  # first: an outage has priority
         losses += [(loss, LOSS_SLOT), (script, SCRIPT_SLOT), (trace, TRACE_SLOT)]
         self._losses = [(layer, _by_draws(layer, "lost"), slot) for layer, slot in losses if layer is not None]
+        self._propagation = propagation  # whether arrivals count the travel time of the wave
         self._delay_ns_by: Make | None = _by_draws(delay, "delay_ns")
         asks = any(lost_by is None for _, lost_by, _ in self._losses) or (delay is not None and self._delay_ns_by is None)
         self._needs_frames = asks or script is not None or trace is not None  # as arguments of layers
@@ -91,7 +93,8 @@ class Outcomes:
     @property
     def plain(self) -> bool:
         """Whether every received frame arrives when it ends."""
-        return not self._losses and self._delay is None and self._trace is None and self._delivery is None
+        delays = self._delay is not None or self._propagation
+        return not self._losses and not delays and self._trace is None and self._delivery is None
 
     def reports(self, batch: FrameBatch) -> list[FrameReport]:
         """Apply all stages behind the receiver to a batch.
@@ -164,8 +167,9 @@ class Outcomes:
     def _arrival_ns(self, batch: FrameBatch, layer_frames: Sequence[Frame]) -> Ints | int:
         """Time of arrival if a frame is not lost, ns: (k, n), (k, 1), or of a single frame without delays its end."""
         end_ns = _rows(batch.end_ns)
+        heard_ns = end_ns + np.stack([sent.mean.propagation_ns for sent in batch.frames]) if self._propagation else end_ns
         if self._delay is None and self._trace is None and self._script is None:
-            return end_ns
+            return heard_ns
         sent_ns = _rows([sent.sent_ns for sent in batch.frames])
         delay_ns: Ints | int = 0
         if self._delay is not None:
@@ -173,7 +177,7 @@ class Outcomes:
         traced = self._traced(layer_frames, "delay_s")
         if traced is not None and self._trace is not None:
             delay_ns = np.where(traced, _answers(batch, layer_frames, self._trace.delay_ns, None, DELAY_SLOT), delay_ns)
-        arrival_ns: Ints = np.maximum(sent_ns + delay_ns, end_ns)
+        arrival_ns: Ints = np.maximum(sent_ns + delay_ns, heard_ns)
         if self._script is None:
             return arrival_ns
         return arrival_ns + _answers(batch, layer_frames, self._script.delay_ns, None, DELAY_SLOT) - (end_ns - sent_ns)
@@ -232,6 +236,8 @@ class Outcomes:
             wall_loss_db=columns.wall_loss_db,
             shadowing_db=columns.shadowing_db,
             fading_db=None if sent.fading_db is None else frozen(sent.fading_db[to]),
+            path_delay_ns=msgspec.UNSET if columns.path_delay_ns is None else columns.path_delay_ns,
+            delay_spread_ns=msgspec.UNSET if columns.delay_spread_ns is None else columns.delay_spread_ns,
         )
 
 

@@ -10,6 +10,7 @@ import pyarrow as pa
 
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.tables.columns import names_of, nulls, numbers
+from vcmvsp.cosim.tables.radio_frames import PATHS
 from vcmvsp.cosim.tables.schema import RADIO_SCHEMA, read_table
 from vcmvsp.cosim.types import Array, FrameReport, Message, frozen
 
@@ -47,6 +48,7 @@ class RecordedFrames:
             values = numbers(table, name)
             if values.any():
                 self._columns[name] = frozen(values)
+        self._columns |= {name: frozen(numbers(table, name, np.nan)) for name in PATHS if name in kinds}
         self._delay_ns = numbers(table, "delay_ns", -1)
         copied = ~nulls(table, "copy_ns")
         self._copy_ns = np.where(copied, numbers(table, "copy_ns") - numbers(table, "sent_ns"), -1) if copied.any() else None

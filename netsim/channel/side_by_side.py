@@ -12,6 +12,7 @@ import numpy as np
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.rng import link_uniform
 from vcmvsp.netsim.channel.channel import Channel
+from vcmvsp.netsim.channel.link_budget import propagation_ns
 from vcmvsp.netsim.channel.reception import TOO_WEAK, WORDS
 from vcmvsp.netsim.interfaces.layers import (
     DELAY_SLOT,
@@ -66,6 +67,7 @@ class SideBySide:
         self._channel, n = channel, len(names)
         budgets, layers = channel.budgets, channel.operated.layers
         self._loss, self._delay = unless_nothing(layers["loss"]), unless_nothing(layers["delay"])
+        self._propagates = getattr(layers["delay"], "propagation", False)
         if why := channel.alone or _own_layer(channel.fading, self._loss, self._delay):
             raise ScenarioError(f"{why}: only one world at a time can have it", key="radio")
         self._words = (*WORDS, *(() if self._loss is None else (self._loss.cause,)))
@@ -110,6 +112,8 @@ class SideBySide:
             lost = self._loss.lost(frame, self._draw(LOSS_SLOT)).reshape(self._shape)
             code = np.where((code == 0) & lost, len(WORDS), code)
         arrival_ns = np.broadcast_to(end_ns[..., None], self._shape)
+        if self._propagates:
+            arrival_ns = arrival_ns + propagation_ns(distance_m)
         if self._delay is not None:
             delay_ns = self._delay.delay_ns(frame, self._draw(DELAY_SLOT)).reshape(self._shape)
             arrival_ns = np.maximum(now_ns + delay_ns, arrival_ns)

@@ -5,7 +5,7 @@ random delays may overtake each other.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
 from itertools import pairwise
 
@@ -18,7 +18,16 @@ from vcmvsp.netsim.interfaces.layers import Draw, Floats, Frame, Ints
 from vcmvsp.netsim.propagation.fading import gamma_quantile
 
 
-class NoDelay:
+@dataclass(frozen=True)
+class Propagating:
+    """A delay that may also count the wave's travel time: of the first path where rays are known, else of the straight line."""
+
+    _: KW_ONLY
+    propagation: bool = False  # a frame ends at a receiver by the travel time of its first path later
+
+
+@dataclass(frozen=True)
+class NoDelay(Propagating):
     """A frame is received when it ends."""
 
     nothing = True
@@ -29,7 +38,7 @@ class NoDelay:
 
 
 @dataclass(frozen=True)
-class FixedDelay:
+class FixedDelay(Propagating):
     """A frame is received ``seconds`` after its hand-over to the radio, plus or minus up to ``jitter_s``.
 
     The time on the air, and the wait for the sender's earlier frames, are part of ``seconds`` and not added to it; but no frame
@@ -70,7 +79,7 @@ class FixedDelay:
 
 
 @dataclass(frozen=True)
-class UniformDelay:
+class UniformDelay(Propagating):
     """Anything between two bounds, equally likely."""
 
     from_s: Seconds  # shortest
@@ -86,7 +95,7 @@ class UniformDelay:
 
 
 @dataclass(frozen=True)
-class NormalDelay:
+class NormalDelay(Propagating):
     """Normal distribution; a time below zero, or before the frame's end, becomes the frame's end."""
 
     mean_s: Seconds  # mean
@@ -101,7 +110,7 @@ class NormalDelay:
 
 
 @dataclass(frozen=True)
-class GammaDelay:
+class GammaDelay(Propagating):
     """A fixed part and a gamma distributed one: never early, sometimes very late, as behind queues.
 
     Mean and standard deviation are of the gamma distributed part. Its shape ``(mean_s / sigma_s)^2`` is from 0.1 to 1000; with
@@ -125,7 +134,7 @@ class GammaDelay:
 
 
 @dataclass(frozen=True)
-class EmpiricalDelay:
+class EmpiricalDelay(Propagating):
     """As measured: ``quantiles`` are pairs (probability, seconds) from 0 to 1, straight lines between them.
 
     ``quantiles = [[0, 0.002], [0.5, 0.004], [0.99, 0.03], [1, 0.2]]``: half of all frames take 2 to 4 ms.

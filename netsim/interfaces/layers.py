@@ -155,7 +155,8 @@ class PathLoss(Protocol):
     """Attenuation by distance or obstacles.
 
     With a true attribute ``by_distance`` it depends on ``paths.distance_m`` alone, and accepts distances of any shape instead
-    of the paths.
+    of the paths. One that knows the paths of the wave may have a method ``delays_ns(paths)``: travel time of the first path,
+    and standard deviation over all paths by power, (n,) ns each.
     """
 
     def loss_db(self, paths: Paths) -> Floats:

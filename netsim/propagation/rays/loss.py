@@ -9,6 +9,7 @@ from typing import Annotated, Any, NamedTuple
 import msgspec
 import numpy as np
 
+from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.compiled.machine_code import Core, available
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import NonNegative, Positive
@@ -36,6 +37,16 @@ class LinkPaths(NamedTuple):
     power: Floats  # (n,) sum of the powers of the paths, as a ratio
     gain: Complex  # (m,)
     length_m: Floats  # (m,)
+
+    def delays_ns(self) -> tuple[Floats, Floats]:
+        """Of each link the delay of the first path, and the standard deviation of the delays by power, (n,) ns."""
+        starts, to_ns = np.cumsum(self.paths) - self.paths, SECOND_NS / SPEED_OF_LIGHT
+        first_m = np.minimum.reduceat(self.length_m, starts) if len(starts) else np.zeros(0)
+        link = np.repeat(np.arange(len(starts)), self.paths)
+        later_m, power = self.length_m - first_m[link], power_of(self.gain)
+        mean_m = np.bincount(link, power * later_m, len(starts)) / self.power
+        spread_m = np.sqrt(np.bincount(link, power * (later_m - mean_m[link]) ** 2, len(starts)) / self.power)
+        return first_m * to_ns, spread_m * to_ns
 
 
 NO_LINKS = LinkPaths(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.complex128), np.zeros(0))
@@ -112,6 +123,19 @@ class Rays:
     def links(self, paths: Paths) -> tuple[LinkPaths, Ints]:
         """Links with their paths, and which of them these are, (n,); the same object until somebody has moved."""
         return self._cache.links(paths.tx, paths.rx)
+
+    def delays_ns(self, paths: Paths) -> tuple[Floats, Floats]:
+        """Travel time of the first path, and standard deviation of the travel times by power, (n,) ns."""
+        links, which = self.links(paths)
+        if self._newest.get("links") is not links:
+            self._newest.update(links=links, delays_ns=links.delays_ns())
+        first_ns, spread_ns = self._newest["delays_ns"]
+        return first_ns[which], spread_ns[which]
+
+    @cached_property
+    def _newest(self) -> dict[str, Any]:
+        """The links that were asked for last, and their delays."""
+        return {}
 
     def traced(self, a: Floats, b: Floats) -> Traced:
         """All paths between points a (n, 3) m and b (n, 3) m."""

@@ -12,6 +12,8 @@ import pytest
 
 import vcmvsp
 from tests.support.cosim.command_line import Outcome, vcmvsp_command
+from vcmvsp.cosim.recording.recorded_run import tables_of
+from vcmvsp.cosim.runs.replay import replay
 from vcmvsp.cosim.tables.schema import RADIO_SCHEMA
 from vcmvsp.netsim.channel.channel import Channel
 
@@ -333,6 +335,29 @@ def corner(tmp_path: Path) -> Path:
     (tmp_path / "corner.toml").write_text(CORNER, "utf-8")
     (tmp_path / "points.csv").write_text("x,y,z\n0,0,1\n20,4,1\n2,22,1\n", "utf-8")
     return tmp_path
+
+
+SECOND = """
+[[vehicle]]
+name = "car2"
+kind = "p2dx"
+pose = [-3.0, 4.0, 0.0]
+agent = { kind = "leader_follower", leader = "car1", slot = [-2.0, 2.0] }
+"""
+
+
+def test_delays_of_paths_are_recorded_and_replayed(corner: Path) -> None:
+    (corner / "two.toml").write_text(CORNER + SECOND, "utf-8")
+    run = vcmvsp.run(corner / "two.toml", out=corner / "run", set={"radio.delay.propagation": True})
+    again = replay(corner / "run", radio="recorded", out=corner / "again")
+    rows = run.radio.to_pylist()
+    assert all(row["path_delay_ns"] == pytest.approx(row["distance_m"] / 0.299792458) for row in rows)
+    assert all(row["delay_spread_ns"] > 0.0 for row in rows)
+    assert all(row["delay_ns"] == row["access_ns"] + row["air_time_ns"] + round(row["path_delay_ns"]) for row in rows)
+    assert run.metrics["digest"] == again.metrics["digest"]
+    assert tables_of(corner / "run").radio.equals(pq.read_table(corner / "run" / "radio.parquet"))
+    (corner / "run" / "radio.parquet").unlink()
+    assert tables_of(corner / "run").radio.column("path_delay_ns").to_pylist() == [row["path_delay_ns"] for row in rows]
 
 
 def test_paths_of_rays_between_points(corner: Path) -> None:

@@ -88,6 +88,15 @@ def test_the_table_is_that_of_row_after_row(told: list[FrameReport]) -> None:
     assert repr(radio_table(told, FACTS).to_pylist()) == repr(list(row_by_row(told)))
 
 
+def test_paths_are_columns_where_some_channel_knows_them() -> None:
+    delay_ns = np.array([3.5, 4.0, 1e3])
+    known = msgspec.structs.replace(report(1), path_delay_ns=delay_ns, delay_spread_ns=0.1 * delay_ns)
+    table = radio_table([report(0), known], FACTS)
+    assert table.schema.names == [*RADIO_SCHEMA.names, *radio_frames.PATHS]
+    assert table["path_delay_ns"].to_pylist() == [None, None, None, *delay_ns.tolist()]
+    assert table["delay_spread_ns"].to_pylist()[3:] == (0.1 * delay_ns).tolist()
+
+
 @given(reports(), st.sampled_from((1, 3, 7)))
 def test_how_many_are_packed_together_changes_no_byte(told: list[FrameReport], rows: int) -> None:
     streams = []

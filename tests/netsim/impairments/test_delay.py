@@ -57,6 +57,23 @@ def test_fixed_delays_need_no_random_numbers() -> None:
     assert FixedDelay(0.1).delay_ns(make_frame(3), never).tolist() == [100_000_000] * 3
 
 
+@pytest.mark.parametrize("kind", ["none", "fixed"])
+def test_the_travel_time_of_the_wave_is_counted_if_asked(kind: str) -> None:
+    delay = {"kind": kind, "propagation": True} | ({"seconds": 0.0} if kind == "fixed" else {})
+    plain, propagating = (
+        send(make_channel("wifi-b-1", delay=keys, path_loss={"exponent": 2.0}), 30.0, 299.792458)
+        for keys in ({"kind": "none"}, delay)
+    )
+    assert (propagating.received_ns - plain.received_ns).tolist() == [100, 1000]
+    assert propagating.rssi_dbm.tolist() == plain.rssi_dbm.tolist()
+
+
+def test_a_delay_that_is_longer_than_travel_and_air_time_contains_both() -> None:
+    assert send(make_channel("wifi-b-1", delay={"seconds": 0.1, "propagation": True}), 30.0).received_ns.tolist() == [
+        100_000_000
+    ]
+
+
 EVEN = even_uniforms(200_000)
 MEASURED = EmpiricalDelay(((0.0, 0.002), (0.5, 0.004), (0.99, 0.03), (1.0, 0.2)))
 

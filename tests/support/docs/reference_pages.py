@@ -22,7 +22,7 @@ from vcmvsp.cosim.cli import app as cli
 from vcmvsp.cosim.recording.mcap_writer import FRAME
 from vcmvsp.cosim.reference.describe import meanings
 from vcmvsp.cosim.reference.markdown import grid
-from vcmvsp.cosim.tables.schema import ERRORS_SCHEMA, NOTES_SCHEMA, RADIO_SCHEMA, STATES_SCHEMA
+from vcmvsp.cosim.tables.schema import ERRORS_SCHEMA, NOTES_SCHEMA, PATHS_SCHEMA, RADIO_SCHEMA, STATES_SCHEMA
 
 FOLDER = ROOT / "docs" / "reference"
 COMMAND = "python -m tests.support.docs.reference_pages --write"
@@ -207,7 +207,7 @@ def columns() -> str:
     found = []
     tables = (
         ("states.parquet", STATES_SCHEMA, STATES),
-        ("radio.parquet", RADIO_SCHEMA, frame),
+        ("radio.parquet", [*RADIO_SCHEMA, *PATHS_SCHEMA], frame),
         ("errors.parquet", ERRORS_SCHEMA, ERRORS),
         ("Result.notes", NOTES_SCHEMA, NOTES),
     )

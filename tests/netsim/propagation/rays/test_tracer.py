@@ -145,6 +145,18 @@ def test_geometric_fading_of_two_paths() -> None:
     assert gain(1e14) == pytest.approx(np.zeros(2), abs=0.01)
 
 
+def test_delays_of_two_paths_over_metal() -> None:
+    """The direct path is the first; of two travel times with shares p and 1 - p the deviation is sqrt(p (1 - p)) apart."""
+    rays, far = rays_among(ground="metal"), np.array([[40.0, 0.0, 1.0], [0.5, 0.0, 2.0]])
+    paths = Paths.between(np.array([0.0, 0.0, 3.0]), far)
+    first_ns, spread_ns = rays.delays_ns(paths)
+    assert first_ns == pytest.approx(paths.distance_m / SPEED_OF_LIGHT * 1e9)
+    share = np.abs(traced(rays, np.tile(paths.tx, (2, 1)), far).table.gain.reshape(2, 2)) ** 2
+    share /= share.sum(axis=1, keepdims=True)
+    apart_ns = (np.hypot(far[:, 0], 3.0 + far[:, 2]) - paths.distance_m) / SPEED_OF_LIGHT * 1e9
+    assert spread_ns == pytest.approx(np.sqrt(share[:, 0] * share[:, 1]) * apart_ns)
+
+
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
