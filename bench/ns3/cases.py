@@ -27,6 +27,8 @@ class Case:
     size: int = SIZE  # bytes of payload
     errors: str = "table"  # packet errors of OFDM: ns-3's default, or yans, nist
     unicast: bool = False  # to the next node instead of to all
+    sink: bool = False  # nodes on a circle around node 0, which they send to
+    rts_bytes: int | None = None  # threshold of RTS/CTS; None: none
     saturated: bool = False
     duration_s: float = 1.0  # what is sent in this time counts
     warmup_s: float = 0.3
@@ -41,7 +43,9 @@ class Case:
         fading = f"-m{self.nakagami:g}" if self.nakagami else ""
         errors = f"-{self.errors}" if self.errors != "table" else ""
         size = f"-{self.size}B" if self.size != SIZE else ""
-        return f"{self.phy}-N{self.nodes}-{load}{size}{more}{fading}{errors}{'-unicast' if self.unicast else ''}"
+        flags = {"unicast": self.unicast, "sink": self.sink, f"rts{self.rts_bytes}": self.rts_bytes is not None}
+        words = "".join(f"-{word}" for word, holds in flags.items() if holds)
+        return f"{self.phy}-N{self.nodes}-{load}{size}{more}{fading}{errors}{words}"
 
     @property
     def hidden(self) -> bool:
@@ -51,9 +55,21 @@ class Case:
     @property
     def positions(self) -> Floats:
         """(n, 3) m, the same for every seed; written with three decimals."""
+        if self.sink:
+            turn = 2.0 * np.pi * np.arange(self.nodes) / (self.nodes - 1)
+            circle = self.side_m / 2.0 * np.stack((np.cos(turn), np.sin(turn), 0.0 * turn), axis=1)
+            circle[0] = 0.0
+            return circle.round(3)
         places = np.random.default_rng(self.nodes).uniform(0.0, self.side_m, (self.nodes, 3)).round(3)
         places[:, 2] = 0.0
         return places
+
+    @property
+    def control_rate(self) -> str:
+        """Rate of RTS, Mbit/s: that of acknowledgements."""
+        standard, rate = self.phy.split("-")
+        rates = ("1", "2", "5.5", "11") if standard == "b" else ("6", "12", "24")
+        return max((each for each in rates if float(each) <= float(rate)), key=float)
 
     def ns3(self, seed: int) -> dict[str, str | float]:
         """The options of ``wifi.cc``."""
@@ -74,7 +90,9 @@ class Case:
             options["error-model"] = self.errors
         if self.nakagami:
             options |= {"fading": "nakagami", "m": self.nakagami}
-        flags = {"unicast": self.unicast, "saturated": self.saturated}
+        if self.rts_bytes is not None:
+            options |= {"ns3::WifiRemoteStationManager::RtsCtsThreshold": self.rts_bytes, "control": self.control_rate}
+        flags = {"unicast": self.unicast, "sink": self.sink, "saturated": self.saturated}
         return options | {name: 1 for name, holds in flags.items() if holds}
 
 
@@ -120,4 +138,19 @@ HT = (
     ),
     Case("n-65", 10, 20, unicast=True, size=1000, seeds=20),
 )
-CASES = (*SQUARES, *WIDE, *UNICAST, *HT)
+RTS = (
+    *(
+        Case(phy, n, 0, unicast=True, saturated=True, size=1000, rts_bytes=500, drain_s=0.6, seeds=5)
+        for phy in ("b-11", "g-54", "n-65")
+        for n in (2, 10)
+    ),
+    *(
+        Case(phy, 3, 0, 140.0, 3.0, size=size, sink=True, rts_bytes=rts, saturated=True, duration_s=5.0, seeds=10)
+        for phy, size in (("b-1", 1000), ("g-6", 2000), ("n-26", 1000))
+        for rts in (None, 500)
+    ),
+    Case("g-24", 20, 20, side_m=150.0, exponent=3.0, size=500, unicast=True, rts_bytes=400, drain_s=0.8, seeds=60),
+    Case("n-26", 20, 20, side_m=150.0, exponent=3.0, size=500, unicast=True, rts_bytes=400, drain_s=0.8, seeds=60),
+    Case("b-11", 10, 50, side_m=150.0, exponent=3.0, size=500, unicast=True, rts_bytes=400, drain_s=0.8, seeds=60),
+)
+CASES = (*SQUARES, *WIDE, *UNICAST, *HT, *RTS)

@@ -49,6 +49,7 @@ class Air:
         loss_db = REFERENCE_LOSS_DB[standard] + 10.0 * case.exponent * np.log10(np.maximum(distance, 1.0))
         self.mean_mw: Floats = 10.0 ** ((self.phy.tx_power_dbm - loss_db) / 10.0)
         np.fill_diagonal(self.mean_mw, 0.0)
+        self._rts_bytes = case.rts_bytes
         self._size, self._m, self._random, self._offered = (
             case.size,
             case.nakagami,
@@ -58,7 +59,7 @@ class Air:
 
     def open(self, keys: NDArray[np.uint64]) -> DcfMedium:
         """The core, with the keys (n,) of the radios."""
-        medium = Dcf().open(self.phy, len(keys), keys, self._noise_mw)
+        medium = Dcf(rts_threshold_bytes=self._rts_bytes).open(self.phy, len(keys), keys, self._noise_mw)
         assert isinstance(medium, DcfMedium)
         medium.levels[:] = self.mean_mw  # of acknowledgements
         return medium
@@ -113,6 +114,8 @@ def _phy(standard: str, bps: float, errors: str) -> Dsss | Ofdm:
 
 
 def _to(case: Case, sender: int) -> int:
+    if case.sink:
+        return 0
     return (sender + 1) % case.nodes if case.unicast else -1
 
 
@@ -122,7 +125,7 @@ def _periodic(case: Case, seed: int, air: Air, medium: Medium) -> Iterator[Decid
     period_ns = round(SECOND_NS / case.hz)
     until_ns = round((case.warmup_s + case.duration_s + case.drain_s) * SECOND_NS)
     arrivals: list[tuple[int, int]] = []
-    for sender in range(case.nodes):
+    for sender in range(case.sink, case.nodes):
         phase = int(frames.sent_ns[frames.sender == sender][0]) % period_ns
         arrivals += [(at, sender) for at in range(phase, until_ns, period_ns)]
     for at, sender in sorted(arrivals):
@@ -133,7 +136,7 @@ def _periodic(case: Case, seed: int, air: Air, medium: Medium) -> Iterator[Decid
 def _saturated(case: Case, air: Air, medium: Medium) -> Iterator[Decided]:
     """Every frame that has been dealt with makes room for the next."""
     until_ns = round((case.warmup_s + case.duration_s + case.drain_s) * SECOND_NS)
-    for sender in range(case.nodes):
+    for sender in range(case.sink, case.nodes):
         for _ in range(QUEUED):
             medium.offer(air.frame(sender, _to(case, sender), 1_000 * sender))
     for now in range(REFILL_NS, until_ns, REFILL_NS):

@@ -38,6 +38,13 @@ std::vector<std::vector<double>> ReadRows(const std::string& path)
     return rows;
 }
 
+std::string ModeName(std::string rate)
+{
+    const bool dsss = rate == "1" || rate == "2" || rate == "5.5" || rate == "11";
+    std::replace(rate.begin(), rate.end(), '.', '_');
+    return (dsss ? "DsssRate" : opt.standard == "a" ? "OfdmRate" : "ErpOfdmRate") + rate + "Mbps";
+}
+
 void Build(const std::vector<std::vector<double>>& positions)
 {
     NodeContainer nodes;
@@ -86,10 +93,7 @@ void Build(const std::vector<std::vector<double>>& positions)
     {
         phy.DisablePreambleDetectionModel();
     }
-    const bool dsss = opt.rate == "1" || opt.rate == "2" || opt.rate == "5.5" || opt.rate == "11";
-    std::string digits = opt.rate;
-    std::replace(digits.begin(), digits.end(), '.', '_');
-    std::string name = (dsss ? "DsssRate" : opt.standard == "a" ? "OfdmRate" : "ErpOfdmRate") + digits + "Mbps";
+    std::string name = ModeName(opt.rate);
     const std::map<std::string, WifiStandard> standards{
         {"a", WIFI_STANDARD_80211a}, {"b", WIFI_STANDARD_80211b}, {"g", WIFI_STANDARD_80211g}, {"n", WIFI_STANDARD_80211n}};
     WifiHelper wifi;
@@ -104,7 +108,8 @@ void Build(const std::vector<std::vector<double>>& positions)
         mac.SetType("ns3::AdhocWifiMac", "BE_MaxAmpduSize", UintegerValue(0));
     }
     const StringValue mode(name);
-    wifi.SetRemoteStationManager("ns3::ConstantRateWifiManager", "DataMode", mode, "NonUnicastMode", mode);
+    const StringValue control(opt.control.empty() ? name : ModeName(opt.control));
+    wifi.SetRemoteStationManager("ns3::ConstantRateWifiManager", "DataMode", mode, "NonUnicastMode", mode, "ControlMode", control);
     devices = wifi.Install(phy, mac, nodes);
     WifiHelper::AssignStreams(devices, 1000);
 }
@@ -125,7 +130,7 @@ void StartTraffic(uint32_t n)
     auto phase = CreateObject<UniformRandomVariable>();
     phase->SetStream(999);
     const Time period = Seconds(1.0 / opt.hz);
-    for (uint32_t i = 0; i < n; i++)
+    for (uint32_t i = opt.sink ? 1 : 0; i < n; i++)
     {
         const Time first = opt.saturated ? MicroSeconds(i) : NanoSeconds(std::floor(phase->GetValue(0, 1e9 / opt.hz)));
         if (opt.saturated)
@@ -162,6 +167,8 @@ int main(int argc, char** argv)
     cmd.AddValue("fading", "none or nakagami", opt.fading);
     cmd.AddValue("m", "of Nakagami", opt.m);
     cmd.AddValue("unicast", "to the next node instead of to all", opt.unicast);
+    cmd.AddValue("sink", "all nodes send to node 0", opt.sink);
+    cmd.AddValue("control", "Mbit/s: rate of RTS", opt.control);
     cmd.AddValue("saturated", "as many frames as go out, instead of --hz", opt.saturated);
     cmd.AddValue("queued", "with --saturated: frames that wait at each node", opt.queued);
     cmd.AddValue("preamble-rssi", "dBm", opt.preambleRssi);

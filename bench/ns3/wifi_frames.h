@@ -20,11 +20,11 @@ namespace
 {
 struct Options
 {
-    std::string standard{"b"}, rate{"1"}, positions, arrivals, errorModel{"table"}, fading{"none"}, out;
+    std::string standard{"b"}, rate{"1"}, positions, arrivals, errorModel{"table"}, fading{"none"}, out, control;
     double hz{10}, duration{10}, warmup{0}, drain{0.6}, exponent{3}, referenceLoss{40.052}, referenceDistance{1};
     double txPower{16.0206}, m{1}, preambleRssi{-82}, preambleSnr{4};
     uint32_t size{100}, seed{1}, queued{3};
-    bool unicast{false}, saturated{false}, detection{true}, delay{true}, log{false}, why{false};
+    bool unicast{false}, sink{false}, saturated{false}, detection{true}, delay{true}, log{false}, why{false};
 };
 
 struct Sent
@@ -74,6 +74,10 @@ void Send(uint32_t node, int to, uint32_t size)
 
 int To(uint32_t node)
 {
+    if (opt.sink)
+    {
+        return 0;
+    }
     return opt.unicast ? static_cast<int>((node + 1) % next.size()) : -1;
 }
 

@@ -37,6 +37,11 @@ class Dsss:
             raise ScenarioError(f"must be 1e6, 2e6, 5.5e6 or 11e6 bit/s (802.11b), not {self.rate_bps:g}", key="rate_bps")
 
     @property
+    def headers_bytes(self) -> int:
+        """Bytes of a PSDU besides the payload."""
+        return 36
+
+    @property
     def noise_dbm(self) -> float:
         """Thermal noise in 20 MHz, as assumed by the error rates."""
         return ThermalNoise(noise_figure_db=self.noise_figure_db).dbm
@@ -55,7 +60,7 @@ class Dsss:
         return round(self.rate_bps * over_frames(size_bytes, LARGEST_MSDU_BYTES, self._psdu_us) / 1e6)
 
     def _psdu_us(self, size_bytes: int) -> int:
-        bits = 8 * (size_bytes + 36)
+        bits = 8 * (size_bytes + self.headers_bytes)
         return -(-bits * 1_000_000 // int(self.rate_bps))
 
 

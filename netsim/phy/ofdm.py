@@ -123,6 +123,11 @@ class Ofdm:
         return self.rate_bps in HT_MODES
 
     @property
+    def headers_bytes(self) -> int:
+        """Bytes of a PSDU besides the payload."""
+        return 38 if self.is_ht else 36
+
+    @property
     def noise_dbm(self) -> float:
         """Thermal noise in 20 MHz."""
         return ThermalNoise(noise_figure_db=self.noise_figure_db).dbm
@@ -143,7 +148,7 @@ class Ofdm:
         return int(self.rate_bps) * over_frames(size_bytes, LARGEST_MSDU_BYTES, self._payload_us) // 1_000_000
 
     def _payload_us(self, size_bytes: int) -> int:
-        bits = 22 + 8 * (size_bytes + (38 if self.is_ht else 36))
+        bits = 22 + 8 * (size_bytes + self.headers_bytes)
         symbols = -(-bits // (4 * int(self.rate_bps) // 1_000_000))
         return 4 * symbols + (6 if self.band == "2.4GHz" else 0)
 

@@ -4,6 +4,9 @@ As in ns-3.44 (``ChannelAccessManager``, ``Txop``, ``FrameExchangeManager``), a 
 end of the last busy time, freezes while the medium is busy, and is drawn after every transmission, even if no other frame
 waits. A frame that finds the medium idle and no backoff left waits for DIFS; in 802.11n (EDCA) for the end of the slot.
 
+A unicast frame above the RTS threshold is preceded by RTS and CTS (10.3.2.4, 10.3.2.7): radios that decode one of them are
+silent until the end of the acknowledgement (`DcfState.nav_ns`). A reservation by RTS ends early if no frame follows.
+
 A radio stores the slots left at the last extension of the busy time, and the time at which they end without another extension:
 slots are no events. After a payload that could not be decoded it waits for EIFS. The queues are linked lists in the arrays of
 the frames.
@@ -13,15 +16,18 @@ The code runs interpreted or compiled, see `cosim.compiled`; all state is in the
 
 from vcmvsp.netsim.interfaces.layers import Floats, Ints
 from vcmvsp.netsim.interfaces.medium import Codes
-from vcmvsp.netsim.mac.dcf.capture import defer, detect, put_on_air, settle, take_off_air
+from vcmvsp.netsim.mac.dcf.capture import defer, detect, physical_end, put_on_air, settle, take_off_air
 from vcmvsp.netsim.mac.dcf.state import (
     ACK,
     ACKNOWLEDGEMENT,
     ANSWER,
     ARRIVED,
     BROADCAST,
+    COLLISION,
+    CTS,
     DECIDED,
     DECISION,
+    NAV_RESET,
     NEVER,
     NOBODY,
     OFFERED,
@@ -29,6 +35,7 @@ from vcmvsp.netsim.mac.dcf.state import (
     PAYLOAD_OVER_NS,
     QUEUE_FULL,
     RECEIVED,
+    RTS,
     SCARCE,
     SOONEST,
     START,
@@ -42,8 +49,8 @@ from vcmvsp.netsim.mac.dcf.state import (
 # Reasons for `run` to return.
 DONE, LEVELS, DRAWS, OUTPUT = 0, 1, 2, 3
 
-# Further events, after `START`, `ANSWER` and `TIMEOUT`.
-DETECT, END, ARRIVE = 3, 4, 5
+# Further events, after those of `DcfState.due`.
+DETECT, END, ARRIVE = 4, 5, 6
 
 
 def run(s: DcfState, rules: DcfRules, until: int) -> int:
@@ -134,9 +141,16 @@ def begin(s: DcfState, rules: DcfRules, what: int, i: int, now: int) -> bool:
     if what == START:
         return start(s, rules, i, now)
     if what == ANSWER:
-        acknowledge(s, rules, i, now)
-    else:
+        s.due[ANSWER * len(s.lock) + i] = NEVER
+        doze(s, rules, now)
+        if s.acked[i] == NOBODY:
+            send_protected(s, rules, i, now)
+        else:
+            answer(s, rules, i, now)
+    elif what == TIMEOUT:
         give_up(s, rules, i, now)
+    else:
+        reset_nav(s, rules, i, now)
     return True
 
 
@@ -161,13 +175,40 @@ def start(s: DcfState, rules: DcfRules, i: int, now: int) -> bool:
     copy(s.level[i], s.heard[i])
     s.sending[i] = leave(s, i)
     s.attempts[f] += 1
+    s.due[i] = s.wake_ns[i] = NEVER
+    if s.protected[f] and s.to[f] != NOBODY:
+        send_rts(s, rules, i, now)
+    else:
+        send_data(s, rules, i, now)
+    return True
+
+
+def send_data(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
+    """Radio i sends its frame."""
+    f = s.sending[i]
     s.began_ns[f] = now
     s.kind[i] = BROADCAST if s.to[f] == NOBODY else UNICAST
     s.payload_bits_per_ns[i] = s.frame_bits[f] / (s.air_ns[f] - rules.header_end_ns)
     s.curve[i] = s.frame_curve[f]
-    s.due[i] = s.wake_ns[i] = NEVER
     send(s, rules, i, now, s.air_ns[f])
-    return True
+
+
+def send_rts(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
+    """Radio i sends an RTS before its frame."""
+    f = s.sending[i]
+    s.began_ns[f] = now
+    copy(s.patience[i], s.patiences[f])
+    fill(s.doubt[i][draw(s, i)], s.patience[i])
+    s.kind[i] = RTS
+    s.payload_bits_per_ns[i] = rules.rts_bits_per_ns
+    s.curve[i] = ACKNOWLEDGEMENT
+    send(s, rules, i, now, rules.rts_air_ns)
+
+
+def send_protected(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
+    """Radio i sends its frame after RTS and CTS, with the level of the RTS."""
+    copy(s.patiences[s.sending[i]], s.patience[i])
+    send_data(s, rules, i, now)
 
 
 def send(s: DcfState, rules: DcfRules, i: int, now: int, air_ns: int) -> None:
@@ -179,19 +220,17 @@ def send(s: DcfState, rules: DcfRules, i: int, now: int, air_ns: int) -> None:
     defer(s, rules, i)
 
 
-def acknowledge(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
-    """Radio i acknowledges a unicast frame: same path, new fading; at other radios with the level of its last frame."""
+def answer(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
+    """Radio i sends ACK or CTS: same path, new fading; at other radios with the level of its last frame."""
     f = s.acked[i]
     back = s.sender[f]
-    answer = s.level[back][i] * (s.power_mw[i] / s.power_mw[back]) * s.answer[back]
+    level = s.level[back][i] * (s.power_mw[i] / s.power_mw[back]) * s.answer[back]
     copy(s.heard[i], s.level[i])
-    s.level[i][back] = answer
+    s.level[i][back] = level
     fill(s.doubt[i][draw(s, i)], s.patience[i])
-    s.kind[i] = ACK
+    s.kind[i] = CTS if s.kind[back] == RTS else ACK
     s.payload_bits_per_ns[i] = rules.ack_bits_per_ns
     s.curve[i] = ACKNOWLEDGEMENT
-    s.due[ANSWER * len(s.lock) + i] = NEVER
-    doze(s, rules, now)
     send(s, rules, i, now, rules.ack_air_ns)
 
 
@@ -199,10 +238,15 @@ def finish(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
     """End the transmission of radio i."""
     n = len(s.lock)
     doze(s, rules, now)
-    # Receivers of a unicast frame reserve the medium for the acknowledgement.
-    reserved_ns = now + rules.sifs_ns + rules.ack_air_ns if s.kind[i] == UNICAST else 0
-    take_off_air(s, rules, i, now, reserved_ns)
+    duration = duration_ns(s, rules, i)
+    take_off_air(s, rules, i, now, now + duration if duration > 0 else 0)
     sense(s, rules, now)
+    if s.kind[i] == RTS:
+        finish_rts(s, rules, i, now)
+        return
+    if s.kind[i] == CTS:
+        finish_cts(s, rules, i, now)
+        return
     if s.kind[i] == ACK:
         f = s.acked[i]
         s.acked[i] = NOBODY
@@ -234,13 +278,67 @@ def finish(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
     s.outcome[f] = s.fate[i][to]
 
 
-def give_up(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
-    """Acknowledgement timeout of radio i; postponed while it receives a frame."""
-    timeout = TIMEOUT * len(s.lock) + i
+def duration_ns(s: DcfState, rules: DcfRules, i: int) -> int:
+    """Time that the frame of radio i reserves behind its end: to the end of the acknowledgement; of ACK and broadcasts 0."""
+    acknowledged = rules.sifs_ns + rules.ack_air_ns
+    if s.kind[i] == UNICAST:
+        return acknowledged
+    if s.kind[i] == CTS:
+        return int(rules.sifs_ns + s.air_ns[s.acked[i]] + acknowledged)
+    if s.kind[i] == RTS:
+        return int(2 * rules.sifs_ns + rules.ack_air_ns + s.air_ns[s.sending[i]] + acknowledged)
+    return 0
+
+
+def finish_rts(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
+    """The destination answers the RTS of radio i with CTS, unless another radio has reserved the medium there."""
+    f, n = s.sending[i], len(s.lock)
+    to = s.to[f]
+    s.least_there[f] = s.least[i][to]
+    s.due[TIMEOUT * n + i] = now + rules.timeout_ns
+    s.outcome[f] = s.fate[i][to]
+    if s.fate[i][to] == RECEIVED:
+        s.outcome[f] = COLLISION  # until the CTS is received
+        if s.nav_ns[to] <= now:
+            s.acked[to] = f
+            s.due[ANSWER * n + to] = now + rules.sifs_ns
+
+
+def finish_cts(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
+    """The sender of the RTS sends its frame, if it has received the CTS of radio i."""
+    f, n = s.acked[i], len(s.lock)
+    s.acked[i] = NOBODY
+    back = s.sender[f]
+    if s.fate[i][back] == RECEIVED and s.sending[back] == f:
+        s.due[TIMEOUT * n + back] = NEVER
+        s.due[ANSWER * n + back] = now + rules.sifs_ns
+
+
+def is_receiving(s: DcfState, rules: DcfRules, i: int, now: int) -> bool:
+    """Whether radio i receives the payload of a frame."""
     settle(s, rules, now)
     heard = s.lock[i]
-    if heard != NOBODY and s.start_ns[heard] + rules.header_end_ns <= now and not s.spoiled[heard][i]:
-        s.due[timeout] = s.end_ns[heard] + PAYLOAD_OVER_NS
+    return bool(heard != NOBODY and s.start_ns[heard] + rules.header_end_ns <= now and not s.spoiled[heard][i])
+
+
+def reset_nav(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
+    """No frame followed an RTS: its reservation ends at radio i (IEEE 802.11-2016, 10.3.2.4), unless it receives one now."""
+    s.due[NAV_RESET * len(s.lock) + i] = NEVER
+    if is_receiving(s, rules, i, now):
+        return
+    s.nav_ns[i] = now
+    s.idle_ns[i] = max(now, physical_end(s, rules, i, now))
+    defer(s, rules, i)
+    if s.wake_ns[i] < NEVER:
+        request(s, rules, i, now)
+        s.due[i] = max(s.over_ns[i], s.wake_ns[i])
+
+
+def give_up(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
+    """Timeout of radio i without ACK or CTS; postponed while it receives a frame."""
+    timeout = TIMEOUT * len(s.lock) + i
+    if is_receiving(s, rules, i, now):
+        s.due[timeout] = s.end_ns[s.lock[i]] + PAYLOAD_OVER_NS
         return
     s.due[timeout] = NEVER
     f = s.sending[i]
@@ -419,9 +517,12 @@ def next_decision(s: DcfState, rules: DcfRules) -> int:
     for at in range(s.counts[ON_AIR]):
         soonest = min(soonest, s.end_ns[s.air[at]])
     for i in range(n):
-        soonest = min(soonest, s.due[n + i], s.due[2 * n + i])
+        for row in range(1, len(s.due) // n):
+            soonest = min(soonest, s.due[row * n + i])
         begin, f = s.due[i], s.head[i]
         if begin < NEVER:
             late = f == NOBODY or begin > s.offered_ns[f] + rules.lifetime_ns
-            soonest = min(soonest, begin if late else begin + s.air_ns[f])
+            if not late:  # the last attempt may end with its RTS
+                begin += min(s.air_ns[f], rules.rts_air_ns) if s.protected[f] else s.air_ns[f]
+            soonest = min(soonest, begin)
     return soonest

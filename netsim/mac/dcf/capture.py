@@ -16,15 +16,19 @@ Powers are added in the order of the frames' starts.
 from math import inf
 
 from vcmvsp.netsim.mac.dcf.state import (
+    ACK,
     COLLISION,
+    CTS,
     EIFS_OVER,
     ERROR,
     HEADER,
+    NAV_RESET,
     NEVER,
     NOBODY,
     ON_AIR,
     PAYLOAD_OVER_NS,
     RECEIVED,
+    RTS,
     TIMEOUT,
     TRANSMITTING,
     UNDETECTED,
@@ -201,19 +205,51 @@ def let_go(s: DcfState, rules: DcfRules, i: int, now: int, reserved_ns: int) -> 
     lock, eifs_ns, fate, busy, others = s.lock, s.eifs_ns, s.fate[i], s.busy, s.counts[ON_AIR] > 0
     order_by_end(s)
     timeout, payload_ns = s.due[TIMEOUT * len(s.lock) :], s.start_ns[i] + rules.header_end_ns
+    to = destination(s, i) if s.kind[i] >= RTS else NOBODY  # of a frame behind SIFS: it does not wait
     for j in range(len(lock)):
-        busy[j] = reserved_ns if fate[j] == RECEIVED else 0
+        busy[j] = reserved_ns if fate[j] == RECEIVED and j != to else 0
         if lock[j] == i:
             lock[j] = NOBODY
             if not s.spoiled[i][j]:
                 if payload_ns <= timeout[j] < NEVER:
                     timeout[j] = now + PAYLOAD_OVER_NS
+                if rules.rts_air_ns > 0:
+                    reserve(s, rules, i, j, reserved_ns)
                 eifs_ns[j] = 0
                 if fate[j] != RECEIVED:
                     eifs_ns[j] = s.counts[EIFS_OVER] = now + rules.eifs_ns
                 defer(s, rules, j)
             if others:
                 busy[j] = max(busy[j], energy_end(s, rules.busy_mw, j))
+
+
+def reserve(s: DcfState, rules: DcfRules, i: int, j: int, reserved_ns: int) -> None:
+    """Set the NAV of radio j by the frame of radio i, which ends now; if it was an RTS, the NAV may be reset."""
+    reset = NAV_RESET * len(s.lock) + j
+    if s.start_ns[i] + rules.header_end_ns <= s.due[reset]:  # a frame followed the RTS before
+        s.due[reset] = NEVER
+    if s.fate[i][j] == RECEIVED and j != destination(s, i) and reserved_ns > s.nav_ns[j]:
+        s.nav_ns[j] = reserved_ns
+        if s.kind[i] == RTS:
+            s.due[reset] = s.end_ns[i] + rules.nav_reset_ns
+
+
+def destination(s: DcfState, i: int) -> int:
+    """Destination of the frame that radio i is sending, or NOBODY: all."""
+    if s.kind[i] == ACK or s.kind[i] == CTS:
+        return int(s.sender[s.acked[i]])
+    return int(s.to[s.sending[i]])
+
+
+def physical_end(s: DcfState, rules: DcfRules, i: int, now: int) -> int:
+    """Time until which radio i sends, receives, or senses power, as far as known, without reservations; 0: it does not."""
+    if s.counts[ON_AIR] == 0:
+        return 0
+    order_by_end(s)
+    end = energy_end(s, rules.busy_mw, i)
+    if s.lock[i] != NOBODY:
+        end = max(end, s.end_ns[s.lock[i]])
+    return int(max(end, s.end_ns[i]) if s.end_ns[i] > now else end)
 
 
 def defer(s: DcfState, rules: DcfRules, i: int) -> None:

@@ -51,6 +51,7 @@ class DcfMedium:
         keys: (n,) random keys of the radios.
         curves: error rates of headers and of acknowledgements.
         sensitivity_mw: the weakest level that is detected.
+        longest_bytes: longest payload without RTS/CTS; None: no frame has RTS/CTS.
         compile_core: whether to use compiled code; None: for many frames, if available.
 
     ``levels`` (n, n) may be set: levels of acknowledgements, mW, sender by row; default: the levels of the sender's last frame.
@@ -64,8 +65,10 @@ class DcfMedium:
         curves: tuple[ErrorRate, ErrorRate],
         sensitivity_mw: float,
         *,
+        longest_bytes: int | None = None,
         compile_core: bool | None = None,
     ) -> None:
+        self._longest_bytes = longest_bytes
         self._phy, self._keys, self._rules, count = phy, keys, rules, len(keys)
         self._done, self._faster_at = 0, LOAD_AFTER if compile_core is None and available() else None  # frames
         self._curves = list(curves)  # of the rows of `DcfState.tables`
@@ -156,6 +159,7 @@ class DcfMedium:
         s.air_ns[places], s.frame_bits[places], s.frame_curve[places] = self._sizes[size_bytes]
         s.sender[places], s.offered_ns[places], s.known[places], self._number[places] = sender, time_ns, known, number
         s.attempts[places], s.began_ns[places], s.told[places] = 0, -1, False
+        s.protected[places] = self._longest_bytes is not None and size_bytes > self._longest_bytes
         s.outcome[places], s.least_there[places] = EXPIRED, np.nan
 
     def _row_of(self, curve: ErrorRate) -> int:

@@ -16,7 +16,8 @@ from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.phy.ofdm import Ofdm
 
 DRAWS_IN_STORE = 64
-ACK_BYTES = 14 - 36  # PSDU of an acknowledgement, as a payload with the headers of data
+ACK_BYTES = 14 - 36  # PSDU of an acknowledgement or a CTS, as a payload with the headers of data
+RTS_BYTES = 20 - 36
 
 
 class Standard(NamedTuple):
@@ -41,6 +42,7 @@ BEST_EFFORT_AIFSN = 3  # of 802.11n
 
 Attempts = Annotated[int, msgspec.Meta(ge=1, le=28)]
 Micros = Annotated[float, msgspec.Meta(ge=1e-3, le=1e6)]  # from a nanosecond, the unit of time, to a second
+PsduBytes = Annotated[int, msgspec.Meta(ge=0, le=2**31)]
 Margin = Annotated[float, msgspec.Meta(ge=0.0, le=400.0)]  # dB
 
 
@@ -64,7 +66,8 @@ class Dcf:
     capture_window_us: Micros = 16.0  # time after the first frame was noticed in which capture is possible
     queue_frames: Count = 500  # maximum number of frames in the queue of a sender
     lifetime_s: Period = 0.5  # longest time of a frame in the queue; older frames are dropped
-    attempts: Attempts = 7  # maximum number of transmissions of a unicast frame
+    attempts: Attempts = 7  # maximum number of transmissions of a unicast frame, or its RTS
+    rts_threshold_bytes: PsduBytes | None = None  # unicast frames with more (payload and MAC headers) have RTS/CTS; None: none
 
     def __post_init__(self) -> None:
         if self.cw_min is not None and self.cw_min > self.cw_max:
@@ -81,7 +84,9 @@ class Dcf:
         control = ack_phy(phy, standard_of(phy))
         curves = phy.errors.header[0], control.errors.payload(ACK_BYTES)[0]
         sensitivity_mw = milliwatts(phy.sensitivity_dbm)
-        return DcfMedium(self.rules(phy, noise_mw), phy, keys[:count], curves, sensitivity_mw, compile_core=compile_core)
+        limit = None if self.rts_threshold_bytes is None else self.rts_threshold_bytes - phy.headers_bytes
+        rules = self.rules(phy, noise_mw)
+        return DcfMedium(rules, phy, keys[:count], curves, sensitivity_mw, longest_bytes=limit, compile_core=compile_core)
 
     def rules(self, phy: Dsss | Ofdm, noise_mw: float) -> DcfRules:
         """All constants, in nanoseconds, milliwatts and ratios."""
@@ -93,7 +98,7 @@ class Dcf:
         sifs_ns = round((self.sifs_us or standard.sifs_us) * US)
         header_end_ns = (standard.preamble_us + standard.header_us) * US
         control = ack_phy(phy, standard)
-        ack_air_ns = control.air_time_ns(ACK_BYTES)
+        ack_air_ns, rts_air_ns = control.air_time_ns(ACK_BYTES), control.air_time_ns(RTS_BYTES)
         return DcfRules(
             slot_ns=slot_ns,
             sifs_ns=sifs_ns,
@@ -111,6 +116,9 @@ class Dcf:
             attempts=self.attempts,
             ack_air_ns=ack_air_ns,
             ack_bits_per_ns=control.errors.payload(ACK_BYTES)[1] / (ack_air_ns - header_end_ns),
+            rts_air_ns=0 if self.rts_threshold_bytes is None else rts_air_ns,
+            rts_bits_per_ns=control.errors.payload(RTS_BYTES)[1] / (rts_air_ns - header_end_ns),
+            nav_reset_ns=2 * (sifs_ns + slot_ns) + ack_air_ns + header_end_ns,
             timeout_ns=sifs_ns + slot_ns + header_end_ns,
             noise_mw=noise_mw,
             busy_mw=milliwatts(self.cca_threshold_dbm),

@@ -14,13 +14,13 @@ from vcmvsp.netsim.interfaces.medium import Codes, Fate
 NEVER = 1 << 62
 NOBODY = -1
 
-# Timed events of a radio: rows of n in `DcfState.due`, processed in this order.
-START, ANSWER, TIMEOUT = 0, 1, 2
+# Timed events of a radio: rows of n in `DcfState.due`, processed in this order; the last one only where frames have RTS.
+START, ANSWER, TIMEOUT, NAV_RESET = 0, 1, 2, 3
 
 PAYLOAD_OVER_NS = 400  # after the end of a payload that was no acknowledgement, its timeout ends (ns-3.44)
 
 # What a radio is sending.
-BROADCAST, UNICAST, ACK = 0, 1, 2
+BROADCAST, UNICAST, ACK, RTS, CTS = 0, 1, 2, 3, 4
 
 # Numbers in `DcfState.counts`.
 ON_AIR = 0  # senders in `DcfState.air`
@@ -60,7 +60,10 @@ class DcfRules(NamedTuple):
     attempts: int
     ack_air_ns: int
     ack_bits_per_ns: float
-    timeout_ns: int  # from the end of a unicast frame to the acknowledgement timeout
+    rts_air_ns: int  # 0: no frame has an RTS
+    rts_bits_per_ns: float
+    nav_reset_ns: int  # from the end of an RTS until its reservation may end, if no frame follows
+    timeout_ns: int  # from the end of a unicast frame, or an RTS, to the timeout of its answer
     noise_mw: float
     busy_mw: float  # sum of powers at which the medium is busy
     energy_mw: float  # the same, for frames whose starts the radio missed because it was sending
@@ -88,6 +91,7 @@ class DcfState(NamedTuple):
     # The radios' view of the medium, (n,)
     idle_ns: RadioInts  # busy until then, as far as known: sending, receiving, carrier sense, reservation
     header_ns: RadioInts  # the same, while it receives no more than the header of its locked frame
+    nav_ns: RadioInts  # end of the reservations of frames to other radios
     eifs_ns: RadioInts  # until then a frame that could not be decoded may be acknowledged
     sensitivity_mw: RadioFloats
     power_mw: RadioFloats  # transmitted power
@@ -102,13 +106,13 @@ class DcfState(NamedTuple):
     store: RadioInts  # number of the first draw in store
     backoff: Annotated[Floats, "nk"]  # (n, k) uniform
     doubt: Annotated[Floats, "nk"]  # (n, k) exponential variates: patience of acknowledgements
-    due: Annotated[Ints, "t"]  # (3 n,) times of its next start, acknowledgement, and acknowledgement timeout
+    due: Annotated[Ints, "t"]  # (3 n,) or (4 n,) times of its next start, answer (or data after CTS), timeout, reset of NAV
     # Their queues, (n,)
     head: RadioInts  # first waiting frame, or NOBODY
     tail: RadioInts
     waiting: RadioInts  # frames in the queue
     sending: RadioInts  # frame on the air, or waiting for its acknowledgement, or NOBODY
-    acked: RadioInts  # frame that it is about to acknowledge
+    acked: RadioInts  # frame that it is about to acknowledge, or to clear to send
     # Their transmissions, (n,)
     kind: RadioInts
     start_ns: RadioInts
@@ -140,6 +144,7 @@ class DcfState(NamedTuple):
     air_ns: FrameInts
     frame_bits: FrameInts
     frame_curve: FrameInts  # row of `tables` for its payload
+    protected: FrameBools  # longer than the RTS threshold
     attempts: FrameInts
     known: FrameBools  # levels and patience of its first attempt are known; else they are requested
     began_ns: FrameInts  # last attempt; -1: none yet
@@ -181,7 +186,7 @@ _INITIAL: dict[str, Any] = {
 
 def new_state(rules: DcfRules, count: int, sensitivity_mw: float, tables: Floats) -> DcfState:
     """Initial state: no transmissions, empty queues, medium idle since time 0."""
-    size = {"n": count, "t": 3 * count, "k": rules.draws, "c": 256, "a": 256, "o": 256, "e": 9}
+    size = {"n": count, "t": (4 if rules.rts_air_ns else 3) * count, "k": rules.draws, "c": 256, "a": 256, "o": 256, "e": 9}
     first = {**_INITIAL, "window": rules.cw_min, "sensitivity_mw": sensitivity_mw}
     arrays: dict[str, Any] = {"tables": tables}
     for name, shape in SHAPES.items():

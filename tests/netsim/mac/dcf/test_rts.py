@@ -1,0 +1,186 @@
+"""RTS and CTS of IEEE 802.11: the exchange, silence of other radios, hidden terminals. Times: 802.11g at 54 Mbit/s."""
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from tests.support.netsim.dcf_runs import MS, STRONG, UNTIL, US, all_equal, bytes_of, frame, mixed, open_air, run
+from vcmvsp.netsim.interfaces.layers import Floats
+from vcmvsp.netsim.interfaces.medium import Decided, Fate
+from vcmvsp.netsim.mac.dcf.medium import DcfMedium
+from vcmvsp.netsim.mac.dcf.parameters import Dcf
+from vcmvsp.netsim.phy.dsss import Dsss
+from vcmvsp.netsim.phy.ofdm import Ofdm
+
+pytestmark = pytest.mark.slow
+
+PHY = Ofdm(54e6)
+SLOT, SIFS, DIFS = 20 * US, 10 * US, 50 * US
+RTS, CTS, ACK = 34 * US, 34 * US, 34 * US  # 20 and 14 bytes at 24 Mbit/s: 20 us, 2 symbols, signal extension 6 us
+DATA = PHY.air_time_ns(1000)
+LATER = 10 * MS
+ALWAYS = Dcf(rts_threshold_bytes=0)
+
+
+def by_link(count: int, *links: tuple[int, int]) -> Floats:
+    """Levels (n, n): strong on these links, in both directions, and none on the others."""
+    levels = np.zeros((count, count))
+    for a, b in links:
+        levels[a, b] = levels[b, a] = STRONG
+    return levels
+
+
+def air(levels: Floats, mac: Dcf = ALWAYS, phy: Dsss | Ofdm = PHY, *, seed: int = 1) -> DcfMedium:
+    medium = open_air(len(levels), phy, mac, seed=seed)
+    medium.levels[:] = levels
+    return medium
+
+
+@pytest.mark.parametrize("threshold", [None, 1035, 1036, 1037])
+def test_a_frame_above_the_threshold_is_sent_behind_rts_and_cts(threshold: int | None) -> None:
+    """The PSDU has 1036 bytes: payload 1000, LLC and SNAP 8, MAC header 24, FCS 4."""
+    medium = open_air(2, PHY, Dcf(rts_threshold_bytes=threshold))
+    (decided,) = run(medium, [frame(0, LATER, 0, all_equal(2), to=1, size=1000)], UNTIL)
+    behind = RTS + SIFS + CTS + SIFS if threshold == 1035 else 0
+    assert decided.start_ns == LATER + DIFS + behind
+    assert decided.end_ns == decided.start_ns + DATA
+    assert (decided.attempts, decided.fate[1]) == (1, Fate.RECEIVED)
+
+
+def test_broadcasts_have_no_rts() -> None:
+    (decided,) = run(open_air(2, PHY, ALWAYS), [frame(0, LATER, 0, all_equal(2), size=1000)], UNTIL)
+    assert decided.start_ns == LATER + DIFS
+
+
+@pytest.mark.parametrize(("near", "known_after"), [(0, RTS), (1, RTS + SIFS + CTS)])
+def test_a_radio_that_hears_one_of_both_is_silent_until_the_end_of_the_acknowledgement(near: int, known_after: int) -> None:
+    """Radio 2 hears the sender alone, or the destination alone; its frame comes when it knows of the reservation."""
+    levels = by_link(3, (0, 1), (near, 2))
+    exchange = RTS + SIFS + CTS + SIFS + DATA + SIFS + ACK
+    frames = [
+        frame(0, LATER, 0, levels[0], to=1, size=1000),
+        frame(1, LATER + DIFS + known_after + 2 * US, 2, levels[2]),
+    ]
+    decided = {each.number: each for each in run(air(levels), frames, UNTIL)}
+    assert decided[0].fate[1] == Fate.RECEIVED
+    slots, rest = divmod(decided[1].start_ns - LATER - DIFS - exchange - DIFS, SLOT)
+    assert (rest, 0 <= slots <= 15) == (0, True)
+
+
+def test_a_reservation_by_rts_ends_early_if_no_frame_follows() -> None:
+    """IEEE 802.11-2016, 10.3.2.4: after 2 SIFS, CTS, preamble and header, and 2 slots; the destination is out of reach."""
+    levels = by_link(3, (0, 2))
+    rts_end = LATER + DIFS + RTS
+    frames = [frame(0, LATER, 0, levels[0], to=1, size=1000), frame(1, rts_end + 2 * US, 2, levels[2])]
+    other = next(each for each in run(air(levels, Dcf(rts_threshold_bytes=0, attempts=1)), frames, UNTIL) if each.number)
+    slots, rest = divmod(other.start_ns - rts_end - (2 * SIFS + CTS + 20 * US + 2 * SLOT) - DIFS, SLOT)
+    assert (rest, 0 <= slots <= 15) == (0, True)
+
+
+def test_a_destination_with_a_reservation_does_not_answer() -> None:
+    """Radio 2 hears the exchange of 0 and 1, that radio 3 does not hear; it answers the first RTS of 3 behind that exchange."""
+    levels = by_link(4, (0, 1), (1, 2), (2, 3))
+    begin = LATER + DIFS + RTS + SIFS + CTS
+    end = begin + SIFS + DATA + SIFS + ACK
+    frames = [frame(0, LATER, 0, levels[0], to=1, size=1000), frame(1, begin - DIFS + 5 * US, 3, levels[3], to=2, size=1000)]
+    decided = {each.number: each for each in run(air(levels), frames, UNTIL)}
+    assert decided[0].fate[1] == Fate.RECEIVED
+    assert decided[1].fate[2] == Fate.RECEIVED
+    assert decided[1].attempts > 1
+    assert decided[1].start_ns - 2 * SIFS - RTS - CTS >= end - RTS  # the RTS ends behind the reservation
+
+
+def test_rts_that_nobody_answers_count_as_attempts() -> None:
+    levels = np.zeros((2, 2))
+    (decided,) = run(air(levels), [frame(0, LATER, 0, levels[0], to=1, size=1000)], UNTIL)
+    assert (decided.attempts, decided.fate[1]) == (7, Fate.UNDETECTED)
+    assert decided.end_ns == decided.start_ns + RTS + SIFS + SLOT + 20 * US  # the timeout of the CTS
+
+
+def saturated(levels: Floats, phy: Dsss | Ofdm, threshold: int | None, to: Sequence[int], size: int, duration_s: int) -> int:
+    """Frames that are received of radios that always have one to their destinations ``to``; -1: it does not send."""
+    mac, senders = Dcf(queue_frames=10**6, rts_threshold_bytes=threshold), [i for i, other in enumerate(to) if other >= 0]
+    medium, offered = air(levels, mac, phy), itertools.count()
+    sent: dict[int, int] = {}
+
+    def offer(sender: int, time_ns: int) -> None:
+        number = next(offered)
+        sent[number] = sender
+        medium.offer(frame(number, time_ns, sender, levels[sender], to=to[sender], size=size, patience=1.0))
+
+    for sender in senders * 3:
+        offer(sender, 0)
+    received = 0
+    for now in range(MS // 10, duration_s * 1000 * MS, MS // 10):
+        for each in medium.advance(now):
+            received += bool(each.fate[to[sent[each.number]]] == Fate.RECEIVED)
+            offer(sent[each.number], now)
+    return received
+
+
+def square(count: int) -> Floats:
+    """Levels (n, n) of the positions of ``bench.ns3.cases.Case``, by free space: all in reach."""
+    place = np.random.default_rng(count).uniform(0.0, 200.0, (count, 3)).round(3)[:, :2]
+    distance = np.linalg.norm(place[:, None] - place, axis=-1)
+    levels = 10.0 ** ((16.0206 - 40.052) / 10.0 - 2.0 * np.log10(np.maximum(distance, 1.0)))
+    np.fill_diagonal(levels, 0.0)
+    return levels
+
+
+@pytest.mark.parametrize(
+    ("phy", "size", "without_bps", "with_bps"), [(Dsss(1e6), 1000, 0.3595e6, 0.8042e6), (Ofdm(6e6), 2000, 2.202e6, 5.069e6)]
+)
+def test_rts_more_than_doubles_what_hidden_terminals_deliver_as_in_ns_3(
+    phy: Dsss | Ofdm, size: int, without_bps: float, with_bps: float
+) -> None:
+    """Radios 1 and 2 do not hear each other; ns-3.44, 10 runs of 5 s (``bench.ns3.compare --core sink``): 1.3 and 0.2 %."""
+    levels = by_link(3, (0, 1), (0, 2))
+    for threshold, expected_bps, tolerance in ((None, without_bps, 0.06), (500, with_bps, 0.02)):
+        received = saturated(levels, phy, threshold, (-1, 0, 0), size, 10)
+        assert 8.0 * size * received / 10 == pytest.approx(expected_bps, rel=tolerance)
+
+
+@pytest.mark.parametrize(
+    ("phy", "count", "expected_bps"),
+    [
+        (Dsss(11e6), 2, 4.3872e6),
+        (Dsss(11e6), 10, 4.6288e6),
+        (Ofdm(54e6), 2, 17.0e6),
+        (Ofdm(54e6), 10, 18.6864e6),
+        (Ofdm(65e6), 2, 16.8816e6),
+        (Ofdm(65e6), 10, 18.7936e6),
+    ],
+)
+def test_saturated_radios_with_rts_receive_as_much_as_in_ns_3(phy: Dsss | Ofdm, count: int, expected_bps: float) -> None:
+    """Frames of 1000 bytes to the next radio, all in reach; ns-3.44, 5 runs of 1 s (``bench.ns3.compare --core rts500``)."""
+    received = saturated(square(count), phy, 500, [(i + 1) % count for i in range(count)], 1000, 1)
+    assert 8000.0 * received == pytest.approx(expected_bps, rel=0.02)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_compiled_is_the_same_to_the_last_bit_with_rts(seed: int) -> None:
+    frames, mac = mixed(seed, frames=300), Dcf(rts_threshold_bytes=(0, 500)[seed % 2])
+    interpreted, machine = open_air(6, PHY, mac, seed=seed), open_air(6, PHY, mac, seed=seed, compiled=True)
+    decided = run(interpreted, frames, UNTIL)
+    assert sorted(each.number for each in decided) == list(range(300))
+    assert bytes_of(run(machine, frames, UNTIL)) == bytes_of(decided)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_predicted_time_is_never_late_with_rts(seed: int) -> None:
+    frames = mixed(seed)
+    whole = run(open_air(6, PHY, ALWAYS, seed=seed), frames, UNTIL)
+    medium = open_air(6, PHY, ALWAYS, seed=seed)
+    decided: list[Decided] = []
+    for each in frames:
+        while (now := medium.next_ns()) is not None and now < each.time_ns:
+            more = list(medium.advance(now))
+            assert all(one.end_ns == now for one in more)
+            decided += more
+        decided += medium.advance(each.time_ns)
+        medium.offer(each)
+    while (now := medium.next_ns()) is not None:
+        decided += medium.advance(now)
+    assert bytes_of(decided) == bytes_of(whole)
