@@ -178,8 +178,10 @@ class RadioFederate:
         self._frames += 1
         if self._frames == FORECAST_AT and sent_ns > 0:
             self._channel.foresee(FORECAST_AT * (self._end_ns - sent_ns) // sent_ns)
-        names, position = self._states.names, self._states.position
-        return self._frames - 1, self._channel.send(sent_ns, frame, names, position, handover_ns=handover_ns)
+        states = self._states
+        return self._frames - 1, self._channel.send(
+            sent_ns, frame, states.names, states.position, attitude=states.attitude, handover_ns=handover_ns
+        )
 
     def _decided(self, now_ns: int) -> list[FrameReport]:
         """Reports of frames that are decided by now; at the end of the run, of all frames."""
@@ -189,7 +191,7 @@ class RadioFederate:
     def levels_dbm(self, states: States) -> Array:
         """Mean levels, (n, n) dBm: sender by row, receiver by column, NaN at the sender and without a radio."""
         own = self._of_members(states)
-        levels_dbm = self._channel.levels_dbm(own.names, own.position)
+        levels_dbm = self._channel.levels_dbm(own.names, own.position, own.attitude)
         if own is states:
             return levels_dbm
         rows = [states.names.index(name) for name in own.names]
@@ -297,7 +299,8 @@ class RadioFederate:
         if len(rows) == len(states.names):
             return states
         names = tuple([states.names[row] for row in rows])
-        return msgspec.structs.replace(states, names=names, position=frozen(states.position[rows]))
+        position, attitude = frozen(states.position[rows]), frozen(states.attitude[rows])
+        return msgspec.structs.replace(states, names=names, position=position, attitude=attitude)
 
     def _number(self, frame: int) -> None:
         """Give a frame of this channel its number in the run."""

@@ -77,7 +77,7 @@ def frame_text(frame: Row) -> str:
         ("fading", budget["fading_db"], "dB", ""),
     ]
     if abs(budget["changes_db"]) > 1e-6:
-        items.append(("script or trace", budget["changes_db"], "dB", ""))
+        items.append(("antenna patterns, script or trace", budget["changes_db"], "dB", ""))
     items += [
         ("received level", budget["rssi_dbm"], "dBm", ""),
         ("noise", budget["noise_dbm"], "dBm", f"SNR {budget['snr_db']:.2f} dB"),

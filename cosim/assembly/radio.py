@@ -13,7 +13,7 @@ from vcmvsp.cosim.assembly.resolved import Resolution
 from vcmvsp.cosim.config import binding, builtin_kinds, registry
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.scenario.schema import Scenario
+from vcmvsp.cosim.scenario.schema import Scenario, VehicleTable
 from vcmvsp.cosim.util.text import Tell
 from vcmvsp.netsim.presets import LAYERS, PRESETS
 from vcmvsp.netsim.presets import preset as preset_of
@@ -140,15 +140,27 @@ def channel_of(
     """The channel of a scenario with one radio, the radio of each vehicle, the complete ``[radio]``; arguments: see `build`."""
     from vcmvsp.netsim.interfaces.layers import Radio
 
-    radios: dict[str, Radio] = {
-        each.name: binding.call(Radio, each.radio, key=f"vehicle.{each.name}.radio", origin=source) for each in scenario.vehicle
-    }
+    radios: dict[str, Radio] = {each.name: _own_radio(each, source) for each in scenario.vehicle}
     keys = _federate_keys()
     layers = {name: value for name, value in scenario.first_radio.items() if name not in keys}
     channel, resolved = build(
         layers, source, key=key, solids=solids, radios=radios, vehicles=list(radios), portable=portable, keep=keep, also=keys
     )
     return channel, radios, resolved
+
+
+def _own_radio(vehicle: VehicleTable, source: Source) -> "Radio":
+    """The radio of a vehicle; its antenna's file exists and is valid."""
+    from vcmvsp.netsim.interfaces.layers import Radio
+    from vcmvsp.netsim.propagation.antennas import pattern_of
+
+    key = f"vehicle.{vehicle.name}.radio"
+    radio: Radio = binding.call(Radio, registry.found(Radio, vehicle.radio, source, key), key=key, origin=source)
+    try:
+        pattern_of(radio)
+    except ScenarioError as error:
+        raise source.error(error.problem, binding.join(key, error.key)) from error
+    return radio
 
 
 def _enclosed(channel: "Channel", scenario: Scenario) -> Iterator[str]:

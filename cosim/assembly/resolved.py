@@ -151,7 +151,7 @@ class Resolution:
             shared["positioning"] = _sensor(shared["positioning"])
         shared.pop("sensors", None)  # the vehicles' own tables are complete
         if "radio" in shared and not self._scenario.radios:
-            shared["radio"] = _radio(shared["radio"])
+            shared["radio"] = self._radio(shared["radio"])
         for name, table in (("battery", BatteryTable), ("clock", VehicleClock)):
             if name in shared:
                 shared[name] = binding.plain(binding.convert(shared[name], table, key=f"vehicles.{name}"))
@@ -177,7 +177,14 @@ class Resolution:
 
     def _radio_of(self, vehicle: VehicleTable) -> dict[str, Any]:
         """Its ``radio``, complete; of several radios as it is."""
-        return binding.plain(vehicle.radio) if self._scenario.radios else _radio(vehicle.radio)
+        return binding.plain(vehicle.radio) if self._scenario.radios else self._radio(vehicle.radio)
+
+    def _radio(self, content: Mapping[str, Any]) -> dict[str, Any]:
+        """A radio table, complete, with its file kept."""
+        from vcmvsp.netsim.interfaces.layers import Radio
+
+        located = registry.found(Radio, content, self._source, "radio")
+        return binding.complete(Radio, registry.kept(Radio, located, self.keep))
 
     def _station(self, vehicle: VehicleTable) -> dict[str, Any]:
         """The table of a station, to which no shared default applies."""
@@ -229,12 +236,6 @@ def _sensor(content: Mapping[str, Any]) -> dict[str, Any]:
     from vcmvsp.physics.sensors.positioning import Positioning
 
     return binding.complete(Positioning, content)
-
-
-def _radio(content: Mapping[str, Any]) -> dict[str, Any]:
-    from vcmvsp.netsim.interfaces.layers import Radio
-
-    return binding.complete(Radio, content)
 
 
 def _present(**values: Any) -> dict[str, Any]:

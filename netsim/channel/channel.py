@@ -206,7 +206,14 @@ class Channel:
             medium.foresee(frames)
 
     def send(
-        self, sent_ns: int, message: Message, names: tuple[str, ...], position: Floats, *, handover_ns: int = 0
+        self,
+        sent_ns: int,
+        message: Message,
+        names: tuple[str, ...],
+        position: Floats,
+        *,
+        attitude: Floats | None = None,
+        handover_ns: int = 0,
     ) -> list[FrameReport]:
         """Hand over one message.
 
@@ -216,6 +223,7 @@ class Channel:
             names: all vehicles, in the order of the receivers in reports.
             position: of the vehicles, (len(names), 3) m, world, until the frame has arrived. The same array object means the
                 same positions.
+            attitude: of the vehicles, (len(names), 4), world_from_body, for antennas that turn; None: all are level.
             handover_ns: delay until the frame reaches the queue of its radio.
 
         Returns:
@@ -230,6 +238,7 @@ class Channel:
                 return [report]
         self._meet_if_new(names)
         sender = self._sender(message.sender)
+        self.budgets.turn(attitude)
         sent = self._frame(sent_ns, message, sender, self.budgets.mean(sender.links, names, position))
         if self._contention is not None:
             acknowledger = None if message.to is None else self._sender(message.to)
@@ -299,9 +308,10 @@ class Channel:
         self._contention, self._names = None, ()
         return [self._outcomes.unfinished(sent) for sent in waiting]
 
-    def levels_dbm(self, names: tuple[str, ...], position: Floats) -> Floats:
+    def levels_dbm(self, names: tuple[str, ...], position: Floats, attitude: Floats | None = None) -> Floats:
         """Mean levels, (n, n) dBm: sender by row, receiver by column, NaN at the sender. Arguments: see `send`."""
         self._meet_if_new(names)
+        self.budgets.turn(attitude)
         levels = np.full((len(names), len(names)), np.nan)
         for sender in map(self._sender, names):
             levels[sender.row, sender.others] = self.budgets.mean(sender.links, names, position).level_dbm

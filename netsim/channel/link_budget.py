@@ -32,6 +32,7 @@ from vcmvsp.netsim.interfaces.layers import (
 from vcmvsp.netsim.interfaces.medium import Codes
 from vcmvsp.netsim.phy.constant_rate import ThermalNoise
 from vcmvsp.netsim.phy.error_rate import ErrorRate
+from vcmvsp.netsim.propagation.antennas import Antennas, LinkAntennas, pattern_of
 from vcmvsp.netsim.propagation.path_loss import SPEED_OF_LIGHT
 from vcmvsp.netsim.propagation.walls import Bodies, through
 
@@ -112,6 +113,7 @@ class LinkBudget(msgspec.Struct, dict=True):
     shadowing_db: Floats | None = None  # (k, n)
     path_delay_ns: Floats | None = None  # (k, n) see `PathLoss`; None: only the straight line is known
     delay_spread_ns: Floats | None = None  # (k, n)
+    link_antennas: LinkAntennas | None = None  # None: all antennas are isotropic
     signals: dict[int, ReceivedSignal] = msgspec.field(default_factory=dict)  # by size: filled by `ReceiverModel`
     weakness: Codes | None = None  # (k, n) cause of a signal that is too weak: filled by `ReceiverModel`
 
@@ -130,7 +132,11 @@ class MeanBudget:
         self.every, self.place = every, place
         self.level_dbm: Floats = every.level_dbm[place]
         self.paths = Paths(
-            every.antennas[every.rows[place]], every.rx[place], every.distance_m[place], every.senders[place].seed
+            every.antennas[every.rows[place]],
+            every.rx[place],
+            every.distance_m[place],
+            every.senders[place].seed,
+            every.link_antennas,
         )
         self.signals: dict[int, ReceivedSignal] = {}  # (1, n), by size: filled by `ReceiverModel`
         self._columns: dict[int | None, ReportColumns] = {}  # by place of the first receiver
@@ -193,7 +199,8 @@ class Budgets:
         self.path_loss, self._walls, self._shadowing = path_loss, walls, shadowing
         self._phy, self._radios, self.least_dbm = phy, radios, least_dbm
         self._blocking = any(radio.body_loss_db for radio in radios.values())
-        nothing_else = walls is None and shadowing is None and not self._blocking
+        self._directional = any(pattern_of(radio) is not None for radio in radios.values())
+        nothing_else = walls is None and shadowing is None and not self._blocking and not self._directional
         self.by_distance: bool = nothing_else and getattr(path_loss, "by_distance", False)
         self.start()
 
@@ -210,6 +217,13 @@ class Budgets:
         self._groups: dict[tuple[str, ...], _Group] = {}  # of single radios, and of the last several
         self._several: tuple[str, ...] = ()  # names of the last several
         self._means: dict[str, MeanBudget] = {}
+        self._attitude: Floats | None = None
+        self._patterns: Antennas | None = None  # of all radios at this attitude
+
+    def turn(self, attitude: Floats | None) -> None:
+        """Set the attitudes of the vehicles, (n, 4), for antennas that are not isotropic; None: all are level."""
+        if self._directional and attitude is not self._attitude:
+            self._attitude, self._patterns, self._means = attitude, None, {}
 
     def mean(self, links: SenderLinks, names: tuple[str, ...], position: Floats, *, bodies: bool = True) -> MeanBudget:
         """The budget of the links from one sender.
@@ -247,6 +261,7 @@ class Budgets:
         before = self._means if same else {}
         if not same:
             self._groups.clear()
+            self._patterns = None
             self._raised = self.antennas_above(names)
             self._row = {name: row for row, name in enumerate(names)}
             self._gain_dbi, self._least_dbm = self.gain_dbi(names), self.sensitivity_dbm(names)
@@ -268,11 +283,15 @@ class Budgets:
             path_loss: Any = self.path_loss
             path_loss_db = loss_db = sealed(path_loss.loss_db(distance_m))
         else:
-            paths = Paths(self._antennas[rows[0]], rx[0], distance_m[0], senders[0].seed)
+            paths = Paths(self._antennas[rows[0]], rx[0], distance_m[0], senders[0].seed, self._link_antennas(rows, receivers))
             path_loss_db = frozen(self.path_loss.loss_db(paths))[None]
             loss_db, obstacles = self._obstacles(path_loss_db, paths, int(rows[0]), bodies=bodies)
             if delays := getattr(self.path_loss, "delays_ns", None):
                 obstacles["path_delay_ns"], obstacles["delay_spread_ns"] = (frozen(each)[None] for each in delays(paths))
+            if paths.antennas is not None:
+                gain = getattr(self.path_loss, "antenna_gain", paths.antennas.straight)(paths)
+                power_dbm = sealed(power_dbm + 10.0 * np.log10(gain))
+                obstacles["link_antennas"] = paths.antennas
         budget = LinkBudget(
             senders=senders,
             rows=rows,
@@ -309,6 +328,14 @@ class Budgets:
         columns = {"walls": walls, "wall_loss_db": wall_loss_db, "shadowing_db": shadowing_db}
         rows = {name: frozen(column)[None] for name, column in columns.items() if column is not None}
         return loss_db, {**rows, "materials": materials}
+
+    def _link_antennas(self, rows: NDArray[np.intp], receivers: NDArray[np.intp]) -> LinkAntennas | None:
+        """The antennas of the links of one radio, (1,), to others, (1, n); None: all are isotropic."""
+        if not self._directional:
+            return None
+        if self._patterns is None:
+            self._patterns = Antennas.of([self._of(name) for name in self._names], self._attitude)
+        return LinkAntennas(self._patterns, int(rows[0]), receivers[0])
 
     def _group_of(self, senders: Sequence[SenderLinks]) -> "_Group":
         """What does not change while these radios and their receivers move."""

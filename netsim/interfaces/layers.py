@@ -39,14 +39,14 @@ alone may have a method ``lost_by(draws)`` or ``delay_ns_by(draws)``, called ins
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, Protocol, Self, TypeVar
+from typing import Annotated, Any, Literal, Protocol, Self, TypeVar
 
 import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vcmvsp.cosim.rng import keys64, link_uniform
-from vcmvsp.cosim.types import Decibels, NonNegative
+from vcmvsp.cosim.types import Decibels, FileName, NonNegative
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -75,6 +75,7 @@ class Paths(msgspec.Struct, frozen=True):
     rx: Floats  # (n, 3) m, world
     distance_m: Floats  # (n,) three-dimensional
     seed: int = 0  # of the run
+    antennas: Any = None  # `netsim.propagation.antennas.LinkAntennas`; None: all are isotropic
 
     @classmethod
     def between(cls, tx: Floats, rx: Floats, seed: int = 0) -> Self:
@@ -156,7 +157,8 @@ class PathLoss(Protocol):
 
     With a true attribute ``by_distance`` it depends on ``paths.distance_m`` alone, and accepts distances of any shape instead
     of the paths. One that knows the paths of the wave may have a method ``delays_ns(paths)``: travel time of the first path,
-    and standard deviation over all paths by power, (n,) ns each.
+    and standard deviation over all paths by power, (n,) ns each; and ``antenna_gain(paths)``, the gain of both antennas over
+    isotropic ones, (n,), a ratio, if it is not that of the straight line.
     """
 
     def loss_db(self, paths: Paths) -> Floats:
@@ -276,13 +278,15 @@ def _exponential(draws: Floats) -> Floats:
 class Radio:
     """A vehicle's antenna and, where they differ from the phy's, its power and sensitivity.
 
-    The level at a receiver is the sender's power plus both antenna gains, less what is lost between. Antennas radiate alike in
-    all directions.
+    The level at a receiver is the sender's power plus both antenna gains, less what is lost between. A dipole and a pattern
+    turn with the vehicle; with rays each path has its own directions, else all have that of the straight line.
     """
 
     tx_power_dbm: Decibels | None = None  # transmitted power; None: the phy's
     sensitivity_dbm: Decibels | None = None  # weakest level at which it notices a frame; None: the phy's
-    antenna_gain_dbi: Decibels = 0.0  # gain for sending and receiving
+    antenna_gain_dbi: Decibels = 0.0  # gain for sending and receiving, in all directions
+    antenna: Literal["isotropic", "dipole"] = "isotropic"  # dipole: half-wave along the body's z axis, 2.15 dBi across it
+    antenna_pattern: FileName | None = None  # in place of antenna: CSV file elevation_deg,azimuth_deg,gain_dbi, body frame
     antenna_height_m: NonNegative = 0.5  # above the vehicle's position
     body_loss_db: NonNegative = 0.0  # loss of links between other vehicles through this body
     body_radius_m: NonNegative = 0.3  # of its body, an upright cylinder that begins at its position

@@ -1,7 +1,7 @@
 """The layers of the channel that rays give: path loss by the powers of all paths, fading by their phases."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Any, NamedTuple
@@ -37,6 +37,12 @@ class LinkPaths(NamedTuple):
     power: Floats  # (n,) sum of the powers of the paths, as a ratio
     gain: Complex  # (m,)
     length_m: Floats  # (m,)
+    blocks: "Sequence[Block]" = ()  # from which it was made
+
+    def directions(self) -> tuple[Floats, Floats]:
+        """Unit vectors of all paths away from the end that comes first, and from the other one, (m, 3) each."""
+        first, last = zip(*(block.directions() for block in self.blocks), strict=True)
+        return np.concatenate(first), np.concatenate(last)
 
     def delays_ns(self) -> tuple[Floats, Floats]:
         """Of each link the delay of the first path, and the standard deviation of the delays by power, (n,) ns."""
@@ -50,6 +56,33 @@ class LinkPaths(NamedTuple):
 
 
 NO_LINKS = LinkPaths(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.complex128), np.zeros(0))
+
+
+class Block(NamedTuple):
+    """Traced paths of some links from a to b, and their order by link."""
+
+    found: "Traced"
+    a: Floats  # (n, 3) m
+    b: Floats
+    order: Ints  # (m,)
+
+    def directions(self) -> tuple[Floats, Floats]:
+        """Unit vectors of the paths in their order: away from a, and away from b, (m, 3) each."""
+        table, roofs = self.found.table, self.found.roofs
+        edge, rows = np.append(roofs.edge, np.zeros((1, 3)), axis=0), np.arange(len(roofs.pair))
+        begin, end = np.searchsorted(roofs.edge_of, rows), np.searchsorted(roofs.edge_of, rows, side="right")
+        steps = np.concatenate([table.steps, end - begin])[:, None]
+        pair, last = np.concatenate([table.pair, roofs.pair]), np.maximum(table.steps - 1, 0)
+        first_point = np.concatenate([table.point[:, 0], edge[begin]])
+        last_point = np.concatenate([table.point[np.arange(len(last)), last], edge[end - 1]])
+        leaving = np.where(steps > 0, first_point, self.b[pair]) - self.a[pair]
+        arriving = np.where(steps > 0, last_point, self.a[pair]) - self.b[pair]
+        return _units(leaving)[self.order], _units(arriving)[self.order]
+
+
+def _units(vectors: Floats) -> Floats:
+    """Directions of vectors, (m, 3)."""
+    return np.asarray(vectors / np.maximum(np.sqrt((vectors * vectors).sum(axis=1)), 1e-9)[:, None])
 
 
 class OverRoofs(NamedTuple):
@@ -117,12 +150,25 @@ class Rays:
 
     def loss_db(self, paths: Paths) -> Floats:
         """Loss of each link, (n,) dB, from the sum of the powers of its paths."""
-        links, which = self.links(paths)
+        links, which = self._cache.links(paths.tx, paths.rx)
         return np.asarray(-10.0 * np.log10(links.power[which]))
 
     def links(self, paths: Paths) -> tuple[LinkPaths, Ints]:
-        """Links with their paths, and which of them these are, (n,); the same object until somebody has moved."""
-        return self._cache.links(paths.tx, paths.rx)
+        """Links with their paths, and which of them these are, (n,); the same object until somebody has moved.
+
+        Gains contain those of the antennas, unless all are isotropic.
+        """
+        links, which = self._cache.links(paths.tx, paths.rx)
+        if paths.antennas is None:
+            return links, which
+        if self._newest.get("antennas") is not paths.antennas:
+            self._newest.update(antennas=paths.antennas, seen=_between_antennas(links, which, paths))
+        return self._newest["seen"], np.arange(len(which))
+
+    def antenna_gain(self, paths: Paths) -> Floats:
+        """Gain of both antennas over isotropic ones, (n,), a ratio of the sums of powers."""
+        links, which = self._cache.links(paths.tx, paths.rx)
+        return np.asarray(self.links(paths)[0].power / links.power[which])
 
     def delays_ns(self, paths: Paths) -> tuple[Floats, Floats]:
         """Travel time of the first path, and standard deviation of the travel times by power, (n,) ns."""
@@ -134,7 +180,7 @@ class Rays:
 
     @cached_property
     def _newest(self) -> dict[str, Any]:
-        """The links that were asked for last, and their delays."""
+        """The links that were asked for last, and what was computed of them."""
         return {}
 
     def traced(self, a: Floats, b: Floats) -> Traced:
@@ -160,13 +206,30 @@ class Rays:
             length = np.concatenate([found.table.length_m, found.roofs.length_m])[order]
             count = len(here[first : first + _BLOCK])
             power = np.bincount(pair[order], power_of(gain), count).astype(np.float64)
-            blocks.append(LinkPaths(np.bincount(pair, minlength=count).astype(np.int64), power, gain, length))
-        return LinkPaths(*(np.concatenate(columns) for columns in zip(NO_LINKS, *blocks, strict=True)))
+            of_link = np.bincount(pair, minlength=count).astype(np.int64)
+            block = Block(found, here[first : first + count], there[first : first + count], order)
+            blocks.append(LinkPaths(of_link, power, gain, length, (block,)))
+        columns = [np.concatenate(column) for column in zip(NO_LINKS[:-1], *(block[:-1] for block in blocks), strict=True)]
+        every = [block for each in blocks for block in each.blocks]
+        return LinkPaths(columns[0], columns[1], columns[2], columns[3], every)
 
     def holder(self, points: Floats) -> list[str]:
         """For each point the solid that it is inside, in words; empty: none."""
         words = (*self.solids.words, "")
         return [words[number] for number in holding(self.world, points).tolist()]
+
+
+def _between_antennas(links: LinkPaths, which: Ints, paths: Paths) -> LinkPaths:
+    """Some links, (n,), between the antennas of these paths."""
+    count, starts = links.paths[which], np.cumsum(links.paths) - links.paths
+    link = np.repeat(np.arange(len(which)), count)
+    path = np.arange(len(link)) + (starts[which] - (np.cumsum(count) - count))[link]
+    first, last = (each[path] for each in links.directions())
+    swapped = _comes_first(paths.rx, np.broadcast_to(paths.tx, paths.rx.shape))[link, None]
+    ratio = paths.antennas.gain(link, np.where(swapped, last, first), np.where(swapped, first, last))
+    gain = links.gain[path] * np.sqrt(ratio)
+    power = np.bincount(link, power_of(gain), len(which)).astype(np.float64)
+    return LinkPaths(count, power, gain, links.length_m[path])
 
 
 def power_of(gain: Complex) -> Floats:

@@ -168,6 +168,7 @@ SHOWN = {
     ("docs/reference/author-api.md", "class Column"): f"{PAGES}::test_the_agent_of_the_authors_page_works",
     ("docs/explanation/design.md", "scenario.toml -> federates"): "a drawing",
     ("docs/explanation/rays.md", "x,y,z"): "tests/docs/test_commands.py::test_commands_do_what_they_are_for",
+    ("docs/explanation/rays.md", "gain_dbi"): "tests/netsim/propagation/test_antennas.py::test_the_pattern_of_the_page",
     ("docs/explanation/rays.md", "E(s) = D E(edge)"): "equations",
     ("README.md", "r = vcmvsp.run("): "tests/docs/test_readme.py::test_the_lines_for_python_run",
     (
