@@ -19,7 +19,7 @@ from vcmvsp.cosim.util.text import aligned, stdout_to_stderr
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.analysis.snapshots import Rates, Share, Snapshots
-    from vcmvsp.cosim.assembly.parts.calibration import Calibration
+    from vcmvsp.cosim.assembly.parts.calibration import Calibration, RayCalibration
     from vcmvsp.cosim.assembly.parts.channel_trial import Channel, RowFile, TrialTraffic
     from vcmvsp.cosim.config.provenance import Source
 
@@ -376,16 +376,19 @@ def calibrate_command(
     world: Annotated[
         str | None, typer.Option(metavar="SCENARIO", help="Scenario with the walls: fit the loss of each material.")
     ] = None,
+    rays: Annotated[bool, typer.Option("--rays", help="Fit an offset to the rays of SCENARIO's radio instead.")] = False,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for radio.toml and calibration.png.")] = None,
     json: AsJson = False,
 ) -> None:
     """Fit path loss, shadowing, walls and fading to a measured log; with standard errors.
 
+    With --rays: an offset, and what is left, beside log-distance; no picture.
+
     Example: vcmvsp calibrate links.csv --tx-power 16 --sensitivity -90 --world lab.toml --out lab-radio
     """
     import msgspec
 
-    from vcmvsp.cosim.assembly.parts.calibration import calibrate_file, figure_data, sightline_of
+    from vcmvsp.cosim.assembly.parts import calibration as fits
 
     for option, value in (
         ("--tx-power", tx_power),
@@ -396,29 +399,42 @@ def calibrate_command(
             raise UsageError(f"{option} {value}: must be a finite number")
     if out is not None and out.exists() and not out.is_dir():
         raise UsageError(f"--out {out}: is a file; name a folder")
-    sightline = None if world is None else sightline_of(world)
-    log, calibration = calibrate_file(
-        links, tx_power_dbm=tx_power, reference_distance_m=reference_distance, sensitivity_dbm=sensitivity, sightline=sightline
-    )
+    if rays and world is None:
+        raise UsageError("--rays needs the scenario whose rays are fitted: add --world SCENARIO")
+    options: dict[str, Any] = {
+        "tx_power_dbm": tx_power,
+        "reference_distance_m": reference_distance,
+        "sensitivity_dbm": sensitivity,
+    }
+    figure: dict[str, Any] | None = None
+    calibration: Calibration | RayCalibration
+    if rays and world is not None:
+        traced, path_loss = fits.rays_of(world)
+        _, calibration = fits.calibrate_file(links, fits.fit_rays, loss_db=traced.pair_loss_db, path_loss=path_loss, **options)
+    else:
+        sightline = None if world is None else fits.sightline_of(world)
+        log, by_distance = fits.calibrate_file(links, sightline=sightline, **options)
+        calibration, figure = by_distance, None if out is None else fits.figure_data(log, by_distance, sightline)
     if out is not None:
-        write_calibration(out, calibration, figure_data(log, calibration, sightline))
+        write_calibration(out, calibration, figure)
     if json:
         sys.stdout.write(to_json({**msgspec.to_builtins(calibration), "radio": calibration.table()}))
         return
     sys.stdout.write(f"{calibration.summary()}\n\n{calibration.toml()}")
-    for name in ("radio.toml", "calibration.png") if out is not None else ():
+    for name in ("radio.toml", *(("calibration.png",) if figure else ())) if out is not None else ():
         sys.stdout.write(f"{Path(out or '') / name}\n")
 
 
-def write_calibration(folder: Path, calibration: "Calibration", figure_data: dict[str, Any]) -> None:
-    """Write ``radio.toml`` and ``calibration.png`` of a calibration (`netsim.calibration`) and the data of its figure."""
+def write_calibration(folder: Path, calibration: "Calibration | RayCalibration", figure_data: dict[str, Any] | None) -> None:
+    """Write ``radio.toml`` of a calibration (`netsim.calibration`) and, from the data of its figure, ``calibration.png``."""
     from vcmvsp.cosim.plots.radio_plots import draw_calibration
     from vcmvsp.cosim.plots.style import save_png
 
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         write_whole(folder / "radio.toml", calibration.toml())
-        save_png(draw_calibration(**figure_data), folder / "calibration.png")
+        if figure_data is not None:
+            save_png(draw_calibration(**figure_data), folder / "calibration.png")
 
 
 def calibrate_recognition_command(

@@ -4,7 +4,7 @@
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ from vcmvsp.netsim.calibration.likelihood import (
     spreads,
 )
 from vcmvsp.netsim.calibration.measurements import MeasuredLinks, design_of, read_links, require_told, sample
-from vcmvsp.netsim.calibration.result import Calibration, ParameterEstimate
+from vcmvsp.netsim.calibration.result import Calibration, ParameterEstimate, RayCalibration
 from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.propagation.walls import Sightline
 
@@ -123,11 +123,57 @@ def fit(
     )
 
 
-def calibrate_file(path: Path, **options: Any) -> tuple[MeasuredLinks, Calibration]:
-    """Read a log file and `fit` it with these options; errors name the file."""
+def fit_rays(
+    links: MeasuredLinks, loss_db: Callable[[Floats, Floats], Floats], path_loss: dict[str, Any], **options: Any
+) -> RayCalibration:
+    """Fit an offset of the levels that rays give, and what is left, to a log, and log-distance to the same rows.
+
+    Args:
+        links: the log.
+        loss_db: loss between points (n, 3) m and (n, 3) m, (n,).
+        path_loss: the table of the rays, for the result.
+        options: of `fit`.
+
+    Raises:
+        UsageError: see `fit`.
+    """
+    other = fit(links, **options)
+    sensitivity_dbm = np.nanmin(links.level_dbm) if other.sensitivity_dbm is None else other.sensitivity_dbm
+    used = links.only(sample(links, MOST_ROWS))
+    computed_dbm = other.tx_power_dbm - loss_db(used.a, used.b)
+
+    def survey_of(rows: NDArray[np.intp]) -> Survey:
+        some, less = used.only(rows), computed_dbm[rows]
+        levels: dict[str, Any] = {
+            "level_dbm": some.level_dbm - less,
+            "lost": some.lost,
+            "sensitivity_dbm": sensitivity_dbm - less,
+        }
+        return Survey.between(some.a, some.b, design=np.ones((len(rows), 1)), **levels)
+
+    survey = survey_of(np.arange(len(used.lost)))
+    with threadpool_limits(1):
+        models = _models(survey, scouts=survey_of(sample(used, _SCOUTS)))
+    best, naive = models[_choose(models, survey.nearest_m)], models[INDEPENDENT]
+    error, naive_error = math.sqrt(best.coefficients_spread[0, 0]), math.sqrt(naive.coefficients_spread[0, 0])
+    offset = ParameterEstimate.of_mean(float(best.coefficients[0]), error, naive_error, float(best.freedom[0]))
+    shadowing, reach, fading = _variation(best, other.spacing_m)
+    return RayCalibration(
+        offset_db=offset,
+        shadowing_db=shadowing,
+        correlation_distance_m=reach,
+        fading_db=fading,
+        path_loss=path_loss,
+        aic=best.aic,
+        log_distance=other,
+    )
+
+
+def calibrate_file(path: Path, fitted: Callable[..., Any] = fit, **options: Any) -> tuple[MeasuredLinks, Any]:
+    """Read a log file and fit it (`fit`, `fit_rays`) with these options; errors name the file."""
     links = read_links(path)
     try:
-        return links, fit(links, **options)
+        return links, fitted(links, **options)
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from error
 

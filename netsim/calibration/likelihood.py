@@ -43,15 +43,18 @@ class Survey:
 
     level_dbm: Floats  # (n,); any value where lost
     lost: Bools  # (n,)
-    sensitivity_dbm: float
+    sensitivity_dbm: Floats  # (n,) below which the row is lost
     design: Floats  # X, (n, p)
     distance_m: Floats  # r, (n,)
     straight_m: Floats  # |a a'| + |b b'|, (n, n)
     swapped_m: Floats  # |a b'| + |b a'|, (n, n)
 
     @classmethod
-    def between(cls, a: Floats, b: Floats, *, level_dbm: Floats, lost: Bools, sensitivity_dbm: float, design: Floats) -> Self:
-        """Rows between the points a and b, (n, 3) m each."""
+    def between(
+        cls, a: Floats, b: Floats, *, level_dbm: Floats, lost: Bools, sensitivity_dbm: float | Floats, design: Floats
+    ) -> Self:
+        """Rows between the points a and b, (n, 3) m each; one sensitivity for all, or one for each."""
+        sensitivity_dbm = np.broadcast_to(sensitivity_dbm, lost.shape)
         distance_m = np.sqrt(((a - b) ** 2).sum(axis=1))
         return cls(level_dbm, lost, sensitivity_dbm, design, distance_m, *_moves_m(a, b))
 
@@ -217,7 +220,7 @@ def restricted(survey: Survey, parameters: Floats) -> LikelihoodPoint:
     if lost.any():  # conditional on the received rows; then replaced by equivalent measurements
         unknown = X[lost] - received.across.T @ received.design
         spread = received.left + unknown @ np.linalg.solve(received.precision, unknown.T)
-        sites = below(received.expected, spread, survey.sensitivity_dbm)
+        sites = below(received.expected, spread, survey.sensitivity_dbm[lost])
         likelihood += sites.log_probability
         level[lost], extra[lost] = sites.level, sites.variance
 
@@ -241,7 +244,7 @@ def log_likelihood(survey: Survey, parameters: Floats, coefficients: Floats) -> 
     received = _Received(survey, covariance(survey, parameters)[0], coefficients)
     likelihood = received.log_density
     if survey.lost.any():
-        likelihood += below(received.expected, received.left, survey.sensitivity_dbm).log_probability
+        likelihood += below(received.expected, received.left, survey.sensitivity_dbm[survey.lost]).log_probability
     return likelihood
 
 
@@ -279,7 +282,7 @@ class Censored(msgspec.Struct, frozen=True):
     variance: Floats  # (m,)
 
 
-def below(mean: Floats, covariance: Floats, bound: float) -> Censored:
+def below(mean: Floats, covariance: Floats, bound: float | Floats) -> Censored:
     """Log probability that all values of a normal vector are less than ``bound``.
 
     Expectation propagation (T. Minka, UAI 2001; for the form in cavities C. Rasmussen and C. Williams, Gaussian Processes for
@@ -291,7 +294,7 @@ def below(mean: Floats, covariance: Floats, bound: float) -> Censored:
     Args:
         mean: (m,).
         covariance: (m, m), positive definite.
-        bound: common to all values.
+        bound: common to all values, or (m,).
     """
     from scipy.linalg import solve_triangular
 

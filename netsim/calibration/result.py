@@ -85,12 +85,7 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True):
             }
         }
         if self.shadowing_db is not None:
-            reach = self.spacing_m / 3.0 if self.correlation_distance_m is None else self.correlation_distance_m.value
-            table["shadowing"] = {
-                "kind": "gudmundson",
-                "sigma_db": round(self.shadowing_db.value, 3),
-                "correlation_distance_m": round(reach, 4),
-            }
+            table["shadowing"] = _shadowing(self.shadowing_db, self.correlation_distance_m, self.spacing_m)
         if self.walls_db:
             losses = {material: round(max(0.0, loss.value), 3) for material, loss in self.walls_db.items()}
             table["walls"] = {"kind": "fixed", "materials_db": losses}
@@ -131,6 +126,66 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True):
                 f"{self.unexplained} lost rows have an expected level far above the sensitivity: check them, or leave them out"
             )
         return "\n".join(lines)
+
+
+class RayCalibration(msgspec.Struct, frozen=True, kw_only=True):
+    """Maximum-likelihood offset of a measured log from the levels by rays, beside log-distance fitted to the same rows.
+
+    ``level = tx_power_dbm - loss of the rays + offset_db - shadowing - fading``
+    """
+
+    offset_db: ParameterEstimate  # measured levels less computed ones
+    shadowing_db: ParameterEstimate | None  # what is left: see `Calibration`
+    correlation_distance_m: ParameterEstimate | None
+    fading_db: ParameterEstimate | None
+    path_loss: dict[str, Any]  # the rays, as in the scenario
+    aic: float  # Akaike's information criterion
+    log_distance: Calibration
+
+    @property
+    def deviation_db(self) -> float:
+        """Standard deviation of a single level about the computed one."""
+        return math.hypot(*(each.value for each in (self.shadowing_db, self.fading_db) if each is not None))
+
+    def table(self) -> dict[str, Any]:
+        """The ``[radio]`` table of a scenario with this radio: see `Calibration.table`."""
+        shape = None if self.fading_db is None else _nakagami(self.fading_db.value)
+        mean_db = 0.0 if shape is None else _mean_db(shape)
+        offset_db = self.path_loss.get("offset_db", 0.0) + mean_db - self.offset_db.value
+        table: dict[str, Any] = {"path_loss": {**self.path_loss, "offset_db": round(offset_db, 3)}}
+        if self.shadowing_db is not None:
+            table["shadowing"] = _shadowing(self.shadowing_db, self.correlation_distance_m, self.log_distance.spacing_m)
+        if shape is not None:
+            table["fading"] = {"kind": "nakagami", "m": round(shape, 4)}
+        return table
+
+    def toml(self) -> str:
+        """The table as TOML, with a comment on its validity."""
+        import tomli_w
+
+        used, rows, power_dbm = self.log_distance.used, self.log_distance.rows, self.log_distance.tx_power_dbm
+        comment = f"# fitted to {used} of {rows} rows, for tx_power_dbm = {power_dbm:g} (set it in [radio.phy])\n"
+        return comment + tomli_w.dumps({"radio": self.table()})
+
+    def summary(self) -> str:
+        """A line for each number, and how much either model leaves unexplained."""
+        other = self.log_distance
+        left, share = f"{other.deviation_db:.2f} dB", self.deviation_db / other.deviation_db
+        lines = [
+            f"{other.used} of {other.rows} rows, {other.lost} lost",
+            _line("offset from the rays", "dB", self.offset_db),
+            _line("shadowing" if self.fading_db is not None else "shadowing and fading", "dB", self.shadowing_db),
+            _line("correlation distance", "m", self.correlation_distance_m),
+            _line("fading", "dB", self.fading_db),
+            f"unexplained: {self.deviation_db:.2f} dB by rays, {left} by log-distance: {share:.2f} of it",
+            f"AIC: rays {self.aic:.1f}, log-distance {min(other.aic.values()):.1f} (lower is better)",
+        ]
+        return "\n".join(lines)
+
+
+def _shadowing(deviation: ParameterEstimate, reach: ParameterEstimate | None, spacing_m: float) -> dict[str, Any]:
+    distance_m = spacing_m / 3.0 if reach is None else reach.value
+    return {"kind": "gudmundson", "sigma_db": round(deviation.value, 3), "correlation_distance_m": round(distance_m, 4)}
 
 
 def _line(name: str, unit: str, estimate: ParameterEstimate | None) -> str:

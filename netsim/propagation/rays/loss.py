@@ -12,7 +12,7 @@ import numpy as np
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.compiled.machine_code import Core, available
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.types import NonNegative, Positive
+from vcmvsp.cosim.types import Decibels, NonNegative, Positive
 from vcmvsp.netsim.interfaces.layers import Draw, Floats, Frame, Ints, Paths
 from vcmvsp.netsim.propagation.path_loss import SPEED_OF_LIGHT, Frequency
 from vcmvsp.netsim.propagation.rays import phases
@@ -119,6 +119,7 @@ class Rays:
     ground: str = "concrete"  # material of the plane z = 0; none: there is no ground
     slab_m: NonNegative = 0.5  # solids thinner than this are slabs, others let nothing through
     echoes: Echoes = "phases"  # inside a slab: added with their phases, or their powers averaged over its thickness
+    offset_db: Decibels = 0.0  # added to the loss of every link, as a measured log says (vcmvsp calibrate --rays)
     facet_limit: Limit = 20_000  # greatest number of facets: cylinders have up to 66 each, meshes one a triangle
 
     def __post_init__(self) -> None:
@@ -151,7 +152,11 @@ class Rays:
     def loss_db(self, paths: Paths) -> Floats:
         """Loss of each link, (n,) dB, from the sum of the powers of its paths."""
         links, which = self._cache.links(paths.tx, paths.rx)
-        return np.asarray(-10.0 * np.log10(links.power[which]))
+        return np.asarray(self.offset_db - 10.0 * np.log10(links.power[which]))
+
+    def pair_loss_db(self, a: Floats, b: Floats) -> Floats:
+        """Loss between points a (n, 3) m and b (n, 3) m, (n,) dB."""
+        return np.asarray(self.offset_db - 10.0 * np.log10(self._links(a, b).power))
 
     def links(self, paths: Paths) -> tuple[LinkPaths, Ints]:
         """Links with their paths, and which of them these are, (n,); the same object until somebody has moved.

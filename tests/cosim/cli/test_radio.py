@@ -3,6 +3,7 @@
 import json
 import math
 import re
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -335,6 +336,30 @@ def corner(tmp_path: Path) -> Path:
     (tmp_path / "corner.toml").write_text(CORNER, "utf-8")
     (tmp_path / "points.csv").write_text("x,y,z\n0,0,1\n20,4,1\n2,22,1\n", "utf-8")
     return tmp_path
+
+
+def test_rays_are_fitted_to_a_measured_log(corner: Path) -> None:
+    """Levels 3 dB below those of the free path, over open ground: the offset says so, and the table is one of the radio."""
+    header, rows = "time,ax,ay,az,bx,by,bz,rssi_dbm", list[str]()
+    for number in range(12):
+        distance = 2.0 + number
+        level = -20.0 * math.log10(4.0 * math.pi * distance * 2.4e9 / 299792458.0) - 3.0
+        rows.append(f"{number},0,-20,{5 + number},{distance},-20,{5 + number},{level + 0.1 * (-1) ** number}")
+    (corner / "links.csv").write_text("\n".join([header, *rows]), "utf-8")
+    (corner / "open.toml").write_text(CORNER.replace('kind = "rays"', 'kind = "rays", ground = "none"'), "utf-8")
+    arguments = ("calibrate", str(corner / "links.csv"), "--rays", "--world", str(corner / "open.toml"))
+    told = vcmvsp_command(*arguments, "--out", str(corner / "fit"))
+    assert told.code == 0, told.err
+    assert "offset from the rays" in told.out
+    table = tomllib.loads((corner / "fit" / "radio.toml").read_text("utf-8"))["radio"]["path_loss"]
+    assert table["kind"] == "rays"
+    assert table["offset_db"] == pytest.approx(3.0, abs=0.3)
+    assert not (corner / "fit" / "calibration.png").exists()
+    refused(vcmvsp_command(*arguments[:3]), "--rays needs the scenario", "--world SCENARIO")
+    (corner / "plain.toml").write_text(CORNER.replace('kind = "rays"', 'kind = "friis"'), "utf-8")
+    refused(
+        vcmvsp_command(*arguments[:4], str(corner / "plain.toml")), "path_loss.kind", "--rays needs path_loss.kind = 'rays'"
+    )
 
 
 SECOND = """

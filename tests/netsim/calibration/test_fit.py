@@ -11,10 +11,11 @@ import pytest
 
 from tests.support.netsim.channels import Line, even_uniforms, linked_frame
 from tests.support.netsim.measured_links import BOXES, links, mean_of, normal_score, points, shadows, tour
+from tests.support.netsim.ray_worlds import rays_among
 from vcmvsp.cosim.cli.radio import write_calibration
 from vcmvsp.cosim.config.binding import call
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.netsim.calibration.fit import calibrate_file, figure_data, fit
+from vcmvsp.netsim.calibration.fit import calibrate_file, figure_data, fit, fit_rays
 from vcmvsp.netsim.calibration.likelihood import Survey, below, covariance, log_likelihood, restricted
 from vcmvsp.netsim.calibration.measurements import MeasuredLinks, read_links, sample
 from vcmvsp.netsim.calibration.result import Calibration, ParameterEstimate
@@ -23,6 +24,7 @@ from vcmvsp.netsim.propagation.path_loss import LogDistance
 from vcmvsp.netsim.propagation.shadowing import Shadowing
 from vcmvsp.netsim.propagation.walls import FixedWalls
 from vcmvsp.physics.raycast.line_of_sight import Sightline
+from vcmvsp.physics.world.solids import Box
 
 pytestmark = pytest.mark.slow
 
@@ -55,6 +57,24 @@ def test_known_truth_comes_back_within_its_standard_errors(lost: float) -> None:
         )
     assert np.abs(scores).max() < 4.0
     assert np.abs(np.mean(scores, axis=0)).max() < 4.0 / math.sqrt(len(SEEDS))
+
+
+def test_the_offset_of_rays_comes_back_and_less_is_left_than_of_log_distance() -> None:
+    """Levels by rays round a building, 4 dB less and with 2 dB of scatter, cut off at a sensitivity."""
+    rays = rays_among(Box(center=(0.0, 0.0, 5.0), size=(30.0, 30.0, 10.0), material="concrete"), ground="concrete")
+    rng = np.random.default_rng(3)
+    a, b = (30.0 * np.exp(1j * rng.uniform(0.0, 2.0 * math.pi, 60)) for _ in range(2))
+    a, b = (np.column_stack([each.real, each.imag, np.ones(60)]) for each in (a, b))
+    level = 16.0 - rays.pair_loss_db(a, b) - 4.0 + rng.normal(0.0, 2.0, 60)
+    measured = links(a, b, level, float(np.quantile(level, 0.1)))
+    found = fit_rays(measured, rays.pair_loss_db, {"kind": "rays"}, tx_power_dbm=16.0)
+    assert abs(found.offset_db.value + 4.0) < 3.0 * found.offset_db.standard_error < 1.5
+    assert found.deviation_db == pytest.approx(2.0, abs=0.6)
+    assert found.deviation_db < 0.5 * found.log_distance.deviation_db
+    assert found.aic < min(found.log_distance.aic.values())
+    assert "log-distance" in found.summary()
+    table = tomllib.loads(found.toml())["radio"]
+    assert table["path_loss"]["offset_db"] == pytest.approx(-found.offset_db.value, abs=1.0)  # fading lowers the mean in dB
 
 
 def test_without_losses_and_correlation_it_is_ordinary_least_squares() -> None:
