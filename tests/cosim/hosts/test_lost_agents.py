@@ -316,7 +316,7 @@ def test_what_was_missed_is_counted_to_the_tick(changes: list[int], end: int, pe
 
 def test_a_host_that_cannot_start_costs_the_run_its_vehicle_alone(stage: ByHand) -> None:
     """Another one may come, with the same class from a folder of its own."""
-    run, bad = stage.run(), stage.host("nobody.py:Nobody")
+    run, bad = stage.run("agents.join_timeout_s=3.0"), stage.host("nobody.py:Nobody")
     code, said = ended(bad)
     assert (code, "nobody.py" in said) == (2, True)
     said_by(run, "the run starts without")
