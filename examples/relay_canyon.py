@@ -39,7 +39,7 @@ def draw_map(axes: plt.Axes, result: vcmvsp.Result, time_s: np.ndarray, heard: n
     for words, rows, look in (("heard at the base", heard, "go"), ("not heard", ~heard, "rx")):
         axes.plot(x[rows], y[rows], look, markersize=4, label=words)
     axes.plot(-5.0, 4.0, "k^", label="base")
-    axes.set(xlim=(-60, 150), ylim=(-25, 105), xlabel="x (m)", ylabel="y (m)", aspect="equal")
+    axes.set(xlim=(-60, 150), ylim=(-25, 105), xlabel="x east [m]", ylabel="y north [m]", aspect="equal")
 
 
 def main() -> None:
@@ -60,9 +60,9 @@ def main() -> None:
         panels["relays"].plot(RELAYS, ratios, "o-", color=COLORS[name], label=name)
     panels["rays"].legend(loc=(0.03, 0.56))
     panels["way"].set(
-        xlabel="way of the leader (m)", ylabel="heard at the base (%)", ylim=(-5.0, 105.0), title=f"{SHOWN} relays"
+        xlabel="way of the leader [m]", ylabel="heard at the base [%]", ylim=(-5.0, 105.0), title=f"{SHOWN} relays"
     )
-    panels["relays"].set(xlabel="relays", ylabel="heard at the base (%)", xticks=RELAYS, ylim=(0.0, 105.0), title="all the way")
+    panels["relays"].set(xlabel="relays", ylabel="heard at the base [%]", xticks=RELAYS, ylim=(0.0, 105.0), title="all the way")
     panels["relays"].legend(loc="lower right")
     figure.savefig(FOLDER / "relay_canyon.png", dpi=100)
 

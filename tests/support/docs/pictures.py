@@ -20,6 +20,7 @@ from vcmvsp.cosim.export.video import FPS
 FOLDER = ROOT / "scenarios" / "pictures"
 VCMVSP = str(Path(sys.executable).with_name("vcmvsp"))
 FIGURES = ("trajectory", "formation_error", "mission", "mosaic", "detections")
+EXAMPLES = ("clocks", "relay-canyon")
 CHANGED = {"relay-chain-none": ("relay-chain", ["--set", "routing.kind=none"])}
 """Scenario and options of runs that have another name."""
 STATIONS = {"recon-urban": 75.0, "recon-team": 60.0, "lab-patrol": 20.0, "pillar-triangle": 12.0}
@@ -40,9 +41,10 @@ def main(names: Sequence[str]) -> None:
             if path.stem == "demo":
                 command(folder, "demo", "--out", "demo")
                 shutil.copy(Path(folder, "demo", "comparison.png"), path)
-            elif path.stem == "relay-canyon":
-                subprocess.run([sys.executable, ROOT / "examples" / "relay_canyon.py", folder], check=True)
-                shutil.copy(Path(folder, "relay_canyon.png"), path)
+            elif path.stem in EXAMPLES:
+                name = path.stem.replace("-", "_")
+                subprocess.run([sys.executable, ROOT / "examples" / f"{name}.py", folder], check=True)
+                shutil.copy(Path(folder, f"{name}.png"), path)
             elif path.stem == "demo-film":
                 command(folder, "demo", "--out", "demo")
                 command(folder, "export", "demo/hold", "--mp4")

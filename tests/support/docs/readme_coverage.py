@@ -105,14 +105,19 @@ ELSEWHERE = _in_the_gallery() | {
     "sudo vcmvsp net status": LEFT_OVER,
     "for car in car1 car2 car3 car4 car5 car6 relief; do": ROUTED,
     'ip netns exec vcmvsp-chain-$car babeld -w -h 1 -I "" -S "" radio0': ROUTED,
+    "number=0": ROUTED,
+    "number=$((number + 1))": ROUTED,
+    'sed "s/NUMBER/$number/" bird.conf > $car.conf': ROUTED,
+    "ip netns exec vcmvsp-chain-$car sysctl -q net.ipv4.ip_forward=1": ROUTED,
+    "ip netns exec vcmvsp-chain-$car bird -f -c $car.conf -s $car.ctl": ROUTED,
     "done": ROUTED,
     "wait": ROUTED,
     "sudo vcmvsp net up chain.toml": ROUTED,
     "sudo sh babel.sh": ROUTED,
     "sudo vcmvsp net exec car1 -- ip route": ROUTED,
-    "sudo vcmvsp net exec car1 -- ping -c 20 -i 0.2 car6": ROUTED,
+    "sudo vcmvsp net exec car1 -- ping -4 -c 20 -i 0.2 car6": ROUTED,
     "sudo vcmvsp net exec car6 -- iperf3 -s -1 -D": ROUTED,
-    "sudo vcmvsp net exec car1 -- iperf3 -c car6 -u -l 200 -b 160k": ROUTED,
+    "sudo vcmvsp net exec car1 -- iperf3 -4 -c car6 -u -l 200 -b 160k": ROUTED,
     "vcmvsp run two-programs.toml --out two-programs": PORTS,
     "python echo.py": PORTS,
     "python ask.py": PORTS,
@@ -145,6 +150,7 @@ UNRUN = {
 """Why a command cannot be run here, nor anything like it."""
 
 SHOWN = {
+    ("netsim/bridge/README.md", "protocol babel"): ROUTED,
     ("docs/explanation/rays.md", "load_scene("): (
         "tests/physics/raycast/test_mitsuba_scene.py::test_sionna_finds_the_same_paths"
     ),
