@@ -65,7 +65,10 @@ def frame_report(log: Log, pair: Pair, which: str, *, with_scenario: bool = True
         "outcome": outcome,
     }
     paths = _paths(log, pair, row["sent_ns"], report["budget"], trust=trust) if with_scenario else []
-    return {**report, "why": why(report), **({"paths": paths} if paths else {})}
+    if paths:
+        report["paths"] = paths
+    report["why"] = why(report)
+    return report
 
 
 def _paths(log: Log, pair: Pair, sent_ns: int, budget: Budget, *, trust: bool) -> list[dict[str, Any]]:
@@ -186,7 +189,9 @@ def _received(report: Report) -> str:
 def _too_far(report: Report) -> str:
     budget = report["budget"]
     open_dbm = budget["rssi_dbm"] - budget["walls_db"] - budget["shadowing_db"] - budget["fading_db"]
-    return f"{report['distance_m']:.1f} m alone leave {open_dbm:.1f} dBm{_beside(open_dbm, budget)}"
+    span = f"{report['distance_m']:.1f} m"
+    cause = f"all paths over {span}" if "paths" in report else f"{span} alone"
+    return f"{cause} leave {open_dbm:.1f} dBm{_beside(open_dbm, budget)}"
 
 
 def _without(item: str, words: Callable[[Report], str], later: Sequence[str] = ()) -> Callable[[Report], str]:
