@@ -35,6 +35,7 @@ from bench import (
     scanner,
     sensors,
     shares,
+    stacks,
     start,
     studies,
     vehicles,
@@ -168,7 +169,7 @@ PARTS: Mapping[str, Callable[[], Iterable[Row]]] = {
         part.__name__.rpartition(".")[2]: part.rows
         for part in (
             *(start, whole, shares, radio, messages, vehicles, sensors, drones, scanner, camera, avoidance, mission, studies),
-            *(view, hosts, federation, bridge, recording, learning, growth, limits),
+            *(view, hosts, federation, bridge, stacks, recording, learning, growth, limits),
         )
     },
 }

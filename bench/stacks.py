@@ -1,0 +1,121 @@
+"""What ROS 2 nodes cost a run at wall pace: ``python -m bench.stacks``, two minutes.
+
+Ten cars with scanners of 10 Hz: processor time of the run's process while nodes subscribe to nothing, or in one more process to
+scans and odometry of all cars, beside the same run with agents that look at as much.
+"""
+
+import json
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from functools import partial
+
+import vcmvsp
+from bench.bridge import _cpu_s
+from bench.measure import Row, medians, table
+from vcmvsp.cosim.agent import Agent, Observation, Radio
+from vcmvsp.hardware.drivers.base import PortError
+from vcmvsp.hardware.drivers.ros2.node import Node
+from vcmvsp.hardware.drivers.ros2.protocol import Endpoint, RmwZenoh
+
+CARS, PORT, ROUNDS = 10, 7461, 3
+STARTS_S, SPAN_S = 6.0, 12.0  # the span that is measured begins when nodes and agents have come
+KINDS = {"scan": "sensor_msgs/msg/LaserScan", "odom": "nav_msgs/msg/Odometry"}
+
+
+class Looking(Agent):
+    """Looks at its scan."""
+
+    def act(self, obs: Observation, radio: Radio) -> None:
+        """Ten times a second."""
+        _ = obs.readings["scan"].ranges  # type: ignore[union-attr]
+
+
+class Standing(Agent):
+    """Stands where it is."""
+
+    def act(self, obs: Observation, radio: Radio) -> None:
+        """Ten times a second."""
+
+
+def run(agent: str) -> None:
+    """A run at wall pace, with these agents, or nodes (empty)."""
+    names = [f"car{number}" for number in range(CARS)]
+    driven = {"agents": {"kind": f"bench.stacks:{agent}"}} if agent else {}
+    stack = {} if agent else {"stack": {"ros2": {"vehicles": names, "endpoint": f"tcp/127.0.0.1:{PORT}"}}}
+    given = {"agent": {}} if agent else {}
+    vcmvsp.run(
+        {
+            "name": "stacks",
+            "duration_s": STARTS_S + SPAN_S + 2.0,
+            "world": {"kind": "boxes", "boxes": [{"center": [6.0, 0.0, 0.5], "size": [0.2, 40.0, 1.0]}]},
+            "radio": {"preset": "ideal"},
+            "vehicles": {"kind": "p2dx", "sensors": {"scan": {"kind": "lms", "rate_hz": 10.0}}},
+            "vehicle": [{"name": name, "pose": [0.0, 2.0 * n, 0.0], **given} for n, name in enumerate(names)],
+            **driven,
+            **stack,
+        },
+        realtime=True,
+        agents="inprocess",
+        mcap=False,
+    )
+
+
+def subscribe() -> None:
+    """A node that hears scans and odometry of all cars; it prints how many of each have come."""
+    counts = dict.fromkeys(KINDS, 0)
+
+    def count(topic: str, *_: object) -> None:
+        counts[topic] += 1
+
+    node = None
+    begin_s = time.monotonic()
+    while node is None:
+        with suppress(PortError):  # the run is not there yet
+            node = Node(f"tcp/127.0.0.1:{PORT}", "connect", RmwZenoh(0, "bench"), ())
+    for number in range(CARS):
+        for topic, kind in KINDS.items():
+            endpoint = Endpoint("MS", f"car{number}/{topic}", kind)
+            node.add(endpoint)
+            node.hear(endpoint, partial(count, topic))
+    time.sleep(STARTS_S + SPAN_S + begin_s - time.monotonic())
+    print(json.dumps(counts))
+    node.close()
+
+
+def loads(agent: str, *, heard: bool) -> tuple[float, float, str]:
+    """Shares of a core that a run with nodes and one with agents take at the same time, and what the node heard."""
+    runs = [subprocess.Popen([sys.executable, "-m", "bench.stacks", "run", who]) for who in ("", agent)]
+    node = subprocess.Popen([sys.executable, "-m", "bench.stacks", "subscribe"], stdout=subprocess.PIPE) if heard else None
+    time.sleep(STARTS_S)
+    before = [_cpu_s(each.pid) for each in runs]
+    time.sleep(SPAN_S)
+    ours, other = ((_cpu_s(each.pid) - begin) / SPAN_S for each, begin in zip(runs, before, strict=True))
+    words = node.communicate()[0].decode().strip() if node is not None else ""
+    for each in runs:
+        each.wait()
+    return ours, other, words
+
+
+def rows() -> Iterator[Row]:
+    """Both rows; each is measured when it is asked for."""
+    for agent, heard, most in (("Standing", False, 0.01), ("Looking", True, 0.10)):
+        what = "a node hears all scans and odometry" if heard else "no topic has subscribers"
+        print(f"measuring: stacks, {what} ...", file=sys.stderr, flush=True)
+        pairs = [loads(agent, heard=heard) for _ in range(ROUNDS)]
+        ours, beside, ratio = medians([(mine, other) for mine, other, _ in pairs])
+        more = statistics.median(mine - other for mine, other, _ in pairs)
+        name = f"stack.ros2, {CARS} p2dx with scanners of 10 Hz, {what}; beside it agents"
+        cost = f"{100 * ours:.1f} % of a core, {100 * more:+.1f} {pairs[-1][2]}"
+        yield Row(name, cost, f"{100 * beside:.1f} %", ratio, f"<= {100 * most:.0f} % of a core more", more <= most)
+
+
+if __name__ == "__main__":
+    part = {"run": run, "subscribe": subscribe}
+    if sys.argv[1:]:
+        part[sys.argv[1]](*sys.argv[2:])
+    else:
+        print(table(list(rows())))
