@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import partial
+from typing import Any
 
 import vcmvsp
 from bench.bridge import _cpu_s
@@ -46,7 +47,7 @@ def run(agent: str) -> None:
     names = [f"car{number}" for number in range(CARS)]
     driven = {"agents": {"kind": f"bench.stacks:{agent}"}} if agent else {}
     stack = {} if agent else {"stack": {"ros2": {"vehicles": names, "endpoint": f"tcp/127.0.0.1:{PORT}"}}}
-    given = {"agent": {}} if agent else {}
+    given: dict[str, Any] = {"agent": {}} if agent else {}
     vcmvsp.run(
         {
             "name": "stacks",
@@ -114,8 +115,9 @@ def rows() -> Iterator[Row]:
 
 
 if __name__ == "__main__":
-    part = {"run": run, "subscribe": subscribe}
-    if sys.argv[1:]:
-        part[sys.argv[1]](*sys.argv[2:])
+    if sys.argv[1:2] == ["run"]:
+        run(sys.argv[2])
+    elif sys.argv[1:] == ["subscribe"]:
+        subscribe()
     else:
         print(table(list(rows())))
