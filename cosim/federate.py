@@ -220,7 +220,7 @@ class FlightFirmware(Protocol):
         """Give each firmware its readings, in the order of ``names``, and wait for the outputs of all.
 
         Returns:
-            Of each vehicle the speeds of its rotors as shares of their greatest: front right, front left, back left, back
+            Of each vehicle the speeds of its rotors as shares of their greatest: front right, back left, front left, back
             right. None: its firmware is lost, and its own autopilot has to hold it in place.
 
         Raises:

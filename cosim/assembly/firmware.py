@@ -36,12 +36,17 @@ def of_scenario(
         offered = {"vehicle": vehicle.name, "number": numbers[kind], "folder": str(source.folder.resolve())}
         numbers[kind] += 1
         link, table = resolution.component("firmware", vehicle.firmware, key, offered=offered)
-        if vehicle.agent is not None and not link.mavlink:
+        if link.has_sticks and link.mavlink:
+            raise source.error(
+                "takes no commands over MAVLink, but those of the vehicle's agent by itself: leave it out", f"{key}.mavlink"
+            )
+        if vehicle.agent is not None and not (link.mavlink or link.has_sticks):
             problem = "is missing: the agent's commands reach the firmware over MAVLink"
             raise source.error(f"{problem}, e.g. mavlink = 'udpin:127.0.0.1:14540'; or leave the agent out", f"{key}.mavlink")
-        if link.port in taken:
+        if link.port in taken and not link.is_alone:
             raise source.error(f"its port {link.port} is that of {taken[link.port]}", f"{key}.instance")
-        taken[link.port] = vehicle.name
+        if not link.is_alone:
+            taken[link.port] = vehicle.name
         links[vehicle.name], resolution.firmware[vehicle.name] = link, table
     if not links:
         return None

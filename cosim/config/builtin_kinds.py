@@ -162,6 +162,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
     },
     "firmware": {
         "ardupilot": "vcmvsp.hardware.firmware.ardupilot:ArduPilot",
+        "betaflight": "vcmvsp.hardware.firmware.betaflight:Betaflight",
         "px4": "vcmvsp.hardware.firmware.px4:Px4",
     },
     "stack": {

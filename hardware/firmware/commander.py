@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterator
 
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.types import Vec3, Velocity, Waypoint
+from vcmvsp.cosim.types import Vec3, VehicleState, Velocity, Waypoint
 from vcmvsp.cosim.util.polling import readable
 from vcmvsp.hardware.drivers.base import What
 from vcmvsp.hardware.drivers.mavlink.link import MavlinkLink, VehicleSearch, open_link
@@ -98,22 +98,9 @@ class MavlinkCommander:
                     session.receive(message, now_ns)
         if session.ready and now_ns >= self._repeat_ns:
             self._repeat_ns = now_ns + REPEAT_NS
-            session.command(self._velocity(), now_ns)
+            session.command(towards(self._command, self._sampler.state), now_ns)
         if messages := session.advance(now_ns):
             self._write(self._encode(*messages))
-
-    def _velocity(self) -> Velocity:
-        command, state = self._command, self._sampler.state
-        if isinstance(command, Velocity):
-            return command
-        if state is None:
-            return Velocity()
-        way = [to - at for to, at in zip(command.position, state.position, strict=True)]
-        most = SPEED_MPS if command.speed is None else command.speed
-        share = min(GAIN, most / max(math.hypot(*way), 1e-9))
-        linear: Vec3 = (share * way[0], share * way[1], share * way[2])
-        turn = 0.0 if command.yaw is None else GAIN * math.remainder(command.yaw - state.yaw, math.tau)
-        return Velocity(linear=linear, yaw_rate=turn)
 
     def _notices(self, now_ns: int) -> Iterator[tuple[What, str]]:
         if self._session is not None:
@@ -125,3 +112,17 @@ class MavlinkCommander:
                 yield "warned", f"no heartbeat of its firmware came to {self._firmware.mavlink}"
             elif not self._session.ready:
                 yield "warned", f"its firmware does not follow commands; waited for {self._session.waits_for}"
+
+
+def towards(command: Velocity | Waypoint, state: VehicleState | None) -> Velocity:
+    """A velocity, or that towards a way-point, from a state that may be unknown yet."""
+    if isinstance(command, Velocity):
+        return command
+    if state is None:
+        return Velocity()
+    way = [to - at for to, at in zip(command.position, state.position, strict=True)]
+    most = SPEED_MPS if command.speed is None else command.speed
+    share = min(GAIN, most / max(math.hypot(*way), 1e-9))
+    linear: Vec3 = (share * way[0], share * way[1], share * way[2])
+    turn = 0.0 if command.yaw is None else GAIN * math.remainder(command.yaw - state.yaw, math.tau)
+    return Velocity(linear=linear, yaw_rate=turn)

@@ -53,6 +53,8 @@ class FirmwareLink(ABC):
     port_step: int  # between instances
     home: Vec3  # default of ``origin``
     free_runs = False  # whether it needs readings before its first outputs
+    at_wall_pace = False  # whether steps must come no faster than the wall clock
+    has_sticks = False  # whether the run can fly it by a remote control
 
     def __init__(
         self,
@@ -81,7 +83,7 @@ class FirmwareLink(ABC):
         except ValueError as error:
             raise ScenarioError(str(error), key="origin") from None
         self.started = False  # its outputs have come
-        self.outputs: tuple[float, ...] = STILL  # shares of the greatest rotor speeds: front right, front left, ...
+        self.outputs: tuple[float, ...] = STILL  # shares of the greatest rotor speeds, in the order of ArduPilot's motors
         self._words = _words(command, {"instance": str(self.instance), "vehicle": vehicle, "folder": folder})
         self._process: FirmwareProcess | None = None
 
@@ -114,6 +116,11 @@ class FirmwareLink(ABC):
         """What came of another protocol, in words; empty: nothing."""
         return ""
 
+    @property
+    def is_alone(self) -> bool:
+        """Whether its ports are in a network of its own."""
+        return False
+
     def start(self) -> None:
         """Start the process, if there is a command line.
 
@@ -143,9 +150,13 @@ class FirmwareLink(ABC):
 
 
 class FirmwareProcess:
-    """A process of firmware in a session and a temporary folder of its own; its output is kept for its last line."""
+    """A process of firmware in a session and a temporary folder of its own; its output is kept for its last line.
 
-    def __init__(self, words: list[str]) -> None:
+    Args:
+        keep: descriptor that it inherits.
+    """
+
+    def __init__(self, words: list[str], *, keep: int | None = None) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="vcmvsp-firmware-", ignore_cleanup_errors=True)
         self._output = tempfile.TemporaryFile()  # noqa: SIM115  closed by `close`
         try:
@@ -156,14 +167,17 @@ class FirmwareProcess:
                 stdout=self._output,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
+                pass_fds=() if keep is None else (keep,),
             )
         except OSError:
             self._remove()
             raise
 
-    def why_ended(self) -> str:
-        """How it ended, with its last line; empty: it runs."""
-        code = self._process.poll()
+    def why_ended(self, wait_s: float = 0.0) -> str:
+        """How it ended, with its last line; empty: it runs, also after waiting."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(wait_s)
+        code = self._process.returncode
         if code is None:
             return ""
         self._output.seek(max(0, self._output.seek(0, os.SEEK_END) - LAST_BYTES))

@@ -9,8 +9,10 @@ from vcmvsp.cosim.federate import FlightReadings
 from vcmvsp.cosim.types import Incident, Velocity, Waypoint
 from vcmvsp.cosim.util.polling import readable
 from vcmvsp.hardware.drivers.base import DriverError
+from vcmvsp.hardware.firmware.betaflight import Betaflight
 from vcmvsp.hardware.firmware.commander import MavlinkCommander
 from vcmvsp.hardware.firmware.link import STILL, FirmwareLink, FirmwareLost
+from vcmvsp.hardware.firmware.pilot import StickPilot
 
 LOOK_S = 0.1  # between two looks at a process
 _FATE = {"fall": "its rotors stop", "hold": "its own autopilot holds it in place"}
@@ -27,11 +29,11 @@ class LockStepFirmware:
     def __init__(self, links: Mapping[str, FirmwareLink], tell: Callable[[str], None] = lambda _: None) -> None:
         self.names = tuple(links)
         self._links, self._tell = [*links.values()], tell
-        self._commanders = {name: MavlinkCommander(each) for name, each in links.items() if each.mavlink}
+        self._commanders = {name: found for name, each in links.items() if (found := _commander(each)) is not None}
         self._lost: dict[str, Sequence[float] | None] = {}  # outputs, by vehicle
         self._incidents: list[tuple[str, Incident]] = []
         self._began_s: float | None = None
-        self._last_ns = 0
+        self._last_ns, self._last_s = 0, 0.0  # the last exchange
 
     def _open(self) -> None:
         """Listen at all ports, and start the processes, once.
@@ -60,7 +62,10 @@ class LockStepFirmware:
         """Outputs of all for these readings."""
         self._open()
         step_s, self._last_ns = 1e-9 * (readings[0].now_ns - self._last_ns), readings[0].now_ns
-        until_s = time.monotonic() + step_s
+        if any(link.at_wall_pace for link in self._links if link.vehicle not in self._lost):
+            time.sleep(max(0.0, self._last_s + step_s - time.monotonic()))
+        self._last_s = time.monotonic()
+        until_s = self._last_s + step_s
         for link, each in zip(self._links, readings, strict=True):
             if link.vehicle not in self._lost:
                 self._guarded(link, each.now_ns, partial(link.send, each))
@@ -72,7 +77,7 @@ class LockStepFirmware:
         return outputs
 
     def command(self, vehicle: str, command: Velocity | Waypoint) -> None:
-        """Pass a command on, if its firmware is reached by MAVLink."""
+        """Pass a command on, if its firmware can be commanded."""
         if vehicle in self._commanders:
             self._commanders[vehicle].command(command)
 
@@ -126,6 +131,12 @@ class LockStepFirmware:
         if commander is not None:
             for what, cause in commander.advance(now_ns):
                 self._note(link, what, cause, now_ns)
+
+
+def _commander(link: FirmwareLink) -> MavlinkCommander | StickPilot | None:
+    if isinstance(link, Betaflight):
+        return StickPilot(link)
+    return MavlinkCommander(link) if link.mavlink else None
 
 
 def _silence(link: FirmwareLink) -> str:

@@ -23,6 +23,7 @@ from vcmvsp.cosim.federate import FlightReadings
 from vcmvsp.cosim.types import Fix, Vec3
 from vcmvsp.hardware.drivers.mavlink import protocol
 from vcmvsp.hardware.drivers.mavlink.protocol import Message, attitude_flipped, body_flipped, mavlink, world_flipped
+from vcmvsp.hardware.firmware.atmosphere import pressure_hpa, temperature_c
 from vcmvsp.hardware.firmware.link import LOOPBACK, FirmwareLink, FirmwareLost
 
 HOME: Vec3 = (47.397742, 8.545594, 488.0)  # degrees and m: PX4's default in simulation (gazebo_mavlink_interface.h)
@@ -213,13 +214,3 @@ def _share(control: float) -> float:
 
 def _centimetres(sigma_m: float) -> int:
     return min(65535, round(100.0 * sigma_m))
-
-
-def pressure_hpa(height_m: float) -> float:
-    """Pressure of the standard atmosphere up to 11 km: 1013.25 (1 - 0.0065 h / 288.15)^5.25588 (ISO 2533:1975)."""
-    return 1013.25 * (1.0 - 0.0065 * height_m / 288.15) ** 5.25588
-
-
-def temperature_c(height_m: float) -> float:
-    """Temperature of the standard atmosphere up to 11 km (ISO 2533:1975)."""
-    return 15.0 - 0.0065 * height_m

@@ -18,7 +18,7 @@ from vcmvsp.cosim.runs.api import check
 from vcmvsp.cosim.types import Fix, Imu, VehicleState
 from vcmvsp.hardware.drivers.mavlink import protocol
 from vcmvsp.hardware.drivers.mavlink.protocol import attitude_flipped, attitude_from_euler
-from vcmvsp.hardware.firmware import ardupilot, px4
+from vcmvsp.hardware.firmware import ardupilot, atmosphere, px4
 
 
 def packet(magic: int, number: int, pulses: list[int], channels: int) -> bytes:
@@ -66,8 +66,8 @@ def test_attitudes_are_those_of_pymavlink(euler: tuple[float, float, float]) -> 
 
 @pytest.mark.parametrize(("height_m", "hpa", "celsius"), [(0, 1013.25, 15.0), (500, 954.61, 11.75), (1000, 898.75, 8.5)])
 def test_pressure_is_that_of_the_standard_atmosphere(height_m: float, hpa: float, celsius: float) -> None:
-    assert px4.pressure_hpa(height_m) == pytest.approx(hpa, abs=0.01)  # ISO 2533:1975, table 5
-    assert px4.temperature_c(height_m) == pytest.approx(celsius, abs=0.01)
+    assert atmosphere.pressure_hpa(height_m) == pytest.approx(hpa, abs=0.01)  # ISO 2533:1975, table 5
+    assert atmosphere.temperature_c(height_m) == pytest.approx(celsius, abs=0.01)
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ def test_pressure_is_that_of_the_standard_atmosphere(height_m: float, hpa: float
         ({"physics": {"kind": "bullet"}}, "physics.rate_hz", "at least 200 steps"),
         ({"vehicle": {"kind": "p2dx"}}, "vehicle.uav0.firmware", "flies quadrotors, not a p2dx"),
         ({"vehicle": {"agent": {"kind": "aerial_route"}}}, "vehicle.uav0.firmware.mavlink", "is missing"),
-        ({"firmware": {"kind": "inav"}}, "vehicle.uav0.firmware.kind", "ardupilot, px4"),
+        ({"firmware": {"kind": "inav"}}, "vehicle.uav0.firmware.kind", "ardupilot, betaflight, px4"),
         ({"firmware": {"instance": 60000}}, "vehicle.uav0.firmware.instance", "too large"),
         ({"firmware": {"command": "arducopter {number}"}}, "vehicle.uav0.firmware.command", "{instance}, {vehicle}, {folder}"),
         ({"firmware": {"command": "arducopter 'x"}}, "vehicle.uav0.firmware.command", "No closing quotation"),
@@ -127,7 +127,7 @@ def test_messages_of_sensors_are_250_hz_at_most_and_lose_no_reading() -> None:
     assert all(each.fields_updated & px4.ACCEL and each.fields_updated & px4.BARO for each in sensors)
     assert (sensors[2].xmag, sensors[2].ymag, sensors[2].zmag) == pytest.approx((0.01, -0.02, -0.03))  # gauss, FRD
     assert sensors[0].zacc == pytest.approx(-9.81)
-    assert sensors[0].abs_pressure == pytest.approx(px4.pressure_hpa(490.0))
+    assert sensors[0].abs_pressure == pytest.approx(atmosphere.pressure_hpa(490.0))
     latitude, longitude, height_m = px4.HOME
     assert (1e-7 * messages[3].lat, 1e-7 * messages[3].lon) == pytest.approx((latitude, longitude), abs=1e-7)
     assert 1e-3 * messages[3].alt == pytest.approx(height_m, abs=1e-3)
