@@ -14,13 +14,12 @@ Position, velocity and attitude are the true ones: ArduPilot adds the errors of 
 """
 
 import json
-import socket
 import struct
 
 from vcmvsp.cosim.federate import FlightReadings
 from vcmvsp.cosim.types import Vec3
 from vcmvsp.hardware.drivers.mavlink.protocol import attitude_flipped, body_flipped, world_flipped
-from vcmvsp.hardware.firmware.link import LOOPBACK, FirmwareLink
+from vcmvsp.hardware.firmware.link import UdpFirmware
 
 MAGIC = {18458: 16, 29569: 32}  # channels by magic number
 HEAD = struct.Struct("<HHI")  # magic number, rate in Hz, number of the frame
@@ -29,32 +28,15 @@ DATAGRAM = 2048
 HOME: Vec3 = (-35.363261, 149.165230, 584.0)  # degrees and m: ArduPilot's default in simulation (sim_vehicle.py, CMAC)
 
 
-class ArduPilot(FirmwareLink):
+class ArduPilot(UdpFirmware):
     """ArduPilot (``arducopter``) on the JSON interface, UDP port 9002 + 10 per instance."""
 
     base_port, port_step, home = 9002, 10, HOME
 
-    _socket: socket.socket | None = None
     _peer: tuple[str, int] | None = None
     _frame = -1  # number of the newest one
     _line = b""  # the last one sent
     _strange, _strangers = 0, 0
-
-    def listen(self) -> None:
-        """Open the UDP port."""
-        if self._socket is None:
-            opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-            try:
-                opened.setblocking(False)
-                opened.bind((LOOPBACK, self.port))
-            except OSError:
-                opened.close()
-                raise
-            self._socket = opened
-
-    def fileno(self) -> int:
-        """The socket."""
-        return self._open.fileno()
 
     def send(self, readings: FlightReadings) -> None:
         """Send a line, once the address is known."""
@@ -76,18 +58,6 @@ class ArduPilot(FirmwareLink):
         """Datagrams of another protocol or from another sender."""
         counts = {"of another protocol": self._strange, "of a second sender": self._strangers}
         return " and ".join(f"{count} datagrams {which}" for which, count in counts.items() if count)
-
-    def close(self) -> None:
-        """End the process and close the port."""
-        super().close()
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
-
-    @property
-    def _open(self) -> socket.socket:
-        assert self._socket is not None  # noqa: S101  `listen` was called
-        return self._socket
 
     def _take(self, data: bytes, sender: tuple[str, int]) -> bool:
         """Take a datagram; whether it has new outputs."""

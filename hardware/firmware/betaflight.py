@@ -29,7 +29,7 @@ from vcmvsp.cosim.federate import FlightReadings
 from vcmvsp.cosim.types import Vec3, VehicleState
 from vcmvsp.hardware.drivers.mavlink.protocol import attitude_flipped, body_flipped
 from vcmvsp.hardware.firmware.atmosphere import pressure_hpa
-from vcmvsp.hardware.firmware.link import LOOPBACK, FirmwareLink, FirmwareLost, FirmwareProcess
+from vcmvsp.hardware.firmware.link import LOOPBACK, FirmwareLost, FirmwareProcess, UdpFirmware
 
 STATE_PORT, STICKS_PORT = 9003, 9004
 OUTPUTS = struct.Struct("<H2x16f")  # servo_packet_raw
@@ -43,13 +43,12 @@ AGAIN_S = 0.05  # wall-clock time after which a packet is repeated
 STARTER = Path(__file__).with_name("private_network.py")
 
 
-class Betaflight(FirmwareLink):
+class Betaflight(UdpFirmware):
     """Betaflight (``betaflight_SITL``), UDP ports 9001 to 9004; started by the run, each in a network of its own."""
 
     base_port, port_step, home, free_runs, at_wall_pace, has_sticks = 9001, 0, HOME, True, True, True
 
     state: VehicleState | None = None
-    _socket: socket.socket | None = None
     _packet = b""  # the last one sent
     _sent_s = 0.0  # wall clock
     _strange = 0
@@ -58,14 +57,8 @@ class Betaflight(FirmwareLink):
 
     def listen(self) -> None:
         """Open the UDP port, if it is started by hand."""
-        if self._socket is None and not self._words:
-            opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-            try:
-                opened.bind((LOOPBACK, self.port))
-            except OSError:
-                opened.close()
-                raise
-            self._use(opened)
+        if not self._words:
+            super().listen()
 
     def start(self) -> None:
         """Start the process in a network of its own, and take over a socket from there."""
@@ -88,10 +81,6 @@ class Betaflight(FirmwareLink):
     def is_alone(self) -> bool:
         """Whether its ports are in a network of its own."""
         return bool(self._words)
-
-    def fileno(self) -> int:
-        """The socket."""
-        return self._open.fileno()
 
     def send(self, readings: FlightReadings) -> None:
         """Send the state."""
@@ -130,22 +119,6 @@ class Betaflight(FirmwareLink):
     def refused(self) -> str:
         """Datagrams of another protocol or version."""
         return f"{self._strange} datagrams of another protocol" if self._strange else ""
-
-    def close(self) -> None:
-        """End the process and close the port."""
-        super().close()
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
-
-    @property
-    def _open(self) -> socket.socket:
-        assert self._socket is not None  # noqa: S101  `listen` and `start` were called
-        return self._socket
-
-    def _use(self, opened: socket.socket) -> None:
-        opened.setblocking(False)
-        self._socket = opened
 
     def _write(self) -> None:
         self._sent_s = time.monotonic()

@@ -4,6 +4,7 @@ import contextlib
 import os
 import shlex
 import signal
+import socket
 import subprocess
 import tempfile
 from abc import ABC, abstractmethod
@@ -147,6 +148,43 @@ class FirmwareLink(ABC):
         if self._process is not None:
             self._process.close()
             self._process = None
+
+
+class UdpFirmware(FirmwareLink):
+    """Firmware that sends its outputs to a UDP port of loopback."""
+
+    _socket: socket.socket | None = None
+
+    def listen(self) -> None:
+        """Open the port."""
+        if self._socket is None:
+            opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            try:
+                opened.bind((LOOPBACK, self.port))
+            except OSError:
+                opened.close()
+                raise
+            self._use(opened)
+
+    def fileno(self) -> int:
+        """The socket."""
+        return self._open.fileno()
+
+    def close(self) -> None:
+        """End the process and close the port."""
+        super().close()
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    @property
+    def _open(self) -> socket.socket:
+        assert self._socket is not None  # noqa: S101  `listen` and `start` were called
+        return self._socket
+
+    def _use(self, opened: socket.socket) -> None:
+        opened.setblocking(False)
+        self._socket = opened
 
 
 class FirmwareProcess:

@@ -62,6 +62,7 @@ FIRMWARE = '[physics]\nrate_hz = 400.0\n[[vehicle]]\nname = "uav1"\nkind = "quad
 AROUND = {
     ("docs/howto/firmware.md", "--defaults {folder}/copter.parm"): Around(before=FIRMWARE),
     ("docs/howto/firmware.md", 'kind = "px4"'): Around(before=FIRMWARE),
+    ("docs/howto/firmware.md", 'kind = "betaflight"'): Around(before=FIRMWARE),
     ("docs/howto/firmware.md", "mavlink ="): Around(before=FIRMWARE),
     ("docs/tutorial.md", "# mine.toml"): Around(files={"my_follower.py": block_of("docs/tutorial.md", "class MyFollower")}),
     ("README.md", "# gap.toml"): Around(files={"keep_gap.py": KEEP_GAP["keep_gap.py"]}),
