@@ -36,6 +36,7 @@ _INSTANT: Tables = {
 }
 _B_RATES = {"1": 1e6, "2": 2e6, "5.5": 5.5e6, "11": 11e6}
 _HT_RATES = {f"{rate:g}": rate * 1e6 for rate in (6.5, 13, 19.5, 26, 39, 52, 58.5, 65)}
+_HE_RATES = {f"{rate:g}": rate * 1e6 for rate in (8.6, 17.2, 25.8, 34.4, 51.6, 68.8, 77.4, 86, 103.2, 114.7, 129, 143.4)}
 _OFDM_RATES = {f"{rate}": rate * 1e6 for rate in (6, 9, 12, 18, 24, 36, 48, 54)}
 
 
@@ -83,8 +84,9 @@ _PRESETS: dict[str, Tables] = {
         for name, rate in _OFDM_RATES.items()
     },
     **{
-        f"wifi-n-{name}": _wifi({"kind": "ofdm", "rate_bps": rate, "band": "2.4GHz"}, 2.4e9, 40.052)
-        for name, rate in _HT_RATES.items()
+        f"wifi-{letter}-{name}": _wifi({"kind": "ofdm", "rate_bps": rate, "band": "2.4GHz"}, 2.4e9, 40.052)
+        for letter, rates in (("n", _HT_RATES), ("ax", _HE_RATES))
+        for name, rate in rates.items()
     },
     # 802.15.4 at 1 mW, with the sensitivity that the standard requires.
     "zigbee": {

@@ -7,7 +7,7 @@ import numpy as np
 from bench.ns3.program import Floats
 
 SIZE = 100  # bytes of payload, most often
-REFERENCE_LOSS_DB = {"b": 40.052, "g": 40.052, "a": 46.684, "n": 40.052}  # at 1 m: of the presets wifi-b, -g, -a, -n
+REFERENCE_LOSS_DB = {"b": 40.052, "g": 40.052, "a": 46.684, "n": 40.052, "ax": 40.052}  # at 1 m
 _UNLOADED_MS = {"b-1": 1.33, "b-11": 0.341, "g-6": 0.264, "g-54": 0.1, "a-6": 0.242, "a-54": 0.078}
 
 
@@ -28,6 +28,7 @@ class Case:
     errors: str = "table"  # packet errors of OFDM: ns-3's default, or yans, nist
     unicast: bool = False  # to the next node instead of to all
     sink: bool = False  # nodes on a circle around node 0, which they send to
+    ideal: bool = False  # rate control by SNR
     rts_bytes: int | None = None  # threshold of RTS/CTS; None: none
     saturated: bool = False
     duration_s: float = 1.0  # what is sent in this time counts
@@ -43,7 +44,12 @@ class Case:
         fading = f"-m{self.nakagami:g}" if self.nakagami else ""
         errors = f"-{self.errors}" if self.errors != "table" else ""
         size = f"-{self.size}B" if self.size != SIZE else ""
-        flags = {"unicast": self.unicast, "sink": self.sink, f"rts{self.rts_bytes}": self.rts_bytes is not None}
+        flags = {
+            "unicast": self.unicast,
+            "sink": self.sink,
+            "ideal": self.ideal,
+            f"rts{self.rts_bytes}": self.rts_bytes is not None,
+        }
         words = "".join(f"-{word}" for word, holds in flags.items() if holds)
         return f"{self.phy}-N{self.nodes}-{load}{size}{more}{fading}{errors}{words}"
 
@@ -92,7 +98,7 @@ class Case:
             options |= {"fading": "nakagami", "m": self.nakagami}
         if self.rts_bytes is not None:
             options |= {"ns3::WifiRemoteStationManager::RtsCtsThreshold": self.rts_bytes, "control": self.control_rate}
-        flags = {"unicast": self.unicast, "sink": self.sink, "saturated": self.saturated}
+        flags = {"unicast": self.unicast, "sink": self.sink, "ideal": self.ideal, "saturated": self.saturated}
         return options | {name: 1 for name, holds in flags.items() if holds}
 
 
@@ -153,4 +159,25 @@ RTS = (
     Case("n-26", 20, 20, side_m=150.0, exponent=3.0, size=500, unicast=True, rts_bytes=400, drain_s=0.8, seeds=60),
     Case("b-11", 10, 50, side_m=150.0, exponent=3.0, size=500, unicast=True, rts_bytes=400, drain_s=0.8, seeds=60),
 )
-CASES = (*SQUARES, *WIDE, *UNICAST, *HT, *RTS)
+HE = (
+    *(Case(f"ax-{rate}", n, hz) for rate, hz in (("8.6", 50), ("143.4", 100)) for n in (10, 50)),
+    *(Case(f"ax-{rate}", 50, 10, side_m=600.0, exponent=3.0, duration_s=2.0, seeds=10) for rate in ("17.2", "86", "114.7")),
+    *(
+        Case(f"ax-{rate}", n, 0, unicast=True, saturated=True, drain_s=0.6, seeds=5)
+        for rate in ("8.6", "34.4", "143.4")
+        for n in (2, 10)
+    ),
+)
+IDEAL = (
+    *(
+        Case(phy, 2, 0, side_m=side_m, exponent=3.0, size=1000, sink=True, ideal=True, saturated=True, seeds=5)
+        for phy, sides_m in (("a-6", (20, 40, 60, 80)), ("n-6.5", (20, 60, 100, 140)), ("ax-8.6", (10, 20, 60, 100, 140)))
+        for side_m in sides_m
+    ),
+    *(
+        Case(phy, 10, 20, side_m=side_m, exponent=3.0, nakagami=m, size=1000, unicast=True, ideal=True, drain_s=0.8, seeds=20)
+        for phy, side_m in (("a-6", 40.0), ("n-6.5", 60.0), ("ax-8.6", 60.0))
+        for m in (0.0, 3.0)
+    ),
+)
+CASES = (*SQUARES, *WIDE, *UNICAST, *HT, *RTS, *HE, *IDEAL)

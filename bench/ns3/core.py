@@ -49,7 +49,7 @@ class Air:
         loss_db = REFERENCE_LOSS_DB[standard] + 10.0 * case.exponent * np.log10(np.maximum(distance, 1.0))
         self.mean_mw: Floats = 10.0 ** ((self.phy.tx_power_dbm - loss_db) / 10.0)
         np.fill_diagonal(self.mean_mw, 0.0)
-        self._rts_bytes = case.rts_bytes
+        self._mac = Dcf(rts_threshold_bytes=case.rts_bytes, rate_control="ideal" if case.ideal else "none")
         self._size, self._m, self._random, self._offered = (
             case.size,
             case.nakagami,
@@ -59,7 +59,7 @@ class Air:
 
     def open(self, keys: NDArray[np.uint64]) -> DcfMedium:
         """The core, with the keys (n,) of the radios."""
-        medium = Dcf(rts_threshold_bytes=self._rts_bytes).open(self.phy, len(keys), keys, self._noise_mw)
+        medium = self._mac.open(self.phy, len(keys), keys, self._noise_mw)
         assert isinstance(medium, DcfMedium)
         medium.levels[:] = self.mean_mw  # of acknowledgements
         return medium

@@ -93,7 +93,7 @@ def _judge(case: Case, duration_s: float, seed: int) -> Judged:
     numbers = {(sender, of_sender): number for number, (sender, of_sender) in enumerate(rows[:, :2].tolist())}
     judged = Judged(program.read(Path(out), n), rows[:, 5], [[] for _ in range(n)], [[] for _ in range(n)], [[] for _ in rows])
     window, on_air, acked_ns = [0] * n, [-1] * n, [-SECOND_NS] * n
-    ack_ns = Dcf().rules(Air(case, seed).phy, 1.0).ack_air_ns
+    ack_ns = Dcf().rules(Air(case, seed).phy, 1.0).cts_air_ns  # of the same length
     for line in log.splitlines():
         time, name, what, *more = line.split()
         node = int(name)

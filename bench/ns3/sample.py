@@ -51,7 +51,7 @@ def tally(positions: Floats, frames: Frames, cpu_s: float) -> Sample:
 
 def command(case: Case, seed: int) -> Sample:
     """``vcmvsp channel`` on the same positions."""
-    if case.unicast or case.sink or case.saturated or case.rts_bytes is not None:
+    if case.unicast or case.sink or case.saturated or case.ideal or case.rts_bytes is not None:
         raise NotImplementedError("the command neither addresses frames nor keeps queues full")
     keys: dict[str, str | float] = {"path_loss.exponent": case.exponent}
     if case.errors != "table":

@@ -95,7 +95,8 @@ void Build(const std::vector<std::vector<double>>& positions)
     }
     std::string name = ModeName(opt.rate);
     const std::map<std::string, WifiStandard> standards{
-        {"a", WIFI_STANDARD_80211a}, {"b", WIFI_STANDARD_80211b}, {"g", WIFI_STANDARD_80211g}, {"n", WIFI_STANDARD_80211n}};
+        {"a", WIFI_STANDARD_80211a}, {"b", WIFI_STANDARD_80211b}, {"g", WIFI_STANDARD_80211g}, {"n", WIFI_STANDARD_80211n},
+        {"ax", WIFI_STANDARD_80211ax}};
     WifiHelper wifi;
     wifi.SetStandard(standards.at(opt.standard));
     WifiMacHelper mac;
@@ -107,9 +108,24 @@ void Build(const std::vector<std::vector<double>>& positions)
         phy.Set("ChannelSettings", StringValue("{0, 20, BAND_2_4GHZ, 0}"));
         mac.SetType("ns3::AdhocWifiMac", "BE_MaxAmpduSize", UintegerValue(0));
     }
+    if (opt.standard == "ax") // as n
+    {
+        const std::vector<std::string> rates{"8.6", "17.2", "25.8", "34.4", "51.6", "68.8", "77.4", "86", "103.2", "114.7", "129", "143.4"};
+        name = "HeMcs" + std::to_string(std::find(rates.begin(), rates.end(), opt.rate) - rates.begin());
+        Config::SetDefault("ns3::HeConfiguration::GuardInterval", TimeValue(NanoSeconds(800)));
+        phy.Set("ChannelSettings", StringValue("{0, 20, BAND_2_4GHZ, 0}"));
+        mac.SetType("ns3::AdhocWifiMac", "BE_MaxAmpduSize", UintegerValue(0));
+    }
     const StringValue mode(name);
     const StringValue control(opt.control.empty() ? name : ModeName(opt.control));
-    wifi.SetRemoteStationManager("ns3::ConstantRateWifiManager", "DataMode", mode, "NonUnicastMode", mode, "ControlMode", control);
+    if (opt.ideal)
+    {
+        wifi.SetRemoteStationManager("ns3::IdealWifiManager");
+    }
+    else
+    {
+        wifi.SetRemoteStationManager("ns3::ConstantRateWifiManager", "DataMode", mode, "NonUnicastMode", mode, "ControlMode", control);
+    }
     devices = wifi.Install(phy, mac, nodes);
     WifiHelper::AssignStreams(devices, 1000);
 }
@@ -149,8 +165,8 @@ void StartTraffic(uint32_t n)
 int main(int argc, char** argv)
 {
     CommandLine cmd;
-    cmd.AddValue("standard", "b, g, a, or n at 2.4 GHz", opt.standard);
-    cmd.AddValue("rate", "Mbit/s: 1, 2, 5.5, 11, 6 .. 54, 6.5 .. 65", opt.rate);
+    cmd.AddValue("standard", "b, g, a, or n or ax at 2.4 GHz", opt.standard);
+    cmd.AddValue("rate", "Mbit/s: 1, 2, 5.5, 11, 6 .. 54, 6.5 .. 65, 8.6 .. 143.4", opt.rate);
     cmd.AddValue("positions", "file, rows x,y,z in m", opt.positions);
     cmd.AddValue("arrivals", "file, rows seconds,sender[,to[,size]]; to -1: all; instead of --hz", opt.arrivals);
     cmd.AddValue("hz", "frames a second and node", opt.hz);
@@ -168,6 +184,7 @@ int main(int argc, char** argv)
     cmd.AddValue("m", "of Nakagami", opt.m);
     cmd.AddValue("unicast", "to the next node instead of to all", opt.unicast);
     cmd.AddValue("sink", "all nodes send to node 0", opt.sink);
+    cmd.AddValue("ideal", "rate control: IdealWifiManager", opt.ideal);
     cmd.AddValue("control", "Mbit/s: rate of RTS", opt.control);
     cmd.AddValue("saturated", "as many frames as go out, instead of --hz", opt.saturated);
     cmd.AddValue("queued", "with --saturated: frames that wait at each node", opt.queued);

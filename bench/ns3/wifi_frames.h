@@ -24,7 +24,7 @@ struct Options
     double hz{10}, duration{10}, warmup{0}, drain{0.6}, exponent{3}, referenceLoss{40.052}, referenceDistance{1};
     double txPower{16.0206}, m{1}, preambleRssi{-82}, preambleSnr{4};
     uint32_t size{100}, seed{1}, queued{3};
-    bool unicast{false}, sink{false}, saturated{false}, detection{true}, delay{true}, log{false}, why{false};
+    bool unicast{false}, sink{false}, ideal{false}, saturated{false}, detection{true}, delay{true}, log{false}, why{false};
 };
 
 struct Sent
@@ -89,7 +89,7 @@ void SendPeriodically(uint32_t node, Time period)
 
 void SendAnother(uint32_t node)
 {
-    if (opt.saturated)
+    if (opt.saturated && !(opt.sink && node == 0)) // node 0 sends nothing but management
     {
         Simulator::ScheduleNow([node] { Send(node, To(node), opt.size); });
     }

@@ -1,4 +1,4 @@
-"""OFDM (IEEE 802.11a, g and n): time on the air and packet errors, 6 to 65 Mbit/s.
+"""OFDM (IEEE 802.11a, g, n and ax): time on the air and packet errors, 6 to 143 Mbit/s.
 
 There are three models of packet errors, which differ by up to 5 dB:
 
@@ -48,8 +48,24 @@ HT_MODES = {
     58.5e6: (64, "3/4"),
     65e6: (64, "5/6"),
 }
+# The same of HE, MCS 0 to 11: one stream in 20 MHz, guard interval 800 ns (IEEE 802.11ax-2021, table 27-55).
+HE_MODES = {
+    8.6e6: (2, "1/2"),
+    17.2e6: (4, "1/2"),
+    25.8e6: (4, "3/4"),
+    34.4e6: (16, "1/2"),
+    51.6e6: (16, "3/4"),
+    68.8e6: (64, "2/3"),
+    77.4e6: (64, "3/4"),
+    86e6: (64, "5/6"),
+    103.2e6: (256, "3/4"),
+    114.7e6: (256, "5/6"),
+    129e6: (1024, "3/4"),
+    143.4e6: (1024, "5/6"),
+}
+HE_SUBCARRIERS = 234  # with data, in 20 MHz
 RATES_BPS = tuple(MODES)
-ALL_MODES = MODES | HT_MODES
+ALL_MODES = MODES | HT_MODES | HE_MODES
 CODE_RATES = {"1/2": 1.0 / 2.0, "2/3": 2.0 / 3.0, "3/4": 3.0 / 4.0, "5/6": 5.0 / 6.0}
 
 # Lightest error events of the standard's code (generators 133, 171): (free distance d, bit errors at d, and at d + 1).
@@ -60,7 +76,8 @@ LIGHTEST = {"1/2": (10, 11, 0), "2/3": (6, 1, 16), "3/4": (5, 8, 31), "5/6": (4,
 # TableBasedErrorRateModel delivers 10 to 90 % of frames of 13 sizes from 14 to 399 bytes, and of 9 from 400 to 2304, so that
 # the largest difference is smallest: 0.08 and 0.10 dB (where 5 % arrive 0.24, where 1 % do 0.7). It has two tables, of frames
 # of 32 and of 1458 bytes, and takes other sizes as powers of those; none for 9 Mbit/s, where it takes yans. HT has the same
-# tables by modulation and code, and its own at 65 Mbit/s (0.08 and 0.10 dB).
+# tables by modulation and code, and its own at 65 Mbit/s (0.08 and 0.10 dB). HE has those of HT, and its own at 103.2 and 114.7
+# Mbit/s (0.07 and 0.09 dB); none at 129 and 143.4 Mbit/s, where it takes yans.
 ONTO_TABLE_DB = {
     6e6: ((-0.3, -1.19, 1.22, 0.29), (0.0, -0.98, 1.08, 0.54)),
     12e6: ((1.3, 0.02, 1.09, 0.30), (2.5, 1.58, 1.02, 0.44)),
@@ -70,9 +87,43 @@ ONTO_TABLE_DB = {
     48e6: ((11.9, 11.31, 1.46, -0.21), (14.8, 14.81, 0.94, 0.35)),
     54e6: ((14.8, 15.58, 0.92, 0.10), (16.9, 17.57, 0.89, 0.25)),
     65e6: ((16.5, 17.85, 0.86, 0.13), (17.7, 19.48, 1.05, -0.10)),
+    103.2e6: ((19.66, 22.55, 0.92, 0.11), (21.08, 24.13, 0.77, 0.17)),
+    114.7e6: ((21.17, 24.19, 0.85, 0.24), (22.65, 25.88, 0.77, 0.25)),
 }
-ALIKE_BPS = {6.5e6: 6e6, 13e6: 12e6, 19.5e6: 18e6, 26e6: 24e6, 39e6: 36e6, 52e6: 48e6, 58.5e6: 54e6}
-"""Rates of HT, and those of the same modulation and code."""
+ALIKE_BPS = {
+    6.5e6: 6e6,
+    13e6: 12e6,
+    19.5e6: 18e6,
+    26e6: 24e6,
+    39e6: 36e6,
+    52e6: 48e6,
+    58.5e6: 54e6,
+    8.6e6: 6e6,
+    17.2e6: 12e6,
+    25.8e6: 18e6,
+    34.4e6: 24e6,
+    51.6e6: 36e6,
+    68.8e6: 48e6,
+    77.4e6: 54e6,
+    86e6: 65e6,
+}
+"""Rates of HT and HE, and those of the same modulation and code."""
+LEAST_SNR_DB = {
+    6e6: 1.465,
+    9e6: 3.809,
+    12e6: 4.475,
+    18e6: 6.985,
+    24e6: 10.375,
+    36e6: 13.465,
+    48e6: 17.865,
+    54e6: 19.125,
+    65e6: 20.775,
+    103.2e6: 24.525,
+    114.7e6: 25.905,
+    129e6: 33.277,
+    143.4e6: 35.186,
+}
+"""SNR at which a bit fails with 1e-6, by which ns-3.44 ``IdealWifiManager`` chooses the rate (for others see `ALIKE_BPS`)."""
 LONG_BITS = 8 * 400  # rate x time after the preamble, as in ns-3.44: padding and signal extension included
 
 # Information bit errors of all events of weight d0, d0 + step, ...: (d0, step, information bits k that they count for, errors).
@@ -86,7 +137,7 @@ SPECTRA = {
 
 @dataclass(frozen=True)
 class Ofdm:
-    """IEEE 802.11a (``band`` 5GHz) or g (2.4GHz, no protection) in 20 MHz at 6 to 54 Mbit/s, 802.11n at 6.5 to 65 Mbit/s.
+    """IEEE 802.11a (``band`` 5GHz) or g (2.4GHz, no protection) in 20 MHz, 6 to 54 Mbit/s; n, 6.5 to 65; ax, 8.6 to 143.4.
 
     Air time (IEEE 802.11-2016, 17.4.3 and 18.5.3): preamble and header 20 us, then symbols of 4 us with 16 bits of service, the
     PSDU and 6 bits of tail, the last one filled up; at 2.4 GHz 6 us of silence end it (signal extension). The PSDU is the
@@ -95,14 +146,17 @@ class Ofdm:
 
     802.11n is HT-mixed with one stream and a guard interval of 800 ns, without aggregation (19.3, 19.4.3): preamble and headers
     36 us, the other rates (MCS 0 to 7), and a MAC header of 26 bytes (QoS). Acknowledgements are those of 802.11a and g.
+    802.11ax is an HE SU PPDU with one stream and a guard interval of 800 ns, otherwise like n (27.3): preamble and headers 44
+    us as in ns-3.44 (HE-LTF 8 us; by the standard 7.2), symbols of 13.6 us with 234 subcarriers, MCS 0 to 11, convolutional
+    code, and 4 more bytes, the delimiter of an A-MPDU with one MPDU.
 
     Power, sensitivity and noise are as in ns-3.44 and `netsim.phy.dsss.Dsss`: 16.0206 dBm, and -82 dBm for every rate. The
     standard requires -82 dBm at 6 Mbit/s and -65 dBm at 54 (17.3.10.2); here this difference comes from the packet errors of
     ``error_model`` (`OfdmErrors`, whose three models differ by up to 5 dB).
     """
 
-    rate_bps: BitRate = 6e6  # 6e6 to 54e6: 802.11a, g; 6.5e6, 13e6, 19.5e6, 26e6, 39e6, 52e6, 58.5e6 or 65e6: n
-    band: Literal["2.4GHz", "5GHz"] = "2.4GHz"  # 802.11g or a; n has both
+    rate_bps: BitRate = 6e6  # of 802.11a, g (6e6 to 54e6), n (6.5e6 to 65e6) or ax (8.6e6 to 143.4e6), one of the table
+    band: Literal["2.4GHz", "5GHz"] = "2.4GHz"  # 802.11g or a; n and ax have both
     tx_power_dbm: Decibels = 16.0206  # transmitted power
     sensitivity_dbm: Decibels = -82.0  # weakest level at which a frame is noticed
     noise_figure_db: Decibels = 7.0  # of the receiver, above the thermal noise in 20 MHz
@@ -111,21 +165,36 @@ class Ofdm:
 
     def __post_init__(self) -> None:
         if self.rate_bps not in ALL_MODES:
-            legacy, ht = (", ".join(f"{rate / 1e6:g}e6" for rate in modes) for modes in (MODES, HT_MODES))
-            problem = f"must be {legacy} bit/s (802.11a/g) or {ht} (n), not {self.rate_bps:g}"
+            legacy, ht, he = (", ".join(f"{rate / 1e6:g}e6" for rate in modes) for modes in (MODES, HT_MODES, HE_MODES))
+            problem = f"must be {legacy} bit/s (802.11a/g), {ht} (n) or {he} (ax), not {self.rate_bps:g}"
             raise ScenarioError(problem, key="rate_bps")
         if self.is_ht and self.error_model == "nist":
-            raise ScenarioError("nist has no errors of 802.11n: use table or yans", key="error_model")
+            raise ScenarioError("nist has no errors of 802.11n and ax: use table or yans", key="error_model")
+
+    @property
+    def is_he(self) -> bool:
+        """Whether it is 802.11ax (high efficiency)."""
+        return self.rate_bps in HE_MODES
 
     @property
     def is_ht(self) -> bool:
-        """Whether it is 802.11n (high throughput)."""
-        return self.rate_bps in HT_MODES
+        """Whether it is 802.11n (high throughput) or ax, which build on it."""
+        return self.rate_bps in HT_MODES or self.is_he
+
+    @property
+    def rates_bps(self) -> tuple[float, ...]:
+        """The rates of its standard, rising."""
+        return tuple(HE_MODES if self.is_he else HT_MODES if self.is_ht else MODES)
+
+    @property
+    def least_snr_db(self) -> float:
+        """Ratio of signal to noise above which rate control takes this rate."""
+        return LEAST_SNR_DB[ALIKE_BPS.get(self.rate_bps, self.rate_bps)]
 
     @property
     def headers_bytes(self) -> int:
         """Bytes of a PSDU besides the payload."""
-        return 38 if self.is_ht else 36
+        return 42 if self.is_he else 38 if self.is_ht else 36
 
     @property
     def noise_dbm(self) -> float:
@@ -138,19 +207,28 @@ class Ofdm:
         return OfdmErrors(self.rate_bps, self.band, self.error_model)
 
     def air_time_ns(self, size_bytes: int) -> int:
-        """20 us + 4 us x ceil((22 + 8 PSDU) / (4 us x rate)), + 6 us at 2.4 GHz; of all frames, with the spaces between."""
+        """Preamble, headers, and the symbols of the PSDU, + 6 us at 2.4 GHz; of all frames, with the spaces between."""
         sifs_us = 10 if self.band == "2.4GHz" else 16
-        head_us = 36 if self.is_ht else 20
-        return over_frames(size_bytes, LARGEST_MSDU_BYTES, lambda size: head_us + self._payload_us(size), sifs_us) * US
+        head_us = 44 if self.is_he else 36 if self.is_ht else 20
+        return over_frames(size_bytes, LARGEST_MSDU_BYTES, lambda size: head_us * US + self._payload_ns(size), sifs_us * US)
 
     def payload_bits(self, size_bytes: int) -> int:
         """Bits for the error rate: rate x time after preamble and header, padding and extension included."""
-        return int(self.rate_bps) * over_frames(size_bytes, LARGEST_MSDU_BYTES, self._payload_us) // 1_000_000
+        bits, symbol_ns = self._symbol
+        return bits * over_frames(size_bytes, LARGEST_MSDU_BYTES, self._payload_ns) // symbol_ns
 
-    def _payload_us(self, size_bytes: int) -> int:
-        bits = 22 + 8 * (size_bytes + self.headers_bytes)
-        symbols = -(-bits // (4 * int(self.rate_bps) // 1_000_000))
-        return 4 * symbols + (6 if self.band == "2.4GHz" else 0)
+    @property
+    def _symbol(self) -> tuple[int, int]:
+        """Data bits of a symbol, and its length in ns."""
+        if not self.is_he:
+            return 4 * int(self.rate_bps) // 1_000_000, 4_000
+        points, code = HE_MODES[self.rate_bps]
+        return round(HE_SUBCARRIERS * math.log2(points) * CODE_RATES[code]), 13_600
+
+    def _payload_ns(self, size_bytes: int) -> int:
+        bits, symbol_ns = self._symbol
+        symbols = -(-(22 + 8 * (size_bytes + self.headers_bytes)) // bits)
+        return symbols * symbol_ns + (6 * US if self.band == "2.4GHz" else 0)
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,10 @@ waits. A frame that finds the medium idle and no backoff left waits for DIFS; in
 A unicast frame above the RTS threshold is preceded by RTS and CTS (10.3.2.4, 10.3.2.7): radios that decode one of them are
 silent until the end of the acknowledgement (`DcfState.nav_ns`). A reservation by RTS ends early if no frame follows.
 
+With rate control a unicast frame has the highest rate whose `DcfState.least_snr` is below the SINR that its destination had of
+the last acknowledged frame, or of an RTS since. At first, and after a frame that was given up, it has the lowest rate (ns-3.44,
+``IdealWifiManager``).
+
 A radio stores the slots left at the last extension of the busy time, and the time at which they end without another extension:
 slots are no events. After a payload that could not be decoded it waits for EIFS. The queues are linked lists in the arrays of
 the frames.
@@ -164,6 +168,7 @@ def start(s: DcfState, rules: DcfRules, i: int, now: int) -> bool:
     if f == NOBODY:  # all expired while it waited
         release(s, rules, i, now, now)
         return True
+    set_rate(s, rules, f)
     if s.attempts[f] == 0 and s.known[f]:
         copy(s.levels[f], s.level[i])
         copy(s.patiences[f], s.patience[i])
@@ -181,6 +186,27 @@ def start(s: DcfState, rules: DcfRules, i: int, now: int) -> bool:
     else:
         send_data(s, rules, i, now)
     return True
+
+
+def set_rate(s: DcfState, rules: DcfRules, f: int) -> None:
+    """Give a waiting unicast frame the rate of its link."""
+    if rules.rate_control == 0 or s.to[f] == NOBODY:
+        return
+    rate, size = s.rate[s.sender[f]][s.to[f]], s.frame_size[f]
+    s.frame_rate[f] = rate
+    s.air_ns[f], s.frame_bits[f] = s.size_air_ns[size][rate], s.size_bits[size][rate]
+    s.frame_curve[f] = s.size_curve[size][rate]
+
+
+def observe(s: DcfState, rules: DcfRules, i: int, to: int) -> None:
+    """Radio i learns with how much SINR radio ``to`` has received its frame, and chooses the rate of its next one."""
+    if rules.rate_control == 0:
+        return
+    best = 0
+    for rate in range(len(s.least_snr)):
+        if s.least_snr[rate] < s.least[i][to]:
+            best = rate
+    s.rate[i][to] = best
 
 
 def send_data(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
@@ -228,10 +254,17 @@ def answer(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
     copy(s.heard[i], s.level[i])
     s.level[i][back] = level
     fill(s.doubt[i][draw(s, i)], s.patience[i])
-    s.kind[i] = CTS if s.kind[back] == RTS else ACK
-    s.payload_bits_per_ns[i] = rules.ack_bits_per_ns
-    s.curve[i] = ACKNOWLEDGEMENT
-    send(s, rules, i, now, rules.ack_air_ns)
+    if s.kind[back] == RTS:
+        s.kind[i] = CTS
+        s.payload_bits_per_ns[i] = rules.cts_bits_per_ns
+        s.curve[i] = ACKNOWLEDGEMENT
+        send(s, rules, i, now, rules.cts_air_ns)
+    else:
+        rate = s.frame_rate[f]
+        s.kind[i] = ACK
+        s.payload_bits_per_ns[i] = s.ack_bits_per_ns[rate]
+        s.curve[i] = s.ack_curve[rate]
+        send(s, rules, i, now, s.ack_air_ns[rate])
 
 
 def finish(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
@@ -255,6 +288,7 @@ def finish(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
             s.due[TIMEOUT * n + back] = NEVER
             s.window[back] = rules.cw_min
             s.failures[back] = 0
+            observe(s, rules, back, i)
             decide(s, f, now, s.outcome[f])
             release(s, rules, back, now, now)
         return
@@ -280,13 +314,15 @@ def finish(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
 
 def duration_ns(s: DcfState, rules: DcfRules, i: int) -> int:
     """Time that the frame of radio i reserves behind its end: to the end of the acknowledgement; of ACK and broadcasts 0."""
-    acknowledged = rules.sifs_ns + rules.ack_air_ns
-    if s.kind[i] == UNICAST:
-        return acknowledged
-    if s.kind[i] == CTS:
-        return int(rules.sifs_ns + s.air_ns[s.acked[i]] + acknowledged)
-    if s.kind[i] == RTS:
-        return int(2 * rules.sifs_ns + rules.ack_air_ns + s.air_ns[s.sending[i]] + acknowledged)
+    kind = s.kind[i]
+    f = s.acked[i] if kind == CTS else s.sending[i]
+    acknowledged = rules.sifs_ns + s.ack_air_ns[s.frame_rate[f]]
+    if kind == UNICAST:
+        return int(acknowledged)
+    if kind == CTS:
+        return int(rules.sifs_ns + s.air_ns[f] + acknowledged)
+    if kind == RTS:
+        return int(2 * rules.sifs_ns + rules.cts_air_ns + s.air_ns[f] + acknowledged)
     return 0
 
 
@@ -312,6 +348,7 @@ def finish_cts(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
     if s.fate[i][back] == RECEIVED and s.sending[back] == f:
         s.due[TIMEOUT * n + back] = NEVER
         s.due[ANSWER * n + back] = now + rules.sifs_ns
+        observe(s, rules, back, i)
 
 
 def is_receiving(s: DcfState, rules: DcfRules, i: int, now: int) -> bool:
@@ -348,6 +385,7 @@ def give_up(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
         s.failures[i] = 0
         s.window[i] = rules.cw_min
     if s.attempts[f] >= rules.attempts:
+        s.rate[i][s.to[f]] = 0
         decide(s, f, now, s.outcome[f])
     else:
         insert(s, i, f, NOBODY, s.head[i])
@@ -523,6 +561,7 @@ def next_decision(s: DcfState, rules: DcfRules) -> int:
         if begin < NEVER:
             late = f == NOBODY or begin > s.offered_ns[f] + rules.lifetime_ns
             if not late:  # the last attempt may end with its RTS
+                set_rate(s, rules, f)
                 begin += min(s.air_ns[f], rules.rts_air_ns) if s.protected[f] else s.air_ns[f]
             soonest = min(soonest, begin)
     return soonest

@@ -5,7 +5,7 @@ decided frames.
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -39,7 +39,18 @@ FRAME_S = 1e-4  # CPU time of a frame of 3 to 50 radios, interpreted
 LOAD_AFTER = round(LOAD_S / FRAME_S)  # frames for which loading compiled code pays
 COMPILE_AFTER = 5000  # frames for which compiling pays, once for each computer
 PER_FRAME = tuple(name for name, shape in SHAPES.items() if shape[0] == "c")
+PER_SIZE = tuple(name for name, shape in SHAPES.items() if shape[0] == "z")
 CORE = error_rate, capture, access
+
+
+class Rate(NamedTuple):
+    """A rate of unicast frames, and its acknowledgements."""
+
+    phy: Dsss | Ofdm
+    least_snr: float  # above which rate control takes it; a ratio of powers
+    ack_air_ns: int
+    ack_bits_per_ns: float
+    ack_curve: ErrorRate
 
 
 class DcfMedium:
@@ -47,7 +58,8 @@ class DcfMedium:
 
     Args:
         rules: constants of the contention.
-        phy: air times and bits of frames.
+        rates: of unicast frames: the phy's, or, with rate control, all rising.
+        phy: air times and bits of other frames.
         keys: (n,) random keys of the radios.
         curves: error rates of headers and of acknowledgements.
         sensitivity_mw: the weakest level that is detected.
@@ -60,6 +72,7 @@ class DcfMedium:
     def __init__(
         self,
         rules: DcfRules,
+        rates: Sequence[Rate],
         phy: Dsss | Ofdm,
         keys: Keys,
         curves: tuple[ErrorRate, ErrorRate],
@@ -72,12 +85,14 @@ class DcfMedium:
         self._phy, self._keys, self._rules, count = phy, keys, rules, len(keys)
         self._done, self._faster_at = 0, LOAD_AFTER if compile_core is None and available() else None  # frames
         self._curves = list(curves)  # of the rows of `DcfState.tables`
-        self._state = new_state(rules, count, sensitivity_mw, np.stack([each.table for each in curves]))
+        self._rates = rates
+        self._state = new_state(rules, count, sensitivity_mw, np.stack([each.table for each in curves]), len(rates))
+        self._set_rates(rates)
         self._free = list(range(len(self._state.behind)))[::-1]  # places of frames, the lowest last
         self._number = np.zeros(len(self._state.behind), np.int64)  # of the frame at each place
         self._renew: dict[int, tuple[Renew, Answer | None]] = {}  # by their places
         self._undecided = 0
-        self._sizes: dict[int, tuple[int, int, int]] = {}  # air time, bits and curve of frames
+        self._sizes: dict[int, tuple[int, int, int, int]] = {}  # air time, bits, curve of frames, row of the size
         self._decided: list[DecidedFrames] = []  # not returned yet
         self._draw()
         self._state.slots[:] = (self._state.backoff[:, 0] * (rules.cw_min + 1)).astype(np.int64)
@@ -154,13 +169,35 @@ class DcfMedium:
     ) -> None:
         if size_bytes not in self._sizes:
             curve, bits = self._phy.errors.payload(size_bytes)
-            self._sizes[size_bytes] = self._phy.air_time_ns(size_bytes), bits, self._row_of(curve)
+            row = self._put_size(size_bytes, len(self._sizes))
+            self._sizes[size_bytes] = self._phy.air_time_ns(size_bytes), bits, self._row_of(curve), row
         s = self._state
-        s.air_ns[places], s.frame_bits[places], s.frame_curve[places] = self._sizes[size_bytes]
+        s.air_ns[places], s.frame_bits[places], s.frame_curve[places], s.frame_size[places] = self._sizes[size_bytes]
         s.sender[places], s.offered_ns[places], s.known[places], self._number[places] = sender, time_ns, known, number
         s.attempts[places], s.began_ns[places], s.told[places] = 0, -1, False
         s.protected[places] = self._longest_bytes is not None and size_bytes > self._longest_bytes
         s.outcome[places], s.least_there[places] = EXPIRED, np.nan
+
+    def _put_size(self, size_bytes: int, row: int) -> int:
+        """Add a size of frames at all rates; returns its row."""
+        if not self._rules.rate_control:
+            return 0
+        if row == len(self._state.size_bits):
+            s = self._state
+            self._state = s._replace(**{name: np.concatenate([getattr(s, name)] * 2) for name in PER_SIZE})
+        for k, rate in enumerate(self._rates):
+            curve, bits = rate.phy.errors.payload(size_bytes)
+            place = self._row_of(curve)
+            self._state.size_air_ns[row, k] = rate.phy.air_time_ns(size_bytes)
+            self._state.size_bits[row, k], self._state.size_curve[row, k] = bits, place
+        return row
+
+    def _set_rates(self, rates: Sequence[Rate]) -> None:
+        """Set what depends on the rate alone."""
+        for k, rate in enumerate(rates):
+            place = self._row_of(rate.ack_curve)
+            self._state.least_snr[k], self._state.ack_curve[k] = rate.least_snr, place
+            self._state.ack_air_ns[k], self._state.ack_bits_per_ns[k] = rate.ack_air_ns, rate.ack_bits_per_ns
 
     def _row_of(self, curve: ErrorRate) -> int:
         if curve not in self._curves:

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import msgspec
 
@@ -10,7 +10,7 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Count, Decibels, Period
 from vcmvsp.netsim.interfaces.layers import US, Keys, Phy
-from vcmvsp.netsim.mac.dcf.medium import DcfMedium
+from vcmvsp.netsim.mac.dcf.medium import DcfMedium, Rate
 from vcmvsp.netsim.mac.dcf.state import DcfRules
 from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.phy.ofdm import Ofdm
@@ -32,6 +32,11 @@ class Standard(NamedTuple):
     ack_rates_bps: tuple[float, ...]
     lowest_ack_us: int  # at the lowest rate of the band
     aifsn: int = 2  # slots in DIFS, or in AIFS of best effort (table 9-155)
+
+    @property
+    def header_end_ns(self) -> int:
+        """From the start of a frame."""
+        return (self.preamble_us + self.header_us) * US
 
 
 B = Standard(20.0, 10.0, 31, 144, 48, -101.0 + 10.0 * math.log10(22.0 / 20.0), (1e6, 2e6, 5.5e6, 11e6), 304)
@@ -68,6 +73,7 @@ class Dcf:
     lifetime_s: Period = 0.5  # longest time of a frame in the queue; older frames are dropped
     attempts: Attempts = 7  # maximum number of transmissions of a unicast frame, or its RTS
     rts_threshold_bytes: PsduBytes | None = None  # unicast frames with more (payload and MAC headers) have RTS/CTS; None: none
+    rate_control: Literal["none", "ideal"] = "none"  # rate of unicast frames: the phy's, or by the SNR of the last one
 
     def __post_init__(self) -> None:
         if self.cw_min is not None and self.cw_min > self.cw_max:
@@ -81,12 +87,27 @@ class Dcf:
         if not isinstance(phy, Dsss | Ofdm):
             name = type(phy).__name__
             raise ScenarioError(f"dcf is the medium access of IEEE 802.11 and needs phy dsss or ofdm, not {name}", key="mac")
-        control = ack_phy(phy, standard_of(phy))
+        control = self._control(phy)
         curves = phy.errors.header[0], control.errors.payload(ACK_BYTES)[0]
         sensitivity_mw = milliwatts(phy.sensitivity_dbm)
         limit = None if self.rts_threshold_bytes is None else self.rts_threshold_bytes - phy.headers_bytes
         rules = self.rules(phy, noise_mw)
-        return DcfMedium(rules, phy, keys[:count], curves, sensitivity_mw, longest_bytes=limit, compile_core=compile_core)
+        rates = [_rate(each) for each in self._phys(phy)]
+        return DcfMedium(
+            rules, rates, phy, keys[:count], curves, sensitivity_mw, longest_bytes=limit, compile_core=compile_core
+        )
+
+    def _phys(self, phy: Dsss | Ofdm) -> list[Dsss | Ofdm]:
+        """The phy at each rate of unicast frames, rising."""
+        if self.rate_control == "none":
+            return [phy]
+        if isinstance(phy, Dsss):
+            raise ScenarioError("ideal chooses among the rates of 802.11a, g, n and ax: use phy ofdm", key="mac.rate_control")
+        return [replace(phy, rate_bps=rate) for rate in phy.rates_bps]
+
+    def _control(self, phy: Dsss | Ofdm) -> Dsss | Ofdm:
+        """The phy at the rate of RTS and CTS: that of acknowledgements, of the lowest rate with rate control."""
+        return ack_phy(self._phys(phy)[0], standard_of(phy))
 
     def rules(self, phy: Dsss | Ofdm, noise_mw: float) -> DcfRules:
         """All constants, in nanoseconds, milliwatts and ratios."""
@@ -96,9 +117,9 @@ class Dcf:
             raise ScenarioError(f"must not be less than cw_min = {cw_min} of the standard, not {self.cw_max}", key="mac.cw_max")
         slot_ns = round((self.slot_us or standard.slot_us) * US)
         sifs_ns = round((self.sifs_us or standard.sifs_us) * US)
-        header_end_ns = (standard.preamble_us + standard.header_us) * US
-        control = ack_phy(phy, standard)
-        ack_air_ns, rts_air_ns = control.air_time_ns(ACK_BYTES), control.air_time_ns(RTS_BYTES)
+        header_end_ns = standard.header_end_ns
+        control = self._control(phy)
+        cts_air_ns, rts_air_ns = control.air_time_ns(ACK_BYTES), control.air_time_ns(RTS_BYTES)
         return DcfRules(
             slot_ns=slot_ns,
             sifs_ns=sifs_ns,
@@ -114,11 +135,12 @@ class Dcf:
             queue_frames=self.queue_frames,
             lifetime_ns=round(self.lifetime_s * SECOND_NS),
             attempts=self.attempts,
-            ack_air_ns=ack_air_ns,
-            ack_bits_per_ns=control.errors.payload(ACK_BYTES)[1] / (ack_air_ns - header_end_ns),
+            rate_control=int(self.rate_control != "none"),
+            cts_air_ns=cts_air_ns,
+            cts_bits_per_ns=control.errors.payload(ACK_BYTES)[1] / (cts_air_ns - header_end_ns),
             rts_air_ns=0 if self.rts_threshold_bytes is None else rts_air_ns,
             rts_bits_per_ns=control.errors.payload(RTS_BYTES)[1] / (rts_air_ns - header_end_ns),
-            nav_reset_ns=2 * (sifs_ns + slot_ns) + ack_air_ns + header_end_ns,
+            nav_reset_ns=2 * (sifs_ns + slot_ns) + cts_air_ns + header_end_ns,
             timeout_ns=sifs_ns + slot_ns + header_end_ns,
             noise_mw=noise_mw,
             busy_mw=milliwatts(self.cca_threshold_dbm),
@@ -143,6 +165,15 @@ def ack_phy(phy: Dsss | Ofdm, standard: Standard) -> Dsss | Ofdm:
     """The phy at the rate of acknowledgements: the highest mandatory one that is not above that of the data."""
     rate = max(each for each in standard.ack_rates_bps if each <= phy.rate_bps)
     return replace(phy, rate_bps=rate)
+
+
+def _rate(phy: Dsss | Ofdm) -> Rate:
+    """A rate of unicast frames, with its acknowledgements."""
+    standard = standard_of(phy)
+    control = ack_phy(phy, standard)
+    air_ns, (curve, bits) = control.air_time_ns(ACK_BYTES), control.errors.payload(ACK_BYTES)
+    least_snr = 10.0 ** (phy.least_snr_db / 10.0) if isinstance(phy, Ofdm) else 0.0
+    return Rate(phy, least_snr, air_ns, bits / (air_ns - standard.header_end_ns), curve)
 
 
 def milliwatts(dbm: float) -> float:

@@ -58,8 +58,9 @@ class DcfRules(NamedTuple):
     queue_frames: int
     lifetime_ns: int
     attempts: int
-    ack_air_ns: int
-    ack_bits_per_ns: float
+    rate_control: int  # 1: the rate of unicast frames follows the SNR
+    cts_air_ns: int
+    cts_bits_per_ns: float
     rts_air_ns: int  # 0: no frame has an RTS
     rts_bits_per_ns: float
     nav_reset_ns: int  # from the end of an RTS until its reservation may end, if no frame follows
@@ -78,15 +79,19 @@ class DcfRules(NamedTuple):
 FrameBools = Annotated[Bools, "c"]
 FrameInts = Annotated[Ints, "c"]
 LinkBools = Annotated[Bools, "nn"]
+LinkInts = Annotated[Ints, "nn"]
 LinkFloats = Annotated[Floats, "nn"]
 OutputInts = Annotated[Ints, "o"]
+RateFloats = Annotated[Floats, "r"]
+RateInts = Annotated[Ints, "r"]
+SizeInts = Annotated[Ints, "zr"]
 RadioBools = Annotated[Bools, "n"]
 RadioFloats = Annotated[Floats, "n"]
 RadioInts = Annotated[Ints, "n"]
 
 
 class DcfState(NamedTuple):
-    """State of a medium: n radios, c places for frames, k draws in store, o rows of output."""
+    """State of a medium: n radios, c places for frames, k draws in store, o rows of output, r bit rates, z sizes of frames."""
 
     # The radios' view of the medium, (n,)
     idle_ns: RadioInts  # busy until then, as far as known: sending, receiving, carrier sense, reservation
@@ -135,6 +140,15 @@ class DcfState(NamedTuple):
     spoiled: LinkBools  # the header is over, and could not be decoded
     fate: Annotated[Codes, "nn"]
     tables: Floats  # (k, 2^16 + 1) hazards of `HEADER`, `ACKNOWLEDGEMENT` and payloads
+    # Bit rates, (r,): that of the phy, or rising ones for unicast frames
+    rate: LinkInts  # (n, n) of the next unicast frame to each radio
+    least_snr: RateFloats  # above which it is chosen; a ratio of powers
+    ack_air_ns: RateInts
+    ack_bits_per_ns: RateFloats
+    ack_curve: RateInts  # row of `tables`
+    size_air_ns: SizeInts  # of frames, by size and rate
+    size_bits: SizeInts
+    size_curve: SizeInts
     # Frames in the queues or on the air, (c,)
     behind: FrameInts  # the next in the queue, or NOBODY
     sender: FrameInts
@@ -144,6 +158,8 @@ class DcfState(NamedTuple):
     air_ns: FrameInts
     frame_bits: FrameInts
     frame_curve: FrameInts  # row of `tables` for its payload
+    frame_size: FrameInts  # row of `size_air_ns`
+    frame_rate: FrameInts  # of its last attempt
     protected: FrameBools  # longer than the RTS threshold
     attempts: FrameInts
     known: FrameBools  # levels and patience of its first attempt are known; else they are requested
@@ -176,7 +192,7 @@ _INITIAL: dict[str, Any] = {
     **dict.fromkeys(("lock", "head", "tail", "sending", "acked", "air", "order", "placed", "arrivals"), NOBODY),
     **dict.fromkeys(("behind", "to"), NOBODY),
     **dict.fromkeys(("wake_ns", "due"), NEVER),
-    **dict.fromkeys(("curve", "frame_curve"), ACKNOWLEDGEMENT),
+    **dict.fromkeys(("curve", "frame_curve", "ack_curve"), ACKNOWLEDGEMENT),
     **dict.fromkeys(("power_mw", "answer"), 1.0),
     "began_ns": -1,
     "outcome": EXPIRED,
@@ -184,9 +200,19 @@ _INITIAL: dict[str, Any] = {
 """Values of the fields that do not begin at 0."""
 
 
-def new_state(rules: DcfRules, count: int, sensitivity_mw: float, tables: Floats) -> DcfState:
+def new_state(rules: DcfRules, count: int, sensitivity_mw: float, tables: Floats, rates: int) -> DcfState:
     """Initial state: no transmissions, empty queues, medium idle since time 0."""
-    size = {"n": count, "t": (4 if rules.rts_air_ns else 3) * count, "k": rules.draws, "c": 256, "a": 256, "o": 256, "e": 9}
+    size = {
+        "n": count,
+        "t": (4 if rules.rts_air_ns else 3) * count,
+        "k": rules.draws,
+        "c": 256,
+        "a": 256,
+        "o": 256,
+        "e": 9,
+        "r": rates,
+        "z": 8,
+    }
     first = {**_INITIAL, "window": rules.cw_min, "sensitivity_mw": sensitivity_mw}
     arrays: dict[str, Any] = {"tables": tables}
     for name, shape in SHAPES.items():

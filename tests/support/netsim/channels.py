@@ -99,7 +99,7 @@ def _frame(links: SenderLinks, start_ns: int, end_ns: int) -> Frame:
 
 
 def sinr_for(errors: ErrorRate, bits: int, success: float) -> float:
-    grid = np.arange(-10.0, 30.0, 0.002)
+    grid = np.arange(-10.0, 40.0, 0.002)
     return float(np.interp(success, errors.success(grid, bits), grid))
 
 

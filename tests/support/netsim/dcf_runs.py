@@ -1,12 +1,13 @@
 """Runs of IEEE 802.11 radios, for tests."""
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
 
 from vcmvsp.cosim.rng import key64
 from vcmvsp.netsim.interfaces.layers import Floats
-from vcmvsp.netsim.interfaces.medium import Decided, Offered
+from vcmvsp.netsim.interfaces.medium import Decided, Fate, Offered
 from vcmvsp.netsim.mac.dcf.medium import DcfMedium
 from vcmvsp.netsim.mac.dcf.parameters import Dcf
 from vcmvsp.netsim.phy.dsss import Dsss
@@ -56,6 +57,28 @@ def run(medium: DcfMedium, frames: Sequence[Offered], until_ns: int) -> list[Dec
     for each in frames:
         medium.offer(each)
     return list(medium.advance(until_ns))
+
+
+def saturated(levels: Floats, phy: Dsss | Ofdm, mac: Dcf, to: Sequence[int], size: int, duration_s: int) -> int:
+    """Frames that are received of radios that always have one to their destinations ``to``; -1: it does not send."""
+    senders = [i for i, other in enumerate(to) if other >= 0]
+    medium, offered = open_air(len(levels), phy, mac), itertools.count()
+    medium.levels[:] = levels
+    sent: dict[int, int] = {}
+
+    def offer(sender: int, time_ns: int) -> None:
+        number = next(offered)
+        sent[number] = sender
+        medium.offer(frame(number, time_ns, sender, levels[sender], to=to[sender], size=size, patience=1.0))
+
+    for sender in senders * 3:
+        offer(sender, 0)
+    received = 0
+    for now in range(MS // 10, duration_s * 1000 * MS, MS // 10):
+        for each in medium.advance(now):
+            received += bool(each.fate[to[sent[each.number]]] == Fate.RECEIVED)
+            offer(sent[each.number], now)
+    return received
 
 
 def square(count: int, side_m: float, exponent: float, seed: int) -> Floats:

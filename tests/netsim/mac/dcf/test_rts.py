@@ -1,12 +1,9 @@
 """RTS and CTS of IEEE 802.11: the exchange, silence of other radios, hidden terminals. Times: 802.11g at 54 Mbit/s."""
 
-import itertools
-from collections.abc import Sequence
-
 import numpy as np
 import pytest
 
-from tests.support.netsim.dcf_runs import MS, STRONG, UNTIL, US, all_equal, bytes_of, frame, mixed, open_air, run
+from tests.support.netsim.dcf_runs import MS, STRONG, UNTIL, US, all_equal, bytes_of, frame, mixed, open_air, run, saturated
 from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.interfaces.medium import Decided, Fate
 from vcmvsp.netsim.mac.dcf.medium import DcfMedium
@@ -99,27 +96,6 @@ def test_rts_that_nobody_answers_count_as_attempts() -> None:
     assert decided.end_ns == decided.start_ns + RTS + SIFS + SLOT + 20 * US  # the timeout of the CTS
 
 
-def saturated(levels: Floats, phy: Dsss | Ofdm, threshold: int | None, to: Sequence[int], size: int, duration_s: int) -> int:
-    """Frames that are received of radios that always have one to their destinations ``to``; -1: it does not send."""
-    mac, senders = Dcf(queue_frames=10**6, rts_threshold_bytes=threshold), [i for i, other in enumerate(to) if other >= 0]
-    medium, offered = air(levels, mac, phy), itertools.count()
-    sent: dict[int, int] = {}
-
-    def offer(sender: int, time_ns: int) -> None:
-        number = next(offered)
-        sent[number] = sender
-        medium.offer(frame(number, time_ns, sender, levels[sender], to=to[sender], size=size, patience=1.0))
-
-    for sender in senders * 3:
-        offer(sender, 0)
-    received = 0
-    for now in range(MS // 10, duration_s * 1000 * MS, MS // 10):
-        for each in medium.advance(now):
-            received += bool(each.fate[to[sent[each.number]]] == Fate.RECEIVED)
-            offer(sent[each.number], now)
-    return received
-
-
 def square(count: int) -> Floats:
     """Levels (n, n) of the positions of ``bench.ns3.cases.Case``, by free space: all in reach."""
     place = np.random.default_rng(count).uniform(0.0, 200.0, (count, 3)).round(3)[:, :2]
@@ -138,7 +114,7 @@ def test_rts_more_than_doubles_what_hidden_terminals_deliver_as_in_ns_3(
     """Radios 1 and 2 do not hear each other; ns-3.44, 10 runs of 5 s (``bench.ns3.compare --core sink``): 1.3 and 0.2 %."""
     levels = by_link(3, (0, 1), (0, 2))
     for threshold, expected_bps, tolerance in ((None, without_bps, 0.06), (500, with_bps, 0.02)):
-        received = saturated(levels, phy, threshold, (-1, 0, 0), size, 10)
+        received = saturated(levels, phy, Dcf(queue_frames=10**6, rts_threshold_bytes=threshold), (-1, 0, 0), size, 10)
         assert 8.0 * size * received / 10 == pytest.approx(expected_bps, rel=tolerance)
 
 
@@ -155,7 +131,8 @@ def test_rts_more_than_doubles_what_hidden_terminals_deliver_as_in_ns_3(
 )
 def test_saturated_radios_with_rts_receive_as_much_as_in_ns_3(phy: Dsss | Ofdm, count: int, expected_bps: float) -> None:
     """Frames of 1000 bytes to the next radio, all in reach; ns-3.44, 5 runs of 1 s (``bench.ns3.compare --core rts500``)."""
-    received = saturated(square(count), phy, 500, [(i + 1) % count for i in range(count)], 1000, 1)
+    mac, to = Dcf(queue_frames=10**6, rts_threshold_bytes=500), [(i + 1) % count for i in range(count)]
+    received = saturated(square(count), phy, mac, to, 1000, 1)
     assert 8000.0 * received == pytest.approx(expected_bps, rel=0.02)
 
 
