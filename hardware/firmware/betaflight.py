@@ -40,6 +40,7 @@ ORDER = (1, 2, 3, 0)  # the firmware's motor by the run's: front right, back lef
 LEAST_US, SPAN_US = 1000.0, 1000.0  # pulse width at standstill, and up to the greatest speed
 HOME: Vec3 = (47.397742, 8.545594, 488.0)  # degrees and m: that of `px4`, since the firmware has none
 AGAIN_S = 0.05  # wall-clock time after which a packet is repeated
+BOOT_S = 1.0  # wall-clock time before the first packet: one that comes before its sensors exist ends the program (sitl.c)
 STARTER = Path(__file__).with_name("private_network.py")
 
 
@@ -51,6 +52,7 @@ class Betaflight(UdpFirmware):
     state: VehicleState | None = None
     _packet = b""  # the last one sent
     _sent_s = 0.0  # wall clock
+    _booted_s = 0.0  # wall clock
     _strange = 0
     _height_m = 0.0  # of the last reading of the barometer
     _place: Vec3 | None = None  # degrees and m, of the last fix
@@ -67,6 +69,7 @@ class Betaflight(UdpFirmware):
         ours, theirs = socket.socketpair()
         with ours, theirs:
             starter = [sys.executable, "-I", str(STARTER), str(theirs.fileno()), str(self.port)]
+            self._booted_s = time.monotonic() + BOOT_S
             self._process = FirmwareProcess([*starter, *self._words], keep=theirs.fileno())
             theirs.close()
             ours.settimeout(self.start_s)
@@ -122,7 +125,8 @@ class Betaflight(UdpFirmware):
 
     def _write(self) -> None:
         self._sent_s = time.monotonic()
-        self._to(STATE_PORT, self._packet)
+        if self._sent_s >= self._booted_s:
+            self._to(STATE_PORT, self._packet)
 
     def _to(self, port: int, packet: bytes) -> None:
         with contextlib.suppress(OSError):  # nobody listens yet
