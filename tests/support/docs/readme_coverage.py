@@ -105,6 +105,7 @@ ELSEWHERE = _in_the_gallery() | {
     "sudo vcmvsp net status": LEFT_OVER,
     "for car in car1 car2 car3 car4 car5 car6 relief; do": ROUTED,
     'ip netns exec vcmvsp-chain-$car babeld -w -h 1 -I "" -S "" radio0': ROUTED,
+    'trap "kill 0" INT': ROUTED,
     "number=0": ROUTED,
     "number=$((number + 1))": ROUTED,
     'sed "s/NUMBER/$number/" bird.conf > $car.conf': ROUTED,
