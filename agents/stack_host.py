@@ -71,8 +71,8 @@ class StackHost(OutsideHost):
         if command is not None:
             self._log(f"{seat.vehicle}/command", self._now_ns, command)
         for content, to in answer.messages:
-            seat.radio.send(content, to=to)
-            message = Message(sender=seat.vehicle, body=content, size_bytes=len(content), to=to)
+            size = seat.radio.send(content, to=to)
+            message = Message(sender=seat.vehicle, body=content, size_bytes=size, to=to)
             self._log(f"{seat.vehicle}/send", self._now_ns, message)
         seat.conclude(command, when, self._events)
 
@@ -100,7 +100,7 @@ class RecordedStack:
             match value:
                 case Velocity() | Waypoint():
                     self._answers[place] = self._answers[place]._replace(command=value)
-                case Message(body=bytes() as content, to=to):
+                case Message(body=content, to=to):
                     before = self._answers[place]
                     self._answers[place] = before._replace(messages=(*before.messages, (content, to)))
                 case Presence(why=why):

@@ -18,7 +18,7 @@ events in a federate's inbox, which it gets at its next step; ``latest`` the key
 
 from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import msgspec
 
@@ -241,7 +241,7 @@ class StackAnswer(NamedTuple):
     """Answer of a stack for a vehicle at a tick."""
 
     command: Velocity | Waypoint | None = None  # None: the last command holds
-    messages: Sequence[tuple[bytes, str | None]] = ()  # to send by radio: content, and the only receiver (None: all)
+    messages: Sequence[tuple[dict[str, Any] | bytes, str | None]] = ()  # to send by radio, and the only receiver (None: all)
 
 
 class Stack(Protocol):

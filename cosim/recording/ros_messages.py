@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, ClassVar, Protocol
 
+import msgspec
 import numpy as np
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -32,9 +33,9 @@ LINE_M = 0.03  # width of lines without a width in metres
 TEXT_M = 0.3  # height of letters without a height in metres
 NO_COVARIANCE = np.zeros(36)
 OWN_TYPES = {
-    "vcmvsp_msgs/msg/RadioSend": "string to\nuint8[] data\n",
+    "vcmvsp_msgs/msg/RadioSend": "string to\nbool msgpack\nuint8[] data\n",
     "vcmvsp_msgs/msg/RadioReceived": "std_msgs/Header header\nstring sender\nfloat64 rssi_dbm\n"
-    "builtin_interfaces/Duration age\nuint8[] data\n",
+    "builtin_interfaces/Duration age\nbool msgpack\nuint8[] data\n",
 }
 
 
@@ -217,12 +218,14 @@ def satellite_fix(time_ns: int, frame: str, geodetic: Vec3, sigmas_m: Vec3) -> R
     return make("sensor_msgs/NavSatFix", header(time_ns, frame), status, *geodetic, covariance, 2)  # DIAGONAL_KNOWN
 
 
-def radio_received(said: Reception, data: bytes) -> RosMessage:
+def radio_received(said: Reception) -> RosMessage:
     """vcmvsp_msgs/RadioReceived, at the time of arrival; its age is the time since it was sent."""
+    body = said.message.body
+    data = body if isinstance(body, bytes) else msgspec.msgpack.encode(body)
     age = make("builtin_interfaces/Duration", *divmod(said.received_ns - said.sent_ns, 1_000_000_000))
     head = header(said.received_ns, "")
     content = np.frombuffer(data, np.uint8)
-    return make("vcmvsp_msgs/RadioReceived", head, said.message.sender, said.rssi_dbm, age, content)
+    return make("vcmvsp_msgs/RadioReceived", head, said.message.sender, said.rssi_dbm, age, data is not body, content)
 
 
 def compressed_image(said: CompressedImage, frame: str) -> RosMessage:

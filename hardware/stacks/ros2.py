@@ -27,7 +27,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import msgspec
 
-from vcmvsp.cosim.agent import Observation
+from vcmvsp.cosim.agent import Observation, check_body
 from vcmvsp.cosim.errors import FederateError, ScenarioError
 from vcmvsp.cosim.estimation.tangent_plane import TangentPlane
 from vcmvsp.cosim.federate import Event, RunInfo, StackAnswer
@@ -97,7 +97,7 @@ class _Program:
     def __init__(self, *, flies: bool) -> None:
         self.flies, self.yaw = flies, 0.0
         self.command: Velocity | Waypoint | None = None  # not taken yet
-        self.messages: list[tuple[bytes, str | None]] = []
+        self.messages: list[tuple[dict[str, Any] | bytes, str | None]] = []
         self.lost = ""  # why; empty: it is not lost
         self.publishers: set[str] = set()  # tokens of the publishers of commands
         self.sender: bytes | None = None  # that is followed
@@ -248,9 +248,7 @@ class Ros2Stack:
         self._outlets[f"{namespace}/tf"].put(lambda: self._transforms(vehicle, seen))
         received = self._outlets[f"{namespace}/radio/received"]
         for each in seen.heard if received.wanted else ():
-            body = each.message.body
-            data = body if isinstance(body, bytes) else msgspec.msgpack.encode(body)
-            received.put(partial(ros.radio_received, each, data))
+            received.put(partial(ros.radio_received, each))
 
     def _transforms(self, vehicle: str, seen: Observation) -> ros.RosMessage:
         """``map`` to ``odom`` to ``base_link``, which is where the estimate is; and the frames of sensors."""
@@ -353,11 +351,11 @@ class Ros2Stack:
         program.command, program.answered, program.lost = command, True, ""
         program.moves_since_s = time.monotonic() if self.paced else None
 
-    def _radio_message(self, program: _Program, said: Any) -> tuple[bytes, str | None]:
+    def _radio_message(self, program: _Program, said: Any) -> tuple[dict[str, Any] | bytes, str | None]:
         to = said.to or None
         if to is not None and (to not in self._others or self._programs.get(to) is program):
             raise _Refused("receiver", f"there is no other vehicle '{to}'")
-        return said.data.tobytes(), to
+        return _body(said), to
 
     # --- the way in -----------------------------------------------------------------------------------------------------------
 
@@ -426,6 +424,18 @@ def _decoded(message: ReceivedMessage) -> Any:
         return ros.decoded(message.data, message.type)
     except ValueError as error:
         raise _Refused("content", str(error)) from None
+
+
+def _body(said: Any) -> dict[str, Any] | bytes:
+    """The content of a RadioSend: bytes, or what agents receive as a mapping."""
+    if not said.msgpack:
+        return bytes(said.data.tobytes())
+    try:
+        body: dict[str, Any] = msgspec.msgpack.decode(said.data.tobytes(), type=dict[str, Any])
+        check_body(body)
+    except (msgspec.MsgspecError, TypeError, ValueError) as error:
+        raise _Refused("content", f"its data are not the MessagePack of a map that can be recorded: {error}") from None
+    return body
 
 
 def _counted(refused: Counter[str]) -> str:

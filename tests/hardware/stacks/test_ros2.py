@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import math
 import subprocess
 import sys
 import threading
@@ -100,6 +101,19 @@ def test_in_lock_step_runs_have_the_same_bytes_and_the_radio_loses_what_its_tabl
         assert float(rssi) == pytest.approx(frame["rssi_dbm"], abs=1e-6)
         assert float(age) == pytest.approx(1e-9 * (frame["received_ns"] - frame["sent_ns"]), abs=1e-9)
     assert replay(tmp_path / "run0").metrics["digest"] == first.metrics["digest"]
+
+
+def test_a_follower_of_the_platform_follows_the_reports_of_a_node(port: int, tmp_path: Path) -> None:
+    asked = scenario(port, "car1", duration_s=12.0)
+    follow = {"kind": "leader_follower", "leader": "car1", "slot": [-1.0, 0.0]}
+    asked["vehicle"][1] |= {"agent": follow, "pose": [-1.0, 0.0, 0.0]}
+    asked["radio"] = {"preset": "ideal"}
+    with node(port, "car1", "--report"):
+        result = vcmvsp.run(asked, out=tmp_path / "run")
+    (x, y), (behind_x, behind_y) = (end_of(result, vehicle) for vehicle in GOALS)
+    assert (x, y) == pytest.approx(GOALS["car1"], abs=0.1)
+    assert math.hypot(x - behind_x, y - behind_y) == pytest.approx(1.0, abs=0.05)
+    assert replay(tmp_path / "run").metrics["digest"] == result.metrics["digest"]
 
 
 def test_in_real_time_a_node_drives_and_its_end_is_a_loss(port: int) -> None:

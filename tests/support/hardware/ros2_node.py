@@ -10,15 +10,16 @@ import os
 import sys
 from typing import Any
 
+import msgspec
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from zenoh_ros2_sdk import ROS2Publisher, ROS2Subscriber
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 OWN = {  # as the page for users gives them
-    "vcmvsp_msgs/msg/RadioSend": "string to\nuint8[] data\n",
+    "vcmvsp_msgs/msg/RadioSend": "string to\nbool msgpack\nuint8[] data\n",
     "vcmvsp_msgs/msg/RadioReceived": "std_msgs/Header header\nstring sender\nfloat64 rssi_dbm\n"
-    "builtin_interfaces/Duration age\nuint8[] data\n",
+    "builtin_interfaces/Duration age\nbool msgpack\nuint8[] data\n",
 }
 for name, text in OWN.items():
     STORE.register(get_types_from_msg(text, name))
@@ -30,13 +31,21 @@ def definition(kind: str) -> dict[str, str]:
 
 
 class Driver:
-    """Drives to (x, y); ``silent_after``: it answers only so many observations."""
+    """Drives to (x, y); ``silent_after``: it answers only so many observations; ``report``: it sends reports to followers."""
 
     def __init__(
-        self, port: int, vehicle: str, x: float, y: float, *, stamped: bool = False, silent_after: int = 10**9
+        self,
+        port: int,
+        vehicle: str,
+        x: float,
+        y: float,
+        *,
+        stamped: bool = False,
+        silent_after: int = 10**9,
+        report: bool = False,
     ) -> None:
         self.goal, self.stamped, self.left = (x, y), stamped, silent_after
-        self.nearest_m, self.count = math.inf, 0
+        self.nearest_m, self.count, self.reports = math.inf, 0, report
         at: dict[str, Any] = {"router_port": port}
         kind = "geometry_msgs/msg/TwistStamped" if stamped else "geometry_msgs/msg/Twist"
         send, received = OWN
@@ -71,7 +80,13 @@ class Driver:
         vector, twist = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Twist"]
         command = {"linear": vector(v, 0.0, 0.0), "angular": vector(0.0, 0.0, off if math.hypot(dx, dy) > 0.1 else 0.0)}
         self.count += 1
-        self._send.publish(to="", data=np.frombuffer(self.count.to_bytes(4, "big"), np.uint8))
+        content = self.count.to_bytes(4, "big")
+        if self.reports:
+            t_ns = said.header.stamp.sec * 10**9 + said.header.stamp.nanosec
+            w = command["angular"].z
+            report = {"seq": self.count, "t_ns": t_ns, "x": place.x, "y": place.y, "th": yaw, "v": v, "w": w}
+            content = msgspec.msgpack.encode(report)
+        self._send.publish(to="", msgpack=self.reports, data=np.frombuffer(content, np.uint8))
         if self.stamped:
             self._twist.publish(header=said.header, twist=twist(**command))
         else:
@@ -86,6 +101,7 @@ if __name__ == "__main__":
     parser.add_argument("y", type=float)
     parser.add_argument("--stamped", action="store_true")
     parser.add_argument("--silent-after", type=int, default=10**9)
+    parser.add_argument("--report", action="store_true")
     asked = parser.parse_args()
     driver = Driver(**vars(asked))
     sys.stdin.read()
