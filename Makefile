@@ -75,7 +75,7 @@ dist: setup
 	$(UV) build --quiet
 	$(UV) run --quiet --isolated --no-project --with twine==7.0.0 twine check --strict dist/*
 
-bench: setup .ns3/.ready .drones/.ready .crazyflow/.ready .peers/.ready
+bench: setup .ns3/.ready .drones/.ready .crazyflow/.ready .peers/.ready .sionna/.ready
 	$(BIN)/python -m bench
 
 # ns-3, with which the radio is compared, from PyPI; its programs are compiled with g++. Of what cannot be installed, here and
@@ -103,5 +103,10 @@ bench: setup .ns3/.ready .drones/.ready .crazyflow/.ready .peers/.ready
 	$(UV) pip install --quiet --python .peers/bin/python helics==3.6.1 mosaik==3.6.0 && \
 	$(UV) pip install --quiet --python .peers/bin/python --no-deps gradysim==0.8.2 && touch $@
 
+# Sionna RT, with which rays are compared. Its compiler is Debian's libllvm19 (older ones do not know all processors).
+.sionna/.ready: $(VENV)/.ready Makefile
+	-$(UV) venv --quiet --allow-existing --python $(BIN)/python .sionna && \
+	$(UV) pip install --quiet --python .sionna/bin/python sionna-rt==2.2.0 mitsuba==3.9.1 drjit==1.5.0 && touch $@
+
 clean:
-	rm -rf .venv .venv-* .uv .ns3 .drones .crazyflow .peers runs dist .site site .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf .venv .venv-* .uv .ns3 .drones .crazyflow .peers .sionna runs dist .site site .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

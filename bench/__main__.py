@@ -31,6 +31,7 @@ from bench import (
     messages,
     mission,
     radio,
+    rays,
     recording,
     scanner,
     sensors,
@@ -168,7 +169,22 @@ PARTS: Mapping[str, Callable[[], Iterable[Row]]] = {
     **{
         part.__name__.rpartition(".")[2]: part.rows
         for part in (
-            *(start, whole, shares, radio, messages, vehicles, sensors, drones, scanner, camera, avoidance, mission, studies),
+            *(
+                start,
+                whole,
+                shares,
+                radio,
+                rays,
+                messages,
+                vehicles,
+                sensors,
+                drones,
+                scanner,
+                camera,
+                avoidance,
+                mission,
+                studies,
+            ),
             *(view, hosts, federation, bridge, stacks, recording, learning, growth, limits),
         )
     },
