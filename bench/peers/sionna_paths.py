@@ -20,7 +20,7 @@ def links(wanted: Options) -> Callable[[], None]:
     newest = next((path for path in reversed(LLVM) if ".so.19" in path.name or "-15" in path.name), None)
     if newest is not None:
         os.environ.setdefault("DRJIT_LIBLLVM_PATH", str(newest))
-    import mitsuba
+    import mitsuba  # type: ignore[import-not-found]
 
     mitsuba.set_variant("llvm_ad_mono_polarized")
     from sionna import rt
