@@ -23,7 +23,7 @@ def links(wanted: Options) -> Callable[[], None]:
     import mitsuba  # type: ignore[import-not-found]
 
     mitsuba.set_variant("llvm_ad_mono_polarized")
-    from sionna import rt
+    from sionna import rt  # type: ignore[import-not-found]
 
     scene = rt.load_scene(str(Path(wanted.at, "scene.xml")), merge_shapes=False)
     scene.frequency = FREQUENCY_HZ
