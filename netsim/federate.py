@@ -11,6 +11,7 @@ from vcmvsp.cosim.clock import Ticks, seconds_to_ns
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.rng import keys64, stream
 from vcmvsp.cosim.types import Array, Changed, Datagrams, FrameReport, Message, Outage, Seconds, States, Traffic, frozen
+from vcmvsp.cosim.util.text import Tell
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.channel.reception import ReceptionLog, TrafficLog, only, received, without_distant
 from vcmvsp.netsim.routing.network import RoutingNetwork
@@ -84,12 +85,14 @@ class RadioFederate:
         reported_from_dbm: float | None = None,  # level of receivers in reports (`without_distant`); None: any
         networks: Sequence[Network] = (),  # on this channel, of several radios; none: the only radio
         numbers: Iterator[int] | None = None,  # of the frames of all channels
+        tell: Tell = lambda _: None,
     ) -> None:
         self._networks = {network.name: frozenset(network.members) for network in networks}
         self._takes_others = not networks or networks[0].is_first
         self._numbers, self._numbered = numbers or itertools.count(), dict[int, int]()
         if networks:
             self.name = f"radio.{'.'.join(self._networks)}"
+        self._tell = tell
         self._channel, self._routing, self._programs, self._woken = channel, router, programs, frozenset(woken)
         self._least_dbm = reported_from_dbm
         self._handover_ns = seconds_to_ns(handover_s) if channel.contends else 0
@@ -200,8 +203,11 @@ class RadioFederate:
         return every
 
     def close(self) -> None:
-        """Release the channel."""
+        """Release the channel; report antennas that were inside a solid."""
         self._channel.close()
+        if enclosed := self._channel.budgets.enclosed:
+            which = "; ".join(f"{name} in {solid}" for name, solid in enclosed.items())
+            self._tell(f"radio.path_loss: {len(enclosed)} antennas were inside a solid, reached over the roofs only: {which}")
 
     def adjustable(self) -> dict[str, float]:
         """Keys that may change during the run, with their values: ``radio.loss.probability``."""

@@ -240,6 +240,7 @@ class Channel:
         sender = self._sender(message.sender)
         self.budgets.turn(attitude)
         sent = self._frame(sent_ns, message, sender, self.budgets.mean(sender.links, names, position))
+        self.budgets.note_enclosed()
         if self._contention is not None:
             acknowledger = None if message.to is None else self._sender(message.to)
             self._contention.offer(sent, sent_ns + handover_ns, acknowledger)

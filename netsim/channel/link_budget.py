@@ -217,6 +217,8 @@ class Budgets:
         self._groups: dict[tuple[str, ...], _Group] = {}  # of single radios, and of the last several
         self._several: tuple[str, ...] = ()  # names of the last several
         self._means: dict[str, MeanBudget] = {}
+        self._moved = False  # since antennas inside solids were noted
+        self.enclosed: dict[str, str] = {}  # vehicles whose antennas were inside a solid, and the first solid, in words
         self._attitude: Floats | None = None
         self._patterns: Antennas | None = None  # of all radios at this attitude
 
@@ -268,7 +270,16 @@ class Budgets:
             self._power_dbm = self.tx_power_dbm(names) + self._gain_dbi
         self._position, self._names, self._seed, self._means = position, names, seed, {}
         self._antennas = position + self._raised
+        self._moved = True
         return before
+
+    def note_enclosed(self) -> None:
+        """Note which antennas are inside a solid since the last movement; for a path loss that knows the solids."""
+        holder = getattr(self.path_loss, "holder", None)
+        if self._moved and holder is not None:
+            held = zip(self._names, holder(self._antennas), strict=True)
+            self.enclosed.update({name: solid for name, solid in held if solid and name not in self.enclosed})
+        self._moved = False
 
     def _compute(self, senders: Sequence[SenderLinks], *, bodies: bool = False) -> None:
         """Set the budgets of k radios; of one, unless the path loss is `by_distance`."""

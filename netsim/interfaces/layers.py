@@ -158,7 +158,8 @@ class PathLoss(Protocol):
     With a true attribute ``by_distance`` it depends on ``paths.distance_m`` alone, and accepts distances of any shape instead
     of the paths. One that knows the paths of the wave may have a method ``delays_ns(paths)``: travel time of the first path,
     and standard deviation over all paths by power, (n,) ns each; and ``antenna_gain(paths)``, the gain of both antennas over
-    isotropic ones, (n,), a ratio, if it is not that of the straight line.
+    isotropic ones, (n,), a ratio, if it is not that of the straight line; ``holder(points)``, for each of the points (n, 3) the
+    solid that it is inside, in words, or an empty text.
     """
 
     def loss_db(self, paths: Paths) -> Floats:

@@ -220,8 +220,9 @@ class Rays:
 
     def holder(self, points: Floats) -> list[str]:
         """For each point the solid that it is inside, in words; empty: none."""
-        words = (*self.solids.words, "")
-        return [words[number] for number in holding(self.world, points).tolist()]
+        holders = holding(self.world, points)
+        words = (*self.solids.words, "") if (holders >= 0).any() else ("",)
+        return [words[number] for number in holders.tolist()]
 
 
 def _between_antennas(links: LinkPaths, which: Ints, paths: Paths) -> LinkPaths:

@@ -226,9 +226,11 @@ def holding(world: RayWorld, points: Floats) -> Ints:
     """The solid that each point is inside, (n,); -1: none."""
     found = world.surfaces
     holder = np.full(len(points), -1, np.int64)
-    for body, solid in enumerate(found.body_solid.tolist()):
-        sides = found.side[found.side_first[body] : found.side_first[body + 1]]
-        beyond = points[:, :2] @ sides[:, :2].T - sides[:, 2]
-        within = (beyond < 0.0).all(axis=1) & (points[:, 2] > found.bottom[body]) & (points[:, 2] < found.top[body])
-        holder[within] = solid
+    if not len(found.body_solid):
+        return holder
+    beyond = points[:, :2] @ found.side[:, :2].T - found.side[:, 2]
+    within = np.maximum.reduceat(beyond, found.side_first[:-1], axis=1) < 0.0
+    height = points[:, 2, None]
+    row, body = np.nonzero(within & (height > found.bottom) & (height < found.top))
+    holder[row] = found.body_solid[body]
     return holder

@@ -385,6 +385,21 @@ def test_delays_of_paths_are_recorded_and_replayed(corner: Path) -> None:
     assert tables_of(corner / "run").radio.column("path_delay_ns").to_pylist() == [row["path_delay_ns"] for row in rows]
 
 
+def test_antennas_that_drive_into_a_solid_are_counted_at_the_end(corner: Path) -> None:
+    """A vehicle without a body drives east through the building's west face."""
+    into = CORNER.replace("[world]", 'physics = { kind = "kinematic" }\n[world]').replace(
+        "duration_s = 1.0", "duration_s = 3.0"
+    )
+    into = into.replace("agent = {", "pose = [4.5, 8.0, 0.0]\nagent = {") + SECOND
+    told: list[str] = []
+    (corner / "into.toml").write_text(into, "utf-8")
+    vcmvsp.run(corner / "into.toml", out=corner / "into", tell=told.append)
+    (line,) = [each for each in told if "inside a solid" in each]
+    assert re.fullmatch(
+        r"radio.path_loss: 1 antennas were inside a solid, reached over the roofs only: car1 in the box at .*", line
+    )
+
+
 def test_paths_of_rays_between_points(corner: Path) -> None:
     out = corner / "paths.parquet"
     told = vcmvsp_command("radio", str(corner / "corner.toml"), "--paths", str(corner / "points.csv"), "--out", str(out))
