@@ -123,6 +123,7 @@ class Work(NamedTuple):
     target_x: Floats  # corners of what is looked at
     target_y: Floats
     target_z: Floats
+    hider: Ints  # (F + E,) the body that hid each target last
     seen: Ints  # (F + E,) what the region may see
     path_pair: Ints  # (n,)
     path_count: Ints  # number of interactions

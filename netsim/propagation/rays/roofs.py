@@ -8,7 +8,7 @@ import numpy as np
 from vcmvsp.netsim.interfaces.layers import Bools, Floats, Ints
 from vcmvsp.netsim.propagation.rays.world import RayWorld
 
-_PAIRS_AT_ONCE = 1 << 18  # pairs x bodies
+_PAIRS_AT_ONCE = 1 << 14  # pairs x bodies: what fits into a cache
 _NEGLIGIBLE = -0.78  # nu below which an edge loses nothing (ITU-R P.526-15, 4.1)
 
 

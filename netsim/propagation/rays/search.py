@@ -586,7 +586,7 @@ def sees(w: Terrain, s: Work, target: int) -> bool:
         s.target_x[1] = w.start_x[e] + w.length[e] * w.along_x[e]
         s.target_y[1] = w.start_y[e] + w.length[e] * w.along_y[e]
         s.target_z[1] = w.start_z[e] + w.length[e] * w.along_z[e]
-    return ahead(w, s, count) and not is_hidden(w, s, count)
+    return ahead(w, s, count) and not is_hidden(w, s, count, target)
 
 
 def faces(w: Terrain, s: Work, f: int) -> bool:
@@ -616,11 +616,16 @@ def is_before(w: Terrain, f: int, x: float, y: float, z: float) -> bool:
     return side > APART_M or (w.both_sides[f] != 0 and side < -APART_M)
 
 
-def is_hidden(w: Terrain, s: Work, count: int) -> bool:
-    """Whether one body hides all ``count`` corners of the target from all corners of the region."""
+def is_hidden(w: Terrain, s: Work, count: int, target: int) -> bool:
+    """Whether one body hides all ``count`` corners of the target from all corners of the region.
+
+    The body that hid the target from the last region is tried first: regions are asked for in rows.
+    """
     corners = s.counts[CORNERS]
     if corners == 0 or count == 0:
         return False
+    if s.hider[target] < len(w.bottom) and hides(w, s, s.hider[target], count):
+        return True
     s.counts[LEGS] += 1
     ax, ay = 0.0, 0.0
     for k in range(corners):
@@ -635,6 +640,7 @@ def is_hidden(w: Terrain, s: Work, count: int) -> bool:
             if v >= 0 and s.body_leg[v] != s.counts[LEGS]:
                 s.body_leg[v] = s.counts[LEGS]
                 if hides(w, s, v, count):
+                    s.hider[target] = v
                     return True
         cell = next_cell(w, s)
     return False

@@ -219,7 +219,7 @@ def _new_work(world: RayWorld, reflections: int, *, diffraction: bool, transmiss
         "place": depth,
         "element": depth,
         "wave": 3,
-        "seen": facets + edges,
+        **dict.fromkeys(("seen", "hider"), facets + edges),
         **dict.fromkeys(("path_real", "path_imag", "path_length"), _PATHS),
         **dict.fromkeys(("path_pair", "path_count", "pass_path", "pass_leg", "pass_facet", "pass_at"), _PATHS),
         **dict.fromkeys(("path_element", "path_x", "path_y", "path_z"), _PATHS * most),

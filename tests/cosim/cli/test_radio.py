@@ -387,17 +387,13 @@ def test_delays_of_paths_are_recorded_and_replayed(corner: Path) -> None:
 
 def test_antennas_that_drive_into_a_solid_are_counted_at_the_end(corner: Path) -> None:
     """A vehicle without a body drives east through the building's west face."""
-    into = CORNER.replace("[world]", 'physics = { kind = "kinematic" }\n[world]').replace(
-        "duration_s = 1.0", "duration_s = 3.0"
-    )
+    into = CORNER.replace("duration_s = 1.0", 'duration_s = 3.0\nphysics = { kind = "kinematic" }')
     into = into.replace("agent = {", "pose = [4.5, 8.0, 0.0]\nagent = {") + SECOND
     told: list[str] = []
     (corner / "into.toml").write_text(into, "utf-8")
     vcmvsp.run(corner / "into.toml", out=corner / "into", tell=told.append)
     (line,) = [each for each in told if "inside a solid" in each]
-    assert re.fullmatch(
-        r"radio.path_loss: 1 antennas were inside a solid, reached over the roofs only: car1 in the box at .*", line
-    )
+    assert line.startswith("radio.path_loss: 1 antennas were inside a solid, reached over the roofs only: car1 in the box at")
 
 
 def test_paths_of_rays_between_points(corner: Path) -> None:

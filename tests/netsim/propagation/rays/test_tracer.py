@@ -111,7 +111,7 @@ def test_compiled_and_interpreted_search_agree_to_the_bit(monkeypatch: pytest.Mo
             rays.prepare()
             Geometric(rays).prepare()
         links, _ = rays.links(Paths.between(a[0], b))
-        found.append([*rays.traced(a, b).table, *links, band_power(links, 20e6)])
+        found.append([*rays.traced(a, b).table, *links[:-1], band_power(links, 20e6)])
     for interpreted, machine in zip(*found, strict=True):
         assert interpreted.tobytes() == machine.tobytes()
 
