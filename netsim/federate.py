@@ -85,14 +85,14 @@ class RadioFederate:
         reported_from_dbm: float | None = None,  # level of receivers in reports (`without_distant`); None: any
         networks: Sequence[Network] = (),  # on this channel, of several radios; none: the only radio
         numbers: Iterator[int] | None = None,  # of the frames of all channels
-        tell: Tell = lambda _: None,
+        notify: Tell = lambda _: None,
     ) -> None:
         self._networks = {network.name: frozenset(network.members) for network in networks}
         self._takes_others = not networks or networks[0].is_first
         self._numbers, self._numbered = numbers or itertools.count(), dict[int, int]()
         if networks:
             self.name = f"radio.{'.'.join(self._networks)}"
-        self._tell = tell
+        self._notify = notify
         self._channel, self._routing, self._programs, self._woken = channel, router, programs, frozenset(woken)
         self._least_dbm = reported_from_dbm
         self._handover_ns = seconds_to_ns(handover_s) if channel.contends else 0
@@ -207,7 +207,7 @@ class RadioFederate:
         self._channel.close()
         if enclosed := self._channel.budgets.enclosed:
             which = "; ".join(f"{name} in {solid}" for name, solid in enclosed.items())
-            self._tell(f"radio.path_loss: {len(enclosed)} antennas were inside a solid, reached over the roofs only: {which}")
+            self._notify(f"radio.path_loss: {len(enclosed)} antennas were inside a solid, reached over the roofs only: {which}")
 
     def adjustable(self) -> dict[str, float]:
         """Keys that may change during the run, with their values: ``radio.loss.probability``."""

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from vcmvsp.physics.world.solids import AnySolid
 
 
-GIVEN = ("channel", "router", "programs", "woken", "reported_from_dbm", "networks", "numbers", "tell")
+GIVEN = ("channel", "router", "programs", "woken", "reported_from_dbm", "networks", "numbers", "notify")
 """Parameters of the federate that are no keys of ``[radio]``."""
 
 
@@ -122,7 +122,7 @@ def _federate(
         "reported_from_dbm": scenario.record.least_rssi_dbm,
         "networks": networks,
         "numbers": numbers,
-        "tell": tell,
+        "notify": tell,
     }
     federate: RadioFederate = binding.call(RadioFederate, own, key=key, origin=source, given=given)
     resolution.tables["radio"] = {**binding.complete(RadioFederate, own, without=given), **resolved}
