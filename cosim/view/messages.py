@@ -105,6 +105,7 @@ class Scenery(Value, frozen=True, kw_only=True):
     may: tuple[str, ...] = ()  # allowed orders: names of the `Order` classes' tags
     keys: Mapping[str, float] = {}  # scenario keys that may change at run time, and their present values
     events_ns: tuple[int, ...] = ()  # of a recording: times of the lines of its log
+    site: str = ""  # scenario of the radio's rays, JSON; empty: the radio has none
 
 
 class LinkStatus(Value, frozen=True, kw_only=True):

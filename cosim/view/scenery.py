@@ -75,7 +75,26 @@ def scenery_of(
         live=live,
         may=tuple(may),
         keys=dict(keys or {}),
+        site=_site(scenario),
     )
+
+
+def _site(scenario: Scenario) -> str:
+    """What traces the rays of a scenario: world, radio, heights of antennas; empty: its radio has no rays."""
+    path_loss = scenario.first_radio.get("path_loss")
+    if scenario.radios or not isinstance(path_loss, Mapping) or path_loss.get("kind") != "rays":
+        return ""
+    heights = [(each.name, each.radio.get("antenna_height_m")) for each in scenario.vehicle]
+    radios = {name: {} if height is None else {"antenna_height_m": height} for name, height in heights}
+    content = {
+        "name": scenario.name,
+        "duration_s": scenario.duration_s,
+        "seed": scenario.seed,
+        "world": scenario.world,
+        "radio": scenario.radio,
+        "vehicle": [{"name": name, "kind": "kinematic", "radio": radio} for name, radio in radios.items()],
+    }
+    return msgspec.json.encode(binding.plain(content)).decode()
 
 
 def crafts_of(

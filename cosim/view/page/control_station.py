@@ -16,6 +16,7 @@ from vcmvsp.cosim.view.page.charts import Charts
 from vcmvsp.cosim.view.page.controls import Choice, controls, is_finite, picked
 from vcmvsp.cosim.view.page.drawing import Every
 from vcmvsp.cosim.view.page.panel import SORTED, log_page, run_page, team_page, vehicle_page
+from vcmvsp.cosim.view.page.ray_paths import RayPaths
 from vcmvsp.cosim.view.page.scene import Follower, Scene
 from vcmvsp.cosim.view.page.sensors import GROUNDS, Ground, Pictures, Scans
 from vcmvsp.cosim.view.page.state import Known
@@ -80,6 +81,7 @@ class Station:
             self._fixes.draw(known, now_s)
             self._trails.draw(now_s)
             self._links.draw(known, choice.row)
+            self._paths.draw(known, choice.row)
             self._scans.draw(known, choice.readings)
             self._ground.draw(known, choice.name, now_s)
             self._pictures.draw(known, choice.name, choice.readings, now_s)
@@ -150,6 +152,7 @@ class Station:
         with panel.add_tab("Vehicle"):
             self._choice = Choice(server, scenery, self._give)
             self._vehicle = gui.add_html(vehicle_page(self._known, 0))
+            self._paths = RayPaths(server, scenery)
             self._pictures = Pictures(server, scenery)
         with panel.add_tab("All vehicles"):
             self._sorted = gui.add_dropdown("Sort by", SORTED)

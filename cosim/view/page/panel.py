@@ -189,6 +189,11 @@ def _text(value: object) -> str:
     return escape(plain(str(value), LONGEST))
 
 
+def paths_page(rows: Rows) -> str:
+    """Paths of the wave: level and kinds."""
+    return _boxed(_section("Paths, the strongest first", _table(rows)))
+
+
 def _table(rows: Rows) -> str:
     cells = "".join(
         f'<tr><td style="opacity: 0.65; padding-right: 0.8em; vertical-align: top; white-space: nowrap">{name}</td>'

@@ -1,6 +1,7 @@
 """What the control station tells its pages: without a browser."""
 
 import math
+import time
 from collections.abc import Iterator
 
 import msgspec
@@ -13,13 +14,16 @@ from hypothesis import strategies as st
 from tests.support.cosim import view_pages
 from tests.support.cosim.view_pages import RECORDED, Looking, known_of, looking, scenery, shown, states
 from vcmvsp.cosim.frames import quaternion_from_yaw
+from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.types import Mosaic, ProbabilityMap
 from vcmvsp.cosim.view.messages import Craft, Floor, PageUpdate, Sensors, ShapePart
 from vcmvsp.cosim.view.page.drawing import FLOOR, FLOOR_DARK, LOST_RGB, TINY, linear, rotated, rssi_colors
 from vcmvsp.cosim.view.page.floor import DARKNESS, shaded, squared, tall_of
+from vcmvsp.cosim.view.page.ray_paths import LEGS
 from vcmvsp.cosim.view.page.scene import MOST_COLORS, START, axis_m, by_color, crossed, fitted, solids_of
 from vcmvsp.cosim.view.page.sensors import fan_of, painted, points_of
 from vcmvsp.cosim.view.page.vehicles import fresh_links
+from vcmvsp.cosim.view.scenery import scenery_of
 
 pytestmark = pytest.mark.sockets
 
@@ -232,6 +236,38 @@ def test_a_link_is_an_arrow_from_the_sender_to_the_receiver_in_the_colour_of_its
         assert colors[3, 0].tolist() == linear(np.array(LOST_RGB, np.uint8)).tolist()
         looked.show(4.5, links=())
         assert np.ptp(looked.node("/links").points, axis=1).max() == 0.0
+
+
+def test_the_paths_of_the_wave_to_another_vehicle_are_drawn_and_listed() -> None:
+    """Over open ground: the straight line, and the reflection half-way between antennas of equal height."""
+    radio = {"preset": "wifi-g-6", "path_loss": {"kind": "rays", "frequency_hz": 2.4e9}}
+    cars = [{"name": name, "kind": "p2dx"} for name in ("v1", "v2")]
+    site = scenery_of(*scenarios.load({"name": "open", "duration_s": 1.0, "radio": radio, "vehicle": cars})).site
+    with looking(scenery(2, site=site)) as looked:
+        looked.use("Paths to", "v2")
+        until = time.monotonic() + 60.0
+        while not looked.node("/paths").points.any():
+            looked.show(3.0)
+            assert time.monotonic() < until
+            time.sleep(0.05)
+        here, there = shown(looked.scene, 3.0).states.position + np.array((0.0, 0.0, 0.5))  # type: ignore[union-attr]
+        points = looked.node("/paths").points.reshape(-1, LEGS, 2, 3)
+        middle = 0.5 * (here + there) * (1.0, 1.0, 0.0)
+        assert points[0, 0] == pytest.approx(np.stack([here, there]), abs=1e-4)
+        assert points[1, :2] == pytest.approx(np.stack([[here, middle], [middle, there]]), abs=1e-4)
+        assert not points[2:].any()
+        (words,) = [each.content for each in looked.parts(viser.GuiHtmlHandle) if "reflection" in each.content]
+        assert words.index("direct") < words.index("reflection") < words.index("2 paths")
+        looked.use("Paths to", "nobody")
+        while looked.node("/paths").points.any():
+            looked.show(3.0)
+            assert time.monotonic() < until
+            time.sleep(0.05)
+
+
+def test_without_rays_there_are_no_paths_to_choose() -> None:
+    with looking(scenery(2)) as looked:
+        assert not looked.has("Paths to")
 
 
 def test_a_lost_frame_is_shown_with_the_first_update_that_tells_of_it_and_remains_for_a_second() -> None:
