@@ -1,6 +1,6 @@
 """Sums of what short runs write, to be compared between versions of Python: ``python -m tests.support.smoke``.
 
-Six scenarios, one of them again with its agents in processes, another in MuJoCo, and a study. Each line is a name and SHA-256
+Seven scenarios, one of them again with its agents in processes, another in MuJoCo, and a study. Each line is a name and SHA-256
 sums.
 """
 
@@ -19,6 +19,7 @@ RUNS = {
     "lab-formation": 10.0,
     "relay-chain": 20.0,
     "recon-urban": 5.0,
+    "relay-canyon": 10.0,
     "swarm-100": 1.0,
 }
 """Simulated seconds by scenario."""
