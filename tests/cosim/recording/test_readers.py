@@ -20,6 +20,7 @@ from vcmvsp.cosim.assembly.worlds import world_of
 from vcmvsp.cosim.recording import foxglove, scene
 from vcmvsp.cosim.recording.mcap_reader import about, contents, messages, of_topic
 from vcmvsp.cosim.recording.mcap_writer import FRAME, McapLog, schema_of
+from vcmvsp.cosim.tables.radio_frames import PATHS
 from vcmvsp.cosim.types import FrameReport, Note, Velocity, Waypoint
 
 pytestmark = pytest.mark.processes
@@ -139,8 +140,8 @@ def test_frames_of_the_radio_are_described_in_the_file_itself() -> None:
     schema = next(s for s, c, _ in make_reader(io.BytesIO(data)).iter_messages(topics=["radio/frame"]) if s is not None)
     published = json.loads(schema.data)
     assert schema.data == schema_of(FrameReport).text
-    named = {"radio"}  # of several radios only
-    assert set(published["properties"]) == {"type", *FrameReport.__struct_fields__} - named == set(FRAME)
+    of_some = {"radio", *PATHS}  # of several radios, and of rays, only
+    assert set(published["properties"]) == {"type", *FrameReport.__struct_fields__} - of_some == set(FRAME) - of_some
     assert all(len(node["description"]) > 10 for node in published["properties"].values())
     units = {"_ns": " ns", "_dbm": " dBm", "_db": " dB", "_m": ", m", "_bytes": ", bytes"}
     for name, words in FRAME.items():
