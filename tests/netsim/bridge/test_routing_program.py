@@ -8,11 +8,13 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
+import pyarrow.parquet as pq
 import pytest
 
 from tests.support.cosim.run_processes import UNDRAWN
@@ -29,8 +31,9 @@ pytestmark = [
 PAGE = "netsim/bridge/README.md"
 PROGRAMS = {"babel": "babeld -w", "bird": "bird -f"}  # words of their scripts
 CARS = ("car1", "car2", "car3", "car4", "car5", "car6", "relief")
-READY_S, ROUTES_S, REPAIR_S = 40.0, 60.0, 120.0
-LOSS, HOPS, ATTEMPTS = 0.02, 5, 5
+READY_S, ROUTES_S, REPAIR_S, DELIVERY_S = 40.0, 60.0, 120.0, 240.0
+LOSS, HOPS = 0.02, 5
+DATAGRAM_BYTES = 228  # with the headers of UDP and IPv4
 
 
 def command(words: str) -> str:
@@ -122,10 +125,7 @@ def check_routes(chain: Chain) -> None:
     way = ["car1", "car2", "relief", "car4", "car5", "car6"]  # once car3 is out of range
     chain.until(lambda: [next_hop(chain, car, "10.77.0.6") for car in way[:-1]] == way[1:], REPAIR_S)
     chain.until(lambda: answers(chain) >= 8, REPAIR_S)  # of 20, with 0.98^10 = 0.82
-    delivered = [share_delivered(chain)]
-    while abs(delivered[-1] - (1.0 - LOSS) ** HOPS) > 0.03:
-        assert len(delivered) < ATTEMPTS, delivered
-        delivered.append(share_delivered(chain))
+    chain.until(lambda: share_delivered(chain) > 0.5, DELIVERY_S)  # with 0.98^5 = 0.90
 
 
 def answers(chain: Chain) -> int:
@@ -136,7 +136,7 @@ def answers(chain: Chain) -> int:
 
 
 def share_delivered(chain: Chain) -> float:
-    """Share of 1000 datagrams that arrive over all hops, whose deviation is 0.01; 0: the programs did not come together."""
+    """Share of 1000 datagrams that arrive over all hops; 0: the programs did not come together."""
     chain.call(command("iperf3 -s"), check=False)
     said = chain.call(f"{command('iperf3 -4')} -t 10 --json", check=False)
     told = json.loads(said)["end"].get("sum") if said else None
@@ -145,13 +145,24 @@ def share_delivered(chain: Chain) -> float:
     return 1.0 - float(told["lost_packets"]) / float(told["packets"])
 
 
-def test_routes_over_five_hops_carry_everything_and_are_repaired(tmp_path: Path) -> None:
-    """Delivery is (1 - loss)^hops within 0.03, as the page says.
+def share_lost(folder: Path) -> float:
+    """Share of the datagrams that the loss of a link took, over all links, of those that nothing else did."""
+    rows = pq.read_table(folder / "out" / "radio.parquet", filters=[("size_bytes", "==", DATAGRAM_BYTES)])
+    outcomes = Counter(rows["outcome"].to_pylist())
+    lost, received = outcomes["random loss"], outcomes["received"]
+    assert received > 2000, outcomes
+    return lost / (lost + received)
+
+
+def test_routes_over_five_hops_carry_datagrams_and_are_repaired(tmp_path: Path) -> None:
+    """Each link loses its share of datagrams, to the next hop alone; how many cross all links in time, a busy machine changes.
 
     The programs have runs of their own, side by side, because each run lasts a minute of wall-clock time.
     """
     with ThreadPoolExecutor() as pool:
         list(pool.map(partial(routed, tmp_path), PROGRAMS))
+    for program in PROGRAMS:
+        assert share_lost(tmp_path / program) == pytest.approx(LOSS, abs=0.012)  # four deviations of 2000 receptions
 
 
 def test_the_page_says_which_losses_there_are() -> None:
