@@ -331,6 +331,7 @@ class Datagrams(Value, frozen=True, kw_only=True, tag="datagrams"):
     size_bytes: Array  # (n,) int64, payload
     sent_ns: Array  # (n,) int64, arrival from the program, a little before or after now; decreases for no sender
     payloads: tuple[bytes, ...] = ()  # only if agents receive them; otherwise the gateway keeps them
+    radio: str | msgspec.UnsetType = msgspec.UNSET  # name of the radio; unset: the only one, or the first
 
 
 class Traffic(Value, frozen=True, kw_only=True, tag="traffic"):

@@ -88,10 +88,12 @@ class RadioFederate:
         notify: Tell = lambda _: None,
     ) -> None:
         self._networks = {network.name: frozenset(network.members) for network in networks}
+        self._network_of = {member: network.name for network in networks for member in network.members}
         self._takes_others = not networks or networks[0].is_first
         self._numbers, self._numbered = numbers or itertools.count(), dict[int, int]()
         if networks:
             self.name = f"radio.{'.'.join(self._networks)}"
+            channel.operated.table = f"radio.{networks[0].name}"
         self._notify = notify
         self._channel, self._routing, self._programs, self._woken = channel, router, programs, frozenset(woken)
         self._least_dbm = reported_from_dbm
@@ -107,6 +109,8 @@ class RadioFederate:
         self._end_ns, self._vehicles = run.duration_ns, run.vehicles
         self._row = {name: row for row, name in enumerate(run.vehicles)}
         self._rows: dict[tuple[str, ...], Array] = {}  # by receivers of a frame
+        self._own_rows: dict[tuple[str, ...], list[int]] = {}  # of the vehicles with a radio here, by all names
+        self._own_names: dict[tuple[str, ...], tuple[str, ...]] = {}
         self._states: States | None = None
         self._open: dict[int, tuple[Message, int | None]] = {}  # by undecided frame: message, number of the datagram
         self._frames = 0  # so far
@@ -114,8 +118,9 @@ class RadioFederate:
         self._in_queue_ns: dict[str, int] = {}  # by sender: arrival of the last message at the queue
         self._network: RoutingNetwork | None = None
         if self._routing is not None:
-            router, kind = self._routing.open(run.vehicles, run.seed), type(self._routing).__name__
-            self._network = RoutingNetwork(router, kind, run.vehicles, run.seed, self._put, self._woken)
+            names = tuple([name for name in run.vehicles if not self._networks or name in self._network_of])
+            router, kind = self._routing.open(names, self._seed), type(self._routing).__name__
+            self._network = RoutingNetwork(router, kind, names, self._seed, self._put, self._woken, run.vehicles)
             return self._network.next_ns()
         return None
 
@@ -128,7 +133,7 @@ class RadioFederate:
                 self._states = self._of_members(event.value)
             elif isinstance(event.value, _ORDERS):
                 reports += self._apply(event.value, event.time_ns)
-        reports += self._channel.advance(now_ns)  # events of the medium precede messages of the same instant
+        reports += self._named(self._channel.advance(now_ns))  # events of the medium precede messages of the same instant
         if self._network is not None:
             return self._step_routed(self._network, now_ns, inbox, reports)
         posts = list(self._posts(inbox, now_ns))
@@ -167,29 +172,29 @@ class RadioFederate:
             return None
         names, position = self._states.names, self._states.position
         reports = self._channel.send_all(now_ns, [post[1] for post in posts], names, position)
-        for number, (_, message, _, datagram) in enumerate(posts if reports else (), self._frames):
-            self._open[number] = message, datagram
-            self._number(number)
-        self._frames += len(reports or ())
-        return reports
+        if reports is None:
+            return None
+        for _, message, _, datagram in posts:
+            self._open[self._number()] = message, datagram
+        return self._named(reports)
 
     def _put(self, sent_ns: int, frame: Message, handover_ns: int) -> tuple[int, list[FrameReport]]:
         """Hand a frame to the channel; returns its number and the reports of decided frames."""
         if self._states is None:
             raise ValueError(f"{frame.sender} sends before the first message of world/states: it has no position yet")
-        self._number(self._frames)
-        self._frames += 1
+        number = self._number()
         if self._frames == FORECAST_AT and sent_ns > 0:
             self._channel.foresee(FORECAST_AT * (self._end_ns - sent_ns) // sent_ns)
         states = self._states
-        return self._frames - 1, self._channel.send(
+        reports = self._channel.send(
             sent_ns, frame, states.names, states.position, attitude=states.attitude, handover_ns=handover_ns
         )
+        return number, self._named(reports)
 
     def _decided(self, now_ns: int) -> list[FrameReport]:
         """Reports of frames that are decided by now; at the end of the run, of all frames."""
         reports = self._channel.advance(now_ns)
-        return reports + self._channel.finish() if now_ns == self._end_ns else reports
+        return self._named(reports + self._channel.finish() if now_ns == self._end_ns else reports)
 
     def levels_dbm(self, states: States) -> Array:
         """Mean levels, (n, n) dBm: sender by row, receiver by column, NaN at the sender and without a radio."""
@@ -210,8 +215,12 @@ class RadioFederate:
             self._notify(f"radio.path_loss: {len(enclosed)} antennas were inside a solid, reached over the roofs only: {which}")
 
     def adjustable(self) -> dict[str, float]:
-        """Keys that may change during the run, with their values: ``radio.loss.probability``."""
-        return {} if self._networks else self._channel.operated.numbers()
+        """Keys that may change during the run, with their values: ``radio.loss.probability``.
+
+        Of several radios the key names one, ``radio.lora.loss.probability``: of those on one channel, which is one medium, the
+        first.
+        """
+        return self._channel.operated.numbers()
 
     def check_change(self, key: str, value: float, earlier: Sequence[tuple[str, float]] = ()) -> None:
         """Check a change of a key of `adjustable` after ``earlier`` changes, without making it.
@@ -219,13 +228,12 @@ class RadioFederate:
         Raises:
             ValueError: unknown key, or invalid value.
         """
-        if self._networks:
-            raise ValueError(f"{key} cannot change during a run with several radios")
-        self._channel.operated.check(key, value, earlier)
+        own = self.adjustable()
+        self._channel.operated.check(key, value, [each for each in earlier if each[0] in own])
 
     def _apply(self, order: Outage | Changed, at_ns: int) -> list[FrameReport]:
         """Apply an operator's order at its time; returns the reports of frames that were decided before."""
-        reports = self._channel.advance(at_ns - 1)
+        reports = self._named(self._channel.advance(at_ns - 1))
         if isinstance(order, Outage):
             self._channel.cut_off(order.vehicles, at_ns, order.until_ns)
         else:
@@ -238,11 +246,11 @@ class RadioFederate:
         for event in inbox:
             if isinstance(event.value, Message):
                 at_ns = self._queue_arrival_ns(event.value.sender, event.time_ns, alone=alone)
-                yield event.time_ns, event.value, at_ns - event.time_ns, None
+                yield event.time_ns, self._addressed(event.value), at_ns - event.time_ns, None
             elif isinstance(event.value, Datagrams):
                 for number, sent_ns, message in self._from_programs(event.value):
                     late_ns = max(0, now_ns - sent_ns) if self._channel.contends else 0  # no sending in the past
-                    yield sent_ns, message, late_ns, number
+                    yield sent_ns, self._addressed(message), late_ns, number
 
     def _from_programs(self, datagrams: Datagrams) -> Iterator[tuple[int, int, Message]]:
         """Number, time (ns) and message of each datagram."""
@@ -272,8 +280,6 @@ class RadioFederate:
         with_messages: list[tuple[Message, FrameReport]] = []
         for report in reports:
             message, datagram = self._open.pop(report.frame)
-            if self._networks:
-                report, message = self._named(report, message)  # noqa: PLW2901
             if datagram is None:
                 events.append(Event("radio/frame", now_ns, report))
                 with_messages.append((message, report))
@@ -292,34 +298,48 @@ class RadioFederate:
 
     def _takes(self, value: object) -> bool:
         """Whether a value of the inbox concerns this channel."""
-        if isinstance(value, Message):
+        if isinstance(value, Message | Datagrams):
             return value.radio in self._networks if value.radio else self._takes_others
-        return self._takes_others or not isinstance(value, Datagrams)
+        return not isinstance(value, Changed) or value.key in self.adjustable()
 
     def _of_members(self, states: States) -> States:
         """Names and positions of the vehicles with a radio on this channel."""
         if not self._networks:
             return states
-        members = frozenset[str]().union(*self._networks.values())
-        rows = [row for row, name in enumerate(states.names) if name in members]
+        rows = self._own_rows.get(states.names)
+        if rows is None:
+            rows = [row for row, name in enumerate(states.names) if name in self._network_of]
+            self._own_rows[states.names] = rows
+            self._own_names[states.names] = tuple([states.names[row] for row in rows])
         if len(rows) == len(states.names):
             return states
-        names = tuple([states.names[row] for row in rows])
         position, attitude = frozen(states.position[rows]), frozen(states.attitude[rows])
-        return msgspec.structs.replace(states, names=names, position=position, attitude=attitude)
+        return msgspec.structs.replace(states, names=self._own_names[states.names], position=position, attitude=attitude)
 
-    def _number(self, frame: int) -> None:
-        """Give a frame of this channel its number in the run."""
-        if self._networks:
-            self._numbered[frame] = next(self._numbers)
+    def _number(self) -> int:
+        """The number in the run of the channel's next frame."""
+        frame, self._frames = self._frames, self._frames + 1
+        if not self._networks:
+            return frame
+        number = self._numbered[frame] = next(self._numbers)
+        return number
 
-    def _named(self, report: FrameReport, message: Message) -> tuple[FrameReport, Message]:
-        """The report and the message with the name of their network, at its vehicles alone."""
-        name = message.radio or next(iter(self._networks))
-        kept = np.array([each in self._networks[name] for each in report.receivers], np.bool_)
-        report = only(report, kept) if not kept.all() else report
-        report = msgspec.structs.replace(report, frame=self._numbered.pop(report.frame), radio=name)
-        return report, msgspec.structs.replace(message, radio=name)
+    def _named(self, reports: list[FrameReport]) -> list[FrameReport]:
+        """The reports with the names of their networks, at the vehicles of these alone, and the numbers of the run."""
+        return [self._named_one(report) for report in reports] if self._networks else reports
+
+    def _named_one(self, report: FrameReport) -> FrameReport:
+        name = self._network_of[report.sender]
+        if len(self._networks) > 1:
+            kept = np.array([each in self._networks[name] for each in report.receivers], np.bool_)
+            report = only(report, kept) if not kept.all() else report
+        return msgspec.structs.replace(report, frame=self._numbered.pop(report.frame), radio=name)
+
+    def _addressed(self, message: Message) -> Message:
+        """The message with the name of its sender's radio on this channel, of several radios."""
+        if message.radio or message.sender not in self._network_of:
+            return message
+        return msgspec.structs.replace(message, radio=self._network_of[message.sender])
 
     def _reported(self, events: list[Event]) -> list[Event]:
         """The events, in reports without receivers below the least level."""

@@ -2,11 +2,12 @@
 
 import contextlib
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 
 from vcmvsp.cosim.assembly.resolved import Resolution
@@ -51,10 +52,7 @@ def federates_of(
     build_one = partial(_federate, source=source, resolution=resolution, solids=solids, programs=programs, tell=tell)
     if not scenario.radios:
         return [build_one(scenario, recorded=recorded)]
-    if scenario.routing:
-        raise source.error("needs one [radio] without a name, not several: leave the routing out", "routing")
-    if recorded is not None:
-        raise source.error("frames of several radios cannot be repeated: run the scenario again", "radio")
+    routed = _routed_radio(scenario, source)
     channels: dict[Any, list[Network]] = {}
     for name, members in scenario.radio_members.items():
         is_first = name == next(iter(scenario.radios))
@@ -63,18 +61,50 @@ def federates_of(
     for networks in channels.values():
         first = networks[0].name
         _check_one_each(networks, source)
-        federates.append(build_one(scenario.with_radio(first), key=f"radio.{first}", networks=networks, numbers=numbers))
+        if routed in {each.name for each in networks} and len(networks) > 1:
+            others = ", ".join(each.name for each in networks if each.name != routed)
+            raise source.error(f"{routed} shares its channel with {others}: give it a channel of its own", "routing.radio")
+        own = scenario.with_radio(first)
+        if first != routed:
+            own = msgspec.structs.replace(own, routing={})
+        federates.append(build_one(own, key=f"radio.{first}", networks=networks, recorded=recorded, numbers=numbers))
         complete = resolution.tables["radio"]
         for name, *_ in networks:
             if name != first:
-                build_one(scenario.with_radio(name), key=f"radio.{name}", networks=networks)
+                other = msgspec.structs.replace(scenario.with_radio(name), routing={})
+                build_one(other, key=f"radio.{name}", networks=networks)
             if resolution.tables["radio"] != complete:
                 problem = f"has the channel of {first} and must have its keys, too: both are one medium"
                 raise source.error(f"{problem}; or give it another channel", f"radio.{name}")
-            own = {key: value for key, value in scenario.radios[name].items() if key in ("name", "channel")}
-            tables[name] = {**own, **complete}
+            named = {key: value for key, value in scenario.radios[name].items() if key in ("name", "channel")}
+            tables[name] = {**named, **complete}
     resolution.tables["radio"] = [tables[name] for name in scenario.radios]
     return federates
+
+
+def _routed_radio(scenario: Scenario, source: Source) -> str | None:
+    """The radio over which messages are forwarded, of several radios; None: none."""
+    if not scenario.routing or scenario.routing.get("kind") == "none":
+        return None
+    name = scenario.routing.get("radio")
+    if name is None:
+        problem = f"is missing: messages are forwarded over one radio; choose one of {', '.join(scenario.radios)}"
+        raise source.error(problem, "routing.radio")
+    if name not in scenario.radios:
+        raise source.error(binding.unknown("radio", str(name), list(scenario.radios)), "routing.radio")
+    return str(name)
+
+
+def check_of_changes(airs: "Sequence[RadioFederate]") -> Callable[[str, float, Sequence[tuple[str, float]]], None]:
+    """A check of a change of a radio's key during the run, after earlier ones; it raises `ValueError`."""
+
+    def check(key: str, value: float, earlier: Sequence[tuple[str, float]]) -> None:
+        of = {each: air for air in airs for each in air.adjustable()}
+        if key not in of:
+            raise ValueError(f"{key} cannot change during a run; keys that can: {', '.join(of) or 'none'}")
+        of[key].check_change(key, value, earlier)
+
+    return check
 
 
 def _check_one_each(networks: "Sequence[Network]", source: Source) -> None:
@@ -106,12 +136,16 @@ def _federate(
 
     portable, keep = resolution.portable, resolution.keep
     channel, _, resolved = channel_of(scenario, source, solids=solids, portable=portable, keep=keep, key=key)
-    channel.recorded = None if recorded is None else RecordedFrames(recorded, tell)
+    own_networks = [(each.name, each.members) for each in networks]
+    channel.recorded = None if recorded is None else RecordedFrames(recorded, tell, own_networks)
     for line in _enclosed(channel, scenario):
         tell(line)
     router = None
     if scenario.routing:
-        router, resolution.tables["routing"] = resolution.component("routing", scenario.routing, "routing")
+        content = {name: value for name, value in scenario.routing.items() if name != "radio" or not networks}
+        router, resolution.tables["routing"] = resolution.component("routing", content, "routing")
+        if networks:
+            resolution.tables["routing"] = {"radio": networks[0].name, **resolution.tables["routing"]}
     keys = _federate_keys()
     own = {name: value for name, value in scenario.first_radio.items() if name in keys}
     given = {

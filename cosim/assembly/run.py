@@ -149,7 +149,7 @@ class Parts(NamedTuple):
     scenario: Scenario
     source: Source
     world: "World"
-    radio: "RadioFederate"
+    radios: "Sequence[RadioFederate]"
     has_outside: bool  # robots, stacks or programs in wall time take part
 
 
@@ -226,11 +226,11 @@ def assemble(
     if flown is not None:  # a kind of the user's own need not know it
         given["firmware"] = flown
     physics = _physics(scenario, resolution, tell, **given)
-    operator = _operator(scenario, source, physics, air)
+    operator = _operator(scenario, source, physics, airs)
     energy = _energy(scenario, source, fleet, getattr(physics, "gravity", GRAVITY))
     metrics = _own_metrics(scenario, source, resolution)
     live = robots is not None or programs.bridge is not None or bool(stacked.by_place)
-    built(Parts(scenario, source, world, air, has_outside=live))
+    built(Parts(scenario, source, world, airs, has_outside=live))
     about = {"scenario": scenario.name, "seed": scenario.seed, "duration_s": scenario.duration_s, "vehicles": [*radius_m]}
     hosts = Hosts(
         scenario.agents,
@@ -378,9 +378,9 @@ def _energy(scenario: Scenario, source: Source, fleet: Fleet, gravity: float) ->
     return Energy(batteries)
 
 
-def _operator(scenario: Scenario, source: Source, physics: Federate, air: "RadioFederate") -> Operator:
+def _operator(scenario: Scenario, source: Source, physics: Federate, airs: "Sequence[RadioFederate]") -> Operator:
     planned, vehicles = scenario.intervention, [each.name for each in scenario.vehicle]
-    check = checks(vehicles, getattr(physics, "check_move", nothing_moves), air.check_change)
+    check = checks(vehicles, getattr(physics, "check_move", nothing_moves), radio.check_of_changes(airs))
     check_planned(planned, check, source)
     return Operator(planned, vehicles, check)
 

@@ -16,7 +16,7 @@ import pyarrow as pa
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.metrics.radio import quantiles
-from vcmvsp.cosim.tables.columns import code_of, column, name_column, names_of, nulls, numbers
+from vcmvsp.cosim.tables.columns import code_of, codes_of, column, name_column, names_of, nulls, numbers
 from vcmvsp.cosim.types import Array, Routed
 
 COLUMNS = ("origin", "destination", "origin_sent_ns", "origin_number", "message")
@@ -74,8 +74,12 @@ class Routing:
             **counts,
         }
 
-    def told(self, radio: pa.Table) -> pa.Table:
-        """The table of frames with `COLUMNS`."""
+    def told(self, radio: pa.Table, radio_of: Array | None = None) -> pa.Table:
+        """The table of frames with `COLUMNS`.
+
+        Args:
+            radio_of: radio of each frame, by number, of several radios; frames of those without routing are whole messages.
+        """
         nothing = len(self._names) - 1
         messages = np.append(np.array(self._messages, np.int64), (nothing, nothing, *_NOBODY)).reshape(-1, 5).T
         known, frames = np.array(self._frames, np.int64).reshape(-1, 2), numbers(radio, "frame")
@@ -83,11 +87,15 @@ class Routing:
         place[known[:, 0]] = known[:, 1]
         of = place[frames]  # -1: an aborted run never reports some messages
         origin, to, fate = (messages[row][of].astype(np.int32) for row in (0, 1, 4))
+        if radio_of is not None:
+            direct = ~np.isin(radio_of[frames], radio_of[known[:, 0]])
+            senders, sender = names_of(radio, "sender")
+            origin[direct] = codes_of(self._names, senders)[sender[direct]]
         columns = (
             name_column(self._names, origin),
             name_column(self._names, to),
             column(np.where(of < 0, numbers(radio, "sent_ns"), messages[2][of])),
-            column(messages[3][of], valid=origin != nothing),
+            column(messages[3][of], valid=messages[0][of] != nothing),
             name_column(FATES, fate),
         )
         for name, each in zip(COLUMNS, columns, strict=True):
@@ -101,8 +109,8 @@ def unreached_s(radio: pa.Table, receiver: str, origin: str) -> Array:
     (receivers, at), (fates, fate) = names_of(radio, "receiver"), names_of(radio, "message")
     own, its = by == code_of(origins, origin), (to == code_of(destinations, "")) | (to == code_of(destinations, receiver))
     meant = own & its & (fate == code_of(fates, "over"))
-    came = own & (at == code_of(receivers, receiver)) & ~nulls(radio, "received_ns")
     number, sent_ns = numbers(radio, "origin_number", null=-1), numbers(radio, "origin_sent_ns")
+    came = own & (at == code_of(receivers, receiver)) & ~nulls(radio, "received_ns") & (number >= 0)
     lost_ns = np.full(1 + number.max(initial=-1), -1)  # by number
     lost_ns[number[meant]] = sent_ns[meant]
     lost_ns[number[came]] = -1

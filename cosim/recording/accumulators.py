@@ -190,9 +190,13 @@ class Accumulators:
 
     def _with_radios(self, facts: RunFacts, columns: Collection[str] | None, rows: tuple[int, int]) -> pa.Table:
         """The table of frames of several radios, with a column of their names."""
-        table = radio_table(self._frames, facts, None if columns is None else {*columns, "frame"}, rows)
-        codes = np.array(self._radio_of, np.int32)[numbers(table, "frame")]
-        table = table.append_column("radio", name_column([*self._radios], codes))
+        is_routed = bool(self._routing) and (columns is None or bool(set(columns) & set(ROUTES)))
+        known = None if columns is None else {*columns, "frame", *(("sent_ns", "sender") if is_routed else ())}
+        table = radio_table(self._frames, facts, known, rows)
+        radio_of = np.array(self._radio_of, np.int32)
+        if is_routed:
+            table = self._routing.told(table, radio_of)
+        table = table.append_column("radio", name_column([*self._radios], radio_of[numbers(table, "frame")]))
         return table if columns is None else table.select([*columns])
 
     def write_tables(self, folder: Path) -> None:

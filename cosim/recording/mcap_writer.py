@@ -27,7 +27,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from vcmvsp.cosim.recording.foxglove import FoxgloveMessage, to_json
 from vcmvsp.cosim.tables.radio_frames import PATHS
-from vcmvsp.cosim.types import Array, FrameReport, Looks, Message
+from vcmvsp.cosim.types import Array, Datagrams, FrameReport, Looks, Message
 
 LIBRARY = "vcmvsp"
 CHUNK_BYTES, CHUNK_NS = 1 << 20, 5_000_000_000  # before compression; simulated; a killed process loses at most one chunk
@@ -99,7 +99,7 @@ def schema_of(message_type: type) -> Schema:
     known = issubclass(message_type, FoxgloveMessage)
     title = f"foxglove.{name}" if known else f"vcmvsp.{name.removesuffix('Report')}"
     (root,), definitions = msgspec.json.schema_components([message_type], schema_hook=_array_schema)
-    for each in (Message, FrameReport):
+    for each in (Message, FrameReport, Datagrams):
         for name in ("radio", *PATHS):  # only with several radios; only where rays are traced
             definitions.get(each.__name__, {"properties": {}})["properties"].pop(name, None)
     schema = _simple(root, definitions)

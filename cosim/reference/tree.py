@@ -211,7 +211,7 @@ def _about(target: Described) -> str:
 
 
 def extra_keys(place: Place) -> Iterator[Key]:
-    """Keys that are not parameters of a class: a radio's preset, which fills its layers."""
+    """Keys that are not parameters of a class: a radio's preset, which fills its layers, and names of radios."""
     if place.path == "radio":
         yield Key(
             name="preset",
@@ -223,20 +223,25 @@ def extra_keys(place: Place) -> Iterator[Key]:
             without="",
             meaning=f"sets all layers; the table of a layer changes some of its keys: {', '.join(PRESETS)}",
         )
-        for name, meaning, without in (
-            ("name", "of one of several radios, each a table `[[radio]]`", "there is one radio"),
-            ("channel", "one of several radios with this channel share a medium and must agree in all keys", "its own"),
-        ):
-            yield Key(
-                name=name,
-                type="string",
-                unit="",
-                schema={"type": "string"},
-                required=False,
-                default=None,
-                without=without,
-                meaning=meaning,
-            )
+        yield _name("name", "of one of several radios, each a table `[[radio]]`", "there is one radio")
+        shared = "one of several radios with this channel share a medium and must agree in all keys"
+        yield _name("channel", shared, "its own")
+    elif place.path == "routing":
+        yield _name("radio", "of several radios, the one over which messages are forwarded", "there is one radio")
+
+
+def _name(name: str, meaning: str, without: str) -> Key:
+    """A key with the name of something."""
+    return Key(
+        name=name,
+        type="string",
+        unit="",
+        schema={"type": "string"},
+        required=False,
+        default=None,
+        without=without,
+        meaning=meaning,
+    )
 
 
 @functools.cache

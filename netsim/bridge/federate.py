@@ -207,7 +207,7 @@ class Bridge:
         self._late.sent(batch.number, batch.gateway, batch.sender, batch.to, sent_ns)
         if self._opening.payloads:
             self._echoes.sent(batch)
-        taken = {"number": batch.number, "sender": batch.sender, "to": batch.to, "size_bytes": batch.size_bytes}
+        taken: dict[str, Any] = {"number": batch.number, "sender": batch.sender, "to": batch.to, "size_bytes": batch.size_bytes}
         return Datagrams(**taken, sent_ns=frozen(sent_ns), payloads=batch.payloads)
 
     def _on_traffic(self, process: BridgeClient, traffic: Traffic) -> None:

@@ -70,7 +70,12 @@ class RuntimeChanges:
     """The current layers, and the outages so far.
 
     Numeric fields of layers that are dataclasses may change; keys are as in the scenario: ``radio.loss.probability``.
+
+    Attributes:
+        table: the scenario's table of the layers.
     """
+
+    table = "radio"
 
     def __init__(self, **layers: Any) -> None:
         self._first: Mapping[str, Any] = layers
@@ -85,7 +90,7 @@ class RuntimeChanges:
         numbers: dict[str, float] = {}
         for name, layer in self.layers.items():
             parameters = _parameters(layer) if dataclasses.is_dataclass(layer) else {}
-            numbers |= {f"radio.{name}.{key}": value for key, value in parameters.items() if type(value) in (int, float)}
+            numbers |= {f"{self.table}.{name}.{key}": value for key, value in parameters.items() if type(value) in (int, float)}
         return numbers
 
     def cut_off(self, vehicles: Sequence[str], from_ns: int, until_ns: int) -> None:
@@ -110,11 +115,11 @@ class RuntimeChanges:
         """
         if key not in self.numbers():
             raise ValueError(f"{key} cannot change during a run; keys that can: {', '.join(self.numbers()) or 'none'}")
-        _, name, parameter = key.split(".")
+        name, parameter = key.removeprefix(f"{self.table}.").split(".")
         layer = layers[name]
         rest = {name: value for name, value in _parameters(layer).items() if name != parameter}
         try:
-            new = binding.call(type(layer), {parameter: value}, key=f"radio.{name}", given=rest)
+            new = binding.call(type(layer), {parameter: value}, key=f"{self.table}.{name}", given=rest)
         except ScenarioError as error:
             raise ValueError(str(error)) from error
         return {**layers, name: new}

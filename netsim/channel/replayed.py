@@ -1,6 +1,6 @@
 """Replay of recorded frames: each frame has its recorded outcome again, at the same receivers."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -27,10 +27,17 @@ class RecordedFrames:
     Args:
         path: ``radio.parquet`` of the run.
         tell: called at the end with a line for the user: the number of frames that were not in the recording.
+        networks: name and members of the radios on this channel, of several radios; none: the only radio.
     """
 
-    def __init__(self, path: Path, tell: Callable[[str], None] = lambda _: None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        tell: Callable[[str], None] = lambda _: None,
+        networks: Sequence[tuple[str, Sequence[str]]] = (),
+    ) -> None:
         self._tell = tell
+        self._reached = {name: frozenset(members) for _, members in networks for name in members}
         self.start()
         try:
             table = read_table(path)
@@ -41,6 +48,7 @@ class RecordedFrames:
         kinds = dict(zip(table.schema.names, table.schema.types, strict=True))
         if wrong := [field.name for field in RADIO_SCHEMA if kinds.get(field.name) != field.type]:
             raise UsageError(f"{path} is not a recording of a radio: no column {', '.join(wrong)} of the right type")
+        table = _of_networks(table, [name for name, _ in networks], path)
         self._columns = {name: frozen(numbers(table, name)) for name in ("distance_m", "rssi_dbm", "air_time_ns", "queue_ns")}
         self._columns["access_ns"] = frozen(numbers(table, "access_ns"))
         self._columns["sinr_db"] = frozen(numbers(table, "sinr_db", np.nan))
@@ -72,7 +80,7 @@ class RecordedFrames:
             frame: its number in the channel now.
             sent_ns: now.
         """
-        receivers = _others(names, message.sender) if message.to is None else (message.to,)
+        receivers = _others(names, message.sender, self._reached.get(message.sender)) if message.to is None else (message.to,)
         rows = self._rows.get((message.sender, number))
         if rows is None or tuple(self._receivers[rows].tolist()) != receivers:
             self.unknown += len(receivers) > 0  # a frame without receivers is in no recording
@@ -102,8 +110,20 @@ class RecordedFrames:
 
 
 @lru_cache(maxsize=4096)
-def _others(names: tuple[str, ...], sender: str) -> tuple[str, ...]:
-    return tuple(name for name in names if name != sender)
+def _others(names: tuple[str, ...], sender: str, reached: frozenset[str] | None) -> tuple[str, ...]:
+    return tuple(name for name in names if name != sender and (reached is None or name in reached))
+
+
+def _of_networks(table: pa.Table, networks: Sequence[str], path: Path) -> pa.Table:
+    """The frames of some of several radios; without names the table of the only radio."""
+    if "radio" not in table.column_names:
+        if networks:
+            raise UsageError(f"{path} has no column radio: it is of a run with one radio, and this one has several")
+        return table
+    names, of = names_of(table, "radio")
+    if not networks:
+        raise UsageError(f"{path} is the recording of a run with several radios ({', '.join(sorted(names))}), not of one")
+    return table.filter(pa.array(np.isin(of, [code for code, name in enumerate(names) if name in networks])))
 
 
 def _rows(frame: Array, names: tuple[str, ...], sender: Array) -> dict[tuple[str, int], slice]:

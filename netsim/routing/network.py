@@ -72,14 +72,29 @@ class _Wait(msgspec.Struct, frozen=True):
 
 
 class RoutingNetwork:
-    """The network layer of all vehicles; ``kind``: name of the router in error messages; ``put``: see `Put`."""
+    """The network layer of all vehicles that take part.
+
+    Args:
+        kind: name of the router in error messages.
+        put: see `Put`.
+        every: all vehicles of the run, if more than ``vehicles``; receptions and traffic have rows of these.
+    """
 
     def __init__(
-        self, router: Router, kind: str, vehicles: Sequence[str], seed: int, put: Put, woken: Collection[str] = ()
+        self,
+        router: Router,
+        kind: str,
+        vehicles: Sequence[str],
+        seed: int,
+        put: Put,
+        woken: Collection[str] = (),
+        every: Sequence[str] = (),
     ) -> None:
         self._router, self._blame, self._names, self._put = router, f"routing {kind}", tuple(vehicles), put
         self._telling = router if isinstance(router, AdvertisingRouter) else None
         self._row = {name: row for row, name in enumerate(vehicles)}
+        run = {name: row for row, name in enumerate(every or vehicles)}
+        self._run_row = [run[name] for name in self._names]
         self._draws = [stream(seed, f"radio/{name}/relay") for name in vehicles]
         self._numbers = [0] * len(self._names)
         self._copies: dict[int, _Copy] = {}  # by frame: not decided yet
@@ -89,7 +104,7 @@ class RoutingNetwork:
         self._order = 0
         self._traffic = TrafficLog()
         self._reports: list[FrameReport] = []  # these three wait for `events`
-        self._receptions = ReceptionLog(self._names, woken)
+        self._receptions = ReceptionLog(tuple(run), woken)
         self._routed: list[Routed] = []
         for row, first_ns in enumerate(() if self._telling is None else self._telling.first_ns()):
             self._plan(first_ns, row)
@@ -239,11 +254,12 @@ class RoutingNetwork:
             self._report_arrival(packet, arrival.at, arrival.received_ns, arrival.frame)
             if not message.body:
                 return
-        self._receptions.add(message, packet.sent_ns, [arrival.at], [arrival.rssi_dbm], [arrival.received_ns])
+        at = self._run_row[arrival.at]
+        self._receptions.add(message, packet.sent_ns, [at], [arrival.rssi_dbm], [arrival.received_ns])
 
     def _report_arrival(self, packet: Packet, receiver: int, at_ns: int, frame: int) -> None:
         if packet.datagram is not None and not packet.arrival_reported:
-            self._traffic.arrive(packet.datagram, receiver, at_ns, frame)
+            self._traffic.arrive(packet.datagram, self._run_row[receiver], at_ns, frame)
             packet.arrival_reported = packet.to != BROADCAST
 
     def _close_one(self, packet: Packet) -> None:

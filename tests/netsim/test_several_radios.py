@@ -8,6 +8,7 @@ import pytest
 
 import vcmvsp
 from vcmvsp.cosim.agent import Radio
+from vcmvsp.cosim.runs.replay import replay
 
 WIFI = {"name": "wifi", "preset": "wifi-b-1", "loss": {"probability": 0.3}, "fading": {"kind": "nakagami", "m": 1.0}}
 LORA = {"name": "lora", "preset": "lora-sf7", "mac": {"kind": "aloha", "duty_cycle": 0.5}, "shadowing": {"sigma_db": 6.0}}
@@ -114,6 +115,127 @@ def test_the_resolved_scenario_gives_the_same_bytes(tmp_path: Path) -> None:
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
 
 
+def test_an_intervention_on_one_radio_leaves_the_other_as_it_was() -> None:
+    content = scenario(WIFI, LORA)
+    order = {"kind": "set", "at_s": 1.0, "key": "radio.wifi.loss.probability", "value": 1.0}
+    before, _ = run(content, "wifi", "lora")
+    after, _ = run({**content, "intervention": [order]}, "wifi", "lora")
+    pd.testing.assert_frame_equal(rows(after, "lora"), rows(before, "lora"))
+    late = rows(after, "wifi").query("sent_ns >= 1_000_000_000")
+    assert len(late) > 100
+    assert set(late.outcome) & {"received", "random loss"} == {"random loss"}
+    early = "sent_ns < 990_000_000"  # decided before the change
+    pd.testing.assert_frame_equal(rows(after, "wifi").query(early), rows(before, "wifi").query(early))
+
+
+def test_an_outage_is_of_all_radios_of_a_vehicle() -> None:
+    order = {"kind": "outage", "at_s": 0.0, "for_s": 9.0, "vehicles": ["car0"]}
+    result, _ = run({**scenario(WIFI, LORA), "intervention": [order]}, "wifi", "lora")
+    for name in ("wifi", "lora"):
+        own = rows(result, name).query("sender == 'car0' or receiver == 'car0'")
+        assert len(own) > 50
+        assert "received" not in set(own.outcome)
+
+
+@pytest.mark.parametrize("key", ["radio.loss.probability", "radio.b.loss.probability", "radio.lora.phy.spreading_factor"])
+def test_an_intervention_names_the_radio(key: str) -> None:
+    """Of two on one channel, which is one medium, the first."""
+    parts: dict[str, Any] = {f"car{i}": {"radios": ["ab"[i % 2], "lora"]} for i in range(4)}
+    both = ({**WIFI, "name": "a", "channel": "6"}, {**WIFI, "name": "b", "channel": "6"})
+    order = {"kind": "set", "at_s": 1.0, "key": key, "value": 0.5}
+    with pytest.raises(vcmvsp.ScenarioError) as caught:
+        run({**scenario(*both, LORA, **parts), "intervention": [order]})
+    assert f"{key} cannot change during a run; keys that can: radio.a.loss.probability, " in str(caught.value)
+    assert "radio.lora.loss.probability" in str(caught.value)
+
+
+def repeated(folder: Path, content: dict[str, Any], **names: tuple[str, ...]) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Frames of a run, and of its replay with its frames and other draws."""
+    tables: list[pd.DataFrame] = []
+    for _ in range(2):
+        agents = {each["name"]: Both(*names[each["name"]]) for each in content["vehicle"]}
+        if not tables:
+            result = vcmvsp.run(content, agents=agents, out=folder)
+        else:
+            result = replay(folder, agents=agents, radio="recorded", seed=99, mcap=False)
+        tables.append(result.radio.to_pandas().sort_values(["frame", "receiver"]).reset_index(drop=True))
+    return tables[0], tables[1]
+
+
+def test_a_replay_repeats_the_frames_of_all_radios(tmp_path: Path) -> None:
+    content = scenario(WIFI, LORA, car3={"radios": ["wifi"]})
+    names: dict[str, Any] = {**{f"car{i}": ("wifi", "lora") for i in range(3)}, "car3": ("wifi",)}
+    before, after = repeated(tmp_path, content, **names)
+    assert set(before.radio) == {"wifi", "lora"}
+    assert len(set(before.outcome)) > 2
+    pd.testing.assert_frame_equal(before, after)
+
+
+def test_a_replay_repeats_the_frames_of_networks_on_one_channel(tmp_path: Path) -> None:
+    parts: dict[str, Any] = {f"car{i}": {"radios": ["ab"[i % 2]]} for i in range(4)}
+    content = scenario({**WIFI, "name": "a", "channel": "6"}, {**WIFI, "name": "b", "channel": "6"}, **parts)
+    before, after = repeated(tmp_path, content, **{f"car{i}": ("ab"[i % 2],) for i in range(4)})
+    assert set(zip(before.radio, before.sender, before.receiver, strict=True)) == {
+        *(("a", one, other) for one, other in (("car0", "car2"), ("car2", "car0"))),
+        *(("b", one, other) for one, other in (("car1", "car3"), ("car3", "car1"))),
+    }
+    pd.testing.assert_frame_equal(before, after)
+
+
+def test_frames_of_one_radio_are_not_repeated_by_several(tmp_path: Path) -> None:
+    run_of: dict[str, Any] = {"agents": {f"car{i}": Both() for i in range(2)}}
+    vcmvsp.run(scenario(WIFI, LORA, vehicles=2), out=tmp_path / "several", **run_of)
+    vcmvsp.run({**scenario(vehicles=2), "radio": {}}, out=tmp_path / "one", **run_of)
+    with pytest.raises(vcmvsp.UsageError, match=r"several radios \(.*\), not of one"):
+        vcmvsp.run(tmp_path / "one" / "scenario.toml", recorded_radio=tmp_path / "several" / "radio.parquet", **run_of)
+    with pytest.raises(vcmvsp.UsageError, match="has no column radio"):
+        vcmvsp.run(tmp_path / "several" / "scenario.toml", recorded_radio=tmp_path / "one" / "radio.parquet", **run_of)
+
+
+def chain(**own: Any) -> dict[str, Any]:
+    """Four vehicles in a line at rest, of which the radio ``wifi`` reaches the next one, and ``lora`` all; car3 has no wifi."""
+    content = scenario({"name": "wifi", "preset": "wifi-b-1"}, LORA, car3={"radios": ["lora"]})
+    for number, each in enumerate(content["vehicle"]):
+        each["position"] = [60.0 * number, 0.0, 0.0]
+    return {**content, **own}
+
+
+class Still(Both):
+    def act(self, obs: vcmvsp.Observation, radio: vcmvsp.Radio) -> vcmvsp.Velocity:
+        super().act(obs, radio)
+        return vcmvsp.Velocity()
+
+
+@pytest.mark.parametrize("kind", ["flooding", "distance_vector"])
+def test_messages_are_forwarded_over_the_named_radio_alone(kind: str) -> None:
+    """Equal rows but for the numbers in the run, which count the frames of both."""
+    tables, heard = [], []
+    for routing in ({}, {"routing": {"kind": kind, "radio": "wifi"}}):
+        agents = {f"car{i}": Still(*(("wifi",) if i < 3 else ()), "lora") for i in range(4)}
+        result = vcmvsp.run(chain(**routing), agents=agents, mcap=False)
+        tables.append(result)
+        heard.append({(sender, name) for sender, name, _ in agents["car2"].heard})
+    without, routed = tables
+    relayed = ["origin", "destination", "origin_sent_ns", "origin_number", "message"]
+    pd.testing.assert_frame_equal(rows(routed, "lora").drop(columns=relayed), rows(without, "lora"))
+    assert ("car0", "wifi") not in heard[0]
+    assert ("car0", "wifi") in heard[1]
+    frames = routed.radio.to_pandas().astype({"origin": str, "sender": str, "receiver": str})
+    assert frames.frame.is_monotonic_increasing
+    assert "car3" not in set(frames[frames.radio == "wifi"].receiver)
+    assert set(frames[(frames.radio == "wifi") & (frames.origin == "car0") & (frames.receiver == "car2")].sender) >= {"car1"}
+    direct = frames[frames.radio == "lora"]
+    assert (direct.origin == direct.sender).all()
+    assert (direct.origin_sent_ns == direct.sent_ns).all()
+
+
+def test_a_routed_radio_has_its_channel_alone() -> None:
+    parts: dict[str, Any] = {f"car{i}": {"radios": ["ab"[i % 2]]} for i in range(4)}
+    content = scenario({**WIFI, "name": "a", "channel": "6"}, {**WIFI, "name": "b", "channel": "6"}, **parts)
+    with pytest.raises(vcmvsp.ScenarioError, match=r"routing\.radio: a shares its channel with b"):
+        run({**content, "routing": {"kind": "flooding", "radio": "a"}})
+
+
 @pytest.mark.parametrize(
     ("radios", "own", "settings", "message"),
     [
@@ -123,7 +245,8 @@ def test_the_resolved_scenario_gives_the_same_bytes(tmp_path: Path) -> None:
         ([WIFI, {**WIFI, "name": "b", "channel": "wifi"}], {}, {}, "radio.b.channel: car0 has also wifi"),
         ([WIFI, {**LORA, "phy": {"kind": "lora", "sf": 7}}], {}, {}, "radio.lora.phy.sf"),
         ([WIFI, LORA], {}, {"radio.lora.loss.probability": 2.0}, "radio.lora.loss.probability"),
-        ([WIFI, LORA], {}, {"routing.kind": "flooding"}, "routing: needs one [radio]"),
+        ([WIFI, LORA], {}, {"routing.kind": "flooding"}, "routing.radio: is missing"),
+        ([WIFI, LORA], {}, {"routing": {"kind": "flooding", "radio": "zigbee"}}, "routing.radio: unknown radio 'zigbee'"),
     ],
 )
 def test_wrong_tables_end_with_one_line(

@@ -56,7 +56,7 @@ class Viewing(contextlib.AbstractContextManager["Viewing"]):
 
     def prepare(self, parts: Parts) -> None:
         """Open the page of a run whose agents have not joined."""
-        world, keys = parts.world, parts.radio.adjustable()
+        world, keys = parts.world, {key: value for each in parts.radios for key, value in each.adjustable().items()}
         allowed = {"sensors": True, "halt": True, "outage": True, "end": True}
         allowed |= {"move": bool(world.movables), "set": bool(keys), "pace": not parts.has_outside}
         may = tuple(order for order, is_obeyed in allowed.items() if is_obeyed)
