@@ -47,6 +47,7 @@ BY_ANNOTATION: dict[Any, st.SearchStrategy[Any]] = {
     Quaternion: QUATERNION,
     Array: ARRAYS,
     Array | None: ARRAYS | st.none(),
+    Array | msgspec.UnsetType: ARRAYS | st.just(msgspec.UNSET),
     float: FLOATS,
     float | None: FLOATS | st.none(),
     int: TIMES,

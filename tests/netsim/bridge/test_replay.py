@@ -21,7 +21,9 @@ from vcmvsp.cosim.types import Datagrams
 pytestmark = [pytest.mark.processes, pytest.mark.sockets]
 
 SAME = ("radio.parquet", "states.parquet", "metrics.json")
-SETTINGS: dict[str, Any] = {"duration_s": 1.5, "seed": 3, "physics.kind": "kinematic"}
+DURATION_S, PERIOD_S = 1.5, 0.004
+MOST_SAID = round(2.0 * DURATION_S / PERIOD_S)
+SETTINGS: dict[str, Any] = {"duration_s": DURATION_S, "seed": 3, "physics.kind": "kinematic"}
 CHANNELS: dict[str, dict[str, Any]] = {
     "uncontended": {"radio": {"loss": {"probability": 0.2}, "delay": {"seconds": 0.01, "jitter_s": 0.01}}},
     "dcf": {"radio": {"preset": "wifi-g-54", "mac": {"kind": "dcf"}}},
@@ -32,15 +34,20 @@ CHANNELS: dict[str, dict[str, Any]] = {
 
 @contextlib.contextmanager
 def programs(first_port: int) -> Iterator[None]:
-    """The first vehicle's says something to all, the second's to the third, over and over."""
+    """The first vehicle's says something to all, the second's to the third, over and over.
+
+    They end after twice as many as the run has time for: a run that lags behind must not get ever more of them.
+    """
     stop = threading.Event()
 
     def say() -> None:
+        said = 0
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
-            while not stop.wait(0.004):
+            while said < MOST_SAID and not stop.wait(PERIOD_S):
                 with contextlib.suppress(ConnectionError):  # there is no run yet, or no more
                     program.sendto(b"to all", ("127.0.0.1", first_port))
                     program.sendto(b"to one", ("127.0.0.1", first_port + 100 + 3))
+                    said += 1
 
     thread = threading.Thread(target=say)
     thread.start()
