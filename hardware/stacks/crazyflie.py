@@ -20,7 +20,8 @@ from vcmvsp.cosim.federate import Event, RunInfo, StackAnswer
 from vcmvsp.cosim.frames import rotate2, wrap, yaw_of
 from vcmvsp.cosim.hosts.remote_host import LinkError
 from vcmvsp.cosim.types import Name, Vec3, VehicleState, Velocity
-from vcmvsp.hardware.stacks.crtp import GREETING, NULL, Crazyflie, Manoeuvre, Order, Release, SetPoint, Stop
+from vcmvsp.hardware.stacks.crtp import GREETING, NULL, Crazyflie, Flight, Manoeuvre, Order, Release, SetPoint, Stop
+from vcmvsp.hardware.stacks.trajectories import Trajectory
 
 STABILIZE_S, SHUTDOWN_S = 0.5, 2.0
 GAIN = 2.0  # 1/s, speed for each m of error
@@ -61,13 +62,30 @@ class _Plan(NamedTuple):
         return now_s >= self.begin_s + self.duration_s
 
 
+class _Flown(NamedTuple):
+    """A trajectory under way."""
+
+    begin_s: float
+    trajectory: Trajectory
+    lands: bool = False
+
+    def at(self, now_s: float) -> SetPoint:
+        """Set-point at a time."""
+        pose = self.trajectory.at(now_s - self.begin_s)
+        return SetPoint(pose.velocity, pose.position, pose.yaw, pose.yaw_rate)
+
+    def over(self, now_s: float) -> bool:
+        """Whether it has ended."""
+        return now_s >= self.begin_s + self.trajectory.duration_s
+
+
 class Commander:
     """Makes velocities of orders; times are simulated, s."""
 
     def __init__(self) -> None:
         self._set_point: SetPoint | None = None
         self._heard_s = 0.0  # time of the set-point
-        self._plan: _Plan | None = None
+        self._plan: _Plan | _Flown | None = None
         self._flies = False
         self._last: SetPoint | None = None  # that was followed; None: it has not flown yet
 
@@ -78,6 +96,8 @@ class Commander:
                 self._set_point, self._heard_s, self._plan, self._flies = order, now_s, None, True
             case Manoeuvre():
                 self._set_point, self._plan, self._flies = None, self._planned(order, state, now_s), True
+            case Flight():
+                self._set_point, self._plan, self._flies = None, self._flown(order, state, now_s), True
             case Release():
                 if self._set_point is not None and self._flies:
                     self._plan = _Plan(now_s, 0.0, state.position, state.position, state.yaw, linear=False, lands=False)
@@ -107,16 +127,28 @@ class Commander:
 
     def _planned(self, order: Manoeuvre, state: VehicleState, now_s: float) -> _Plan:
         """The plan of a manoeuvre, from the present set-point if a manoeuvre is under way, else from the present place."""
-        start, yaw = state.position, state.yaw
-        if self._plan is not None:
-            x, y, z = self._plan.at(now_s).position
-            start, yaw = (x or 0.0, y or 0.0, z or 0.0), self._plan.yaw
+        start, yaw = self._wanted(state, now_s)
         goal, turned = order.goal, yaw if order.yaw is None else order.yaw
         if order.kind != "go_to":
             goal = (start[0], start[1], goal[2])
         elif order.relative:
             goal, turned = (start[0] + goal[0], start[1] + goal[1], start[2] + goal[2]), yaw + turned
         return _Plan(now_s, order.duration_s, start, goal, turned, order.linear, order.kind == "land")
+
+    def _flown(self, order: Flight, state: VehicleState, now_s: float) -> _Flown:
+        trajectory = Trajectory(order.pieces, order.time_scale, order.reversed)
+        if order.relative:
+            place, yaw = self._wanted(state, now_s)
+            trajectory = trajectory.moved_to(place, yaw if order.relative_yaw else None)
+        return _Flown(now_s, trajectory)
+
+    def _wanted(self, state: VehicleState, now_s: float) -> tuple[Vec3, float]:
+        """Place and yaw of the present set-point if a manoeuvre is under way, else of the aircraft."""
+        if self._plan is None:
+            return state.position, state.yaw
+        wanted = self._plan.at(now_s)
+        x, y, z = wanted.position
+        return (x or 0.0, y or 0.0, z or 0.0), wanted.yaw or 0.0
 
 
 def _followed(wanted: SetPoint, state: VehicleState) -> Velocity:

@@ -9,11 +9,11 @@ port  name                 here
 0     console              a greeting
 2     parameters           table of contents, read, write
 3     commander            a thrust of 0 stops; other attitudes are refused
-4     memory               there are none
+4     memory               one, for trajectories: read, write
 5     log                  table of contents, blocks
 6     localisation         external poses are taken and ignored, emergency stop
 7     generic commander    stop, velocity, hover, position, full state; end of set-points
-8     high-level commander take-off, landing, go to, stop
+8     high-level commander take-off, landing, go to, trajectories, stop
 13    platform             protocol and firmware version
 15    link                 echo, source
 ====  ===================  =====================================================================
@@ -24,11 +24,12 @@ import struct
 import zlib
 from collections import Counter
 from collections.abc import Callable, Mapping
-from errno import ENOENT, ENOEXEC
+from errno import EIO, ENOENT, ENOEXEC
 from typing import Literal, NamedTuple
 
 from vcmvsp.cosim.frames import Quaternion
 from vcmvsp.cosim.types import ORIGIN, Vec3, VehicleState
+from vcmvsp.hardware.stacks.trajectories import Piece, compressed, uncompressed
 
 VERSION = 10
 NULL = b"\xff"  # asks whether a Crazyflie is there
@@ -36,6 +37,11 @@ MOST_BLOCKS, MOST_VARIABLES = 16, 128  # of the log, as in the firmware
 GREETING = b"Crazyflie simulated by VCMVSP\n"
 LOG_TYPES = {1: "B", 2: "H", 3: "I", 4: "b", 5: "h", 6: "i", 7: "f", 8: "e"}
 PARAMETER_TYPES = {0: "b", 1: "h", 2: "i", 6: "f", 8: "B", 9: "H", 10: "I"}
+MEMORY_TYPE, MEMORY_BYTES = 0x12, 4096  # for trajectories, as in the firmware
+MOST_COPIED = 24  # bytes that an answer has room for
+LONGEST_S = 1e5  # of a piece
+MOST_TRAJECTORIES = 10  # NUM_TRAJECTORY_DEFINITIONS of the firmware
+IN_MEMORY, UNCOMPRESSED, COMPRESSED = 1, 0, 1  # place and types of trajectories
 READ_ONLY = 0x40
 _U8, _U16, _FLOAT = 8, 9, 6
 
@@ -101,6 +107,16 @@ class Manoeuvre(NamedTuple):
     linear: bool = False
 
 
+class Flight(NamedTuple):
+    """Start of an uploaded trajectory."""
+
+    pieces: tuple[Piece, ...]
+    time_scale: float
+    relative: bool = False  # to the present place
+    relative_yaw: bool = False  # to the present yaw as well
+    reversed: bool = False
+
+
 class Stop(NamedTuple):
     """Rotors off."""
 
@@ -109,7 +125,7 @@ class Release(NamedTuple):
     """No more set-points: the high-level commander takes over."""
 
 
-Order = SetPoint | Manoeuvre | Stop | Release
+Order = SetPoint | Manoeuvre | Flight | Stop | Release
 
 
 class _Refused(Exception):
@@ -129,10 +145,12 @@ class Crazyflie:
         self._names, self._log_names = [*PARAMETERS], [*LOG]
         self._values = {name: value for name, (_, value) in PARAMETERS.items()}
         self._blocks: dict[int, _Block] = {}
+        self._uploaded = bytearray(MEMORY_BYTES)
+        self._trajectories: dict[int, tuple[int, int, int]] = {}  # type, offset and number of pieces
         self._ports: dict[int, Callable[[int, bytes], list[bytes]]] = {
             2: self._parameters,
             3: self._attitude,
-            4: lambda channel, data: [b"\x01\x00"] if (channel, data[:1]) == (0, b"\x01") else [],
+            4: self._memory,
             5: self._log,
             6: self._localisation,
             7: self._generic,
@@ -190,6 +208,19 @@ class Crazyflie:
             raise _Refused("write of a read-only parameter")
         (self._values[name],) = _finite(struct.unpack("<" + PARAMETER_TYPES[kind], data[2:]))
         return [data]
+
+    def _memory(self, channel: int, data: bytes) -> list[bytes]:
+        if channel == 0:
+            details = struct.pack("<BBIQ", 0, MEMORY_TYPE, MEMORY_BYTES, 0) if data[1:2] == b"\0" else data[1:2]
+            return {1: [b"\x01\x01"], 2: [b"\x02" + details]}.get(data[0], [])
+        number, at = struct.unpack_from("<BI", data)
+        size = data[5] if channel == 1 else len(data) - 5
+        if number or at + size > MEMORY_BYTES or size > MOST_COPIED:
+            return [data[:5] + bytes([ENOENT if number else EIO])]
+        if channel == 1:
+            return [data[:5] + b"\0" + self._uploaded[at : at + size]]
+        self._uploaded[at : at + size] = data[5:]
+        return [data[:5] + b"\0"]
 
     def _log(self, channel: int, data: bytes) -> list[bytes]:
         if channel == 0:
@@ -276,9 +307,31 @@ class Crazyflie:
             _, relative, linear, *numbers = struct.unpack("<B??fffff", data[1:])
             x, y, z, yaw, duration = _finite(numbers)
             self._order(Manoeuvre("go_to", (x, y, z), yaw, duration, relative, linear))
+        elif command == 6:
+            number, place, form, offset, count = struct.unpack("<BBBIB", data[1:])
+            if number >= MOST_TRAJECTORIES or place != IN_MEMORY or form not in (UNCOMPRESSED, COMPRESSED):
+                raise _Refused("trajectory of an unknown place, type or number")
+            self._trajectories[number] = form, offset, count
+        elif command == 13:
+            _, relative, relative_yaw, backwards, number, time_scale = struct.unpack("<B???Bf", data[1:])
+            pieces = self._pieces(number, time_scale, plain=not backwards)
+            self._order(Flight(pieces, time_scale, relative, relative and relative_yaw, backwards))
         elif command != 0:
             raise _Refused(f"command {command} of the high-level commander")
         return []
+
+    def _pieces(self, number: int, time_scale: float, *, plain: bool) -> tuple[Piece, ...]:
+        """Pieces of a trajectory that can be flown."""
+        if number not in self._trajectories:
+            raise _Refused("start of a trajectory that is not defined")
+        form, offset, count = self._trajectories[number]
+        if form == COMPRESSED and not (plain and time_scale == 1.0):
+            raise _Refused("compressed trajectory, reversed or at another speed")  # as in the firmware
+        pieces = uncompressed(self._uploaded, offset, count) if form == UNCOMPRESSED else compressed(self._uploaded, offset)
+        _finite([time_scale, *(each for piece in pieces for axis in piece.axes for each in axis)])
+        if not pieces or not time_scale > 0.0 or not all(0.0 < piece.duration_s < LONGEST_S for piece in pieces):
+            raise _Refused("trajectory without a possible duration")
+        return pieces
 
 
 class _Block:

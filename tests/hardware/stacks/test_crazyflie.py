@@ -18,8 +18,11 @@ from vcmvsp.cosim.hosts.remote_host import LinkError
 from vcmvsp.cosim.runs import api
 from vcmvsp.cosim.types import VehicleState
 from vcmvsp.hardware.stacks.crazyflie import FALL_M_PER_S, Commander
-from vcmvsp.hardware.stacks.crtp import LOG, PARAMETERS, Crazyflie, Manoeuvre, Order, Release, SetPoint, Stop
+from vcmvsp.hardware.stacks.crtp import LOG, PARAMETERS, Crazyflie, Flight, Manoeuvre, Order, Release, SetPoint, Stop
+from vcmvsp.hardware.stacks.trajectories import HEADER, PIECE, START
 
+UPLOAD = PIECE.pack(*range(32), 2.0) + START.pack(0, 0, 500, 0) + HEADER.pack(1, 1500) + b"\x64\0"
+MOTION_M_PER_S = 0.2  # of cflib's MotionCommander, for distance / speed by the wall clock
 NAMES = ("cf1", "cf2", "cf3", "cf4")
 
 
@@ -69,8 +72,9 @@ def test_programs_of_cflib_fly_a_square_and_a_swarm() -> None:
 
     vcmvsp.run(scenario(first, 28.0), tell=start)
     said = [json.loads(each.communicate(timeout=20.0)[0]) for each in started]
-    (corners,) = said[0].values()
-    for corner, (x, y) in zip(corners, [(0.0, 0.0), (0.5, 0.0), (0.5, 0.5), (0.0, 0.5), (0.0, 0.0)], strict=True):
+    (corners,), x, y = said[0].values(), 0.0, 0.0
+    for (flown_s, corner), (ahead, left) in zip(corners, [(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)], strict=True):
+        x, y = x + MOTION_M_PER_S * flown_s * ahead, y + MOTION_M_PER_S * flown_s * left
         assert corner == pytest.approx([x, y, 0.5], abs=0.05)
     assert len(said[1]) == 3
     for uri, places in said[1].items():
@@ -81,13 +85,13 @@ def test_programs_of_cflib_fly_a_square_and_a_swarm() -> None:
 
 @pytest.mark.processes
 @pytest.mark.sockets
-def test_a_connection_brings_both_tables_and_a_second_program_is_refused() -> None:
+def test_a_connection_brings_tables_and_flies_trajectories_and_a_second_program_is_refused() -> None:
     first, started, lines = free_ports(), list[subprocess.Popen[str]](), list[str]()
 
     def start(line: str) -> None:
         lines.append(line)
         if "reach" in line:
-            started.append(program("tables", first))
+            started.extend((program("tables", first), program("trajectories", first + 2)))
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
                 for _ in range(2):  # the first one claims the aircraft, until a program connects
                     other.sendto(b"\x80\x03\x00", ("127.0.0.1", first + 1))
@@ -96,10 +100,12 @@ def test_a_connection_brings_both_tables_and_a_second_program_is_refused() -> No
                 third.sendto(b"\x80\x03\x00", ("127.0.0.1", first + 1))
 
     vcmvsp.run(scenario(first, 15.0), tell=start)
-    (said,) = json.loads(started[0].communicate(timeout=20.0)[0]).values()
+    said, flown = (next(iter(json.loads(each.communicate(timeout=20.0)[0]).values())) for each in started)
     assert said["log"] == sorted(LOG)
     assert {*said["param"]} == {*PARAMETERS}
     assert float(said["param"]["kalman.initialX"]) == 1.5
+    for place, expected in zip(flown, [(2.0, 0.0, 0.5), (2.0, 0.4, 0.5), (1.6, 0.4, 0.8)], strict=True):
+        assert place == pytest.approx(expected, abs=0.05)
     assert any(line == "stack.crazyflie: cf2: refused packets: 1 second program" for line in lines)
 
 
@@ -135,6 +141,13 @@ def valid_packets() -> list[bytes]:
         b"\x51\x04\x01",
         b"\x51\x02\x01",
         b"\x40\x01",
+        b"\x40\x02\x00",
+        b"\x41\x00" + struct.pack("<IB", 0, 24),
+        *(b"\x42\x00" + struct.pack("<I", at) + UPLOAD[at : at + 20] for at in range(0, len(UPLOAD), 20)),
+        b"\x80\x06" + struct.pack("<BBBIB", 1, 1, 0, 0, 1),
+        b"\x80\x06" + struct.pack("<BBBIB", 2, 1, 1, 132, 1),
+        b"\x80\x0d\x00" + struct.pack("<???Bf", True, True, False, 1, 2.0),
+        b"\x80\x0d\x00" + struct.pack("<???Bf", False, False, False, 2, 1.0),
         b"\x30" + struct.pack("<fffH", 0.0, 0.0, 0.0, 0),
         *(b"\x70" + bytes([kind]) + four for kind in (1, 5, 7, 8, 10)),
         b"\x70\x06" + struct.pack("<hhhhhhhhhIhhh", *range(9), 0x40000000, 0, 0, 100),
@@ -164,7 +177,7 @@ def test_mutated_packets_are_answered_or_refused() -> None:
         answers = aircraft.take(bytes(packet)) + aircraft.logged(10 * number, state)
         assert all(1 <= len(each) <= 31 for each in answers)
     assert all(map(finite, orders))
-    assert {Stop, Release, SetPoint, Manoeuvre} == {type(each) for each in orders}
+    assert {Stop, Release, SetPoint, Manoeuvre, Flight} == {type(each) for each in orders}
 
 
 def test_set_points_age_as_in_the_firmware() -> None:

@@ -1,61 +1,99 @@
 """Programs of cflib, as a user of Crazyflies writes them; run as one, ``PROGRAM URI...``, so that its licence stays apart.
 
-Each prints a line of JSON: the logged places (x, y, z in m) of each aircraft, by time.
+Each prints a line of JSON: mostly the logged places (x, y, z in m) of each aircraft, by time.
 """
 
 import json
 import logging
+import math
 import sys
+import threading
 import time
 from typing import Any
 
 import cflib.crtp
 from cflib.crazyflie import Crazyflie
 from cflib.crazyflie.log import LogConfig
+from cflib.crazyflie.mem import CompressedSegment, CompressedStart, MemoryElement, Poly4D
 from cflib.crazyflie.swarm import CachedCfFactory, Swarm
 from cflib.crazyflie.syncCrazyflie import SyncCrazyflie
-from cflib.crazyflie.syncLogger import SyncLogger
 from cflib.positioning.motion_commander import MotionCommander
 
-SIDE_M = 0.5
+SIDE_M, POLY4D_BYTES = 0.5, 132
 
 
-def place_of(scf: SyncCrazyflie) -> list[float]:
-    """Logged place, m."""
-    block = LogConfig("place", 20)
-    for axis in "xyz":
-        block.add_variable(f"stateEstimate.{axis}", "float")
-    with SyncLogger(scf, block) as logger:
-        for _, values, _ in logger:
-            return [values[f"stateEstimate.{axis}"] for axis in "xyz"]
-    raise RuntimeError("no log")
+class Log:
+    """Newest place, m, and its time, s, by the aircraft's own clock: a simulation may be slower than the wall clock."""
+
+    def __init__(self, scf: SyncCrazyflie) -> None:
+        self.time_s, self.place = -math.inf, list[float]()
+        self._news = threading.Condition()
+        block = LogConfig("place", 20)
+        for axis in "xyz":
+            block.add_variable(f"stateEstimate.{axis}", "float")
+        block.data_received_cb.add_callback(self._take)
+        scf.cf.log.add_config(block)
+        block.start()
+        self.place_after(0.0)
+
+    def _take(self, time_ms: int, values: dict[str, float], block: LogConfig) -> None:
+        with self._news:
+            self.time_s, self.place = 1e-3 * time_ms, [values[f"stateEstimate.{axis}"] for axis in "xyz"]
+            self._news.notify()
+
+    def place_after(self, seconds: float) -> list[float]:
+        """Place after some time."""
+        with self._news:
+            end_s = self.time_s + seconds
+            if not self._news.wait_for(lambda: self.time_s >= max(end_s, 0.0), timeout=60.0):
+                raise RuntimeError("no log")
+            return self.place
 
 
-def square(scf: SyncCrazyflie) -> list[list[float]]:
-    """Places at the corners of a square, flown by velocities."""
+def square(scf: SyncCrazyflie) -> list[tuple[float, list[float]]]:
+    """Places at the corners of a square, flown by velocities, and for how long each side was flown, s."""
+    log = Log(scf)
     with MotionCommander(scf, default_height=0.5) as motion:
-        time.sleep(1.0)
-        places = [place_of(scf)]
+        corners = [(0.0, log.place_after(1.0))]
         for side in (motion.forward, motion.left, motion.back, motion.right):
+            begin_s = log.time_s
             side(SIDE_M)
-            time.sleep(0.5)
-            places.append(place_of(scf))
-    return places
+            flown_s = log.time_s - begin_s
+            corners.append((flown_s, log.place_after(0.5)))
+    return corners
 
 
 def go_to(scf: SyncCrazyflie) -> list[list[float]]:
     """Places after take-off, after a way by the high-level commander, and after landing."""
-    x, y, _ = place_of(scf)
+    log = Log(scf)
+    x, y, _ = log.place
     commander, places = scf.cf.high_level_commander, []
     commander.takeoff(0.6, 1.5)
-    time.sleep(2.5)
-    places.append(place_of(scf))
+    places.append(log.place_after(2.5))
     commander.go_to(x + 0.4, y + 0.6, 1.0, 0.0, 2.0)
-    time.sleep(3.0)
-    places.append(place_of(scf))
+    places.append(log.place_after(3.0))
     commander.land(0.02, 2.0)
-    time.sleep(2.5)
-    places.append(place_of(scf))
+    places.append(log.place_after(2.5))
+    commander.stop()
+    return places
+
+
+def trajectories(scf: SyncCrazyflie) -> list[list[float]]:
+    """Places before and after an uploaded trajectory, and after a compressed one behind it in the memory."""
+    (memory,) = scf.cf.mem.get_mems(MemoryElement.TYPE_TRAJ)
+    log, commander = Log(scf), scf.cf.high_level_commander
+    memory.trajectory = [Poly4D(2.0, y=Poly4D.Poly([0.0, 0.0, 0.3, -0.1, 0.0, 0.0, 0.0, 0.0]))]  # 0.4 m, from rest to rest
+    memory.write_data_sync()
+    commander.define_trajectory(1, 0, 1)
+    segment = CompressedSegment(2.0, [0.0, -0.4, -0.4], [], [0.0, 0.3, 0.3], [])
+    memory.trajectory = [CompressedStart(0.0, 0.0, 0.0, 0.0), segment]
+    memory.write_data_sync(start_addr=POLY4D_BYTES)
+    commander.define_trajectory(2, POLY4D_BYTES, 2, type=commander.TRAJECTORY_TYPE_POLY4D_COMPRESSED)
+    commander.takeoff(0.5, 1.5)
+    places = [log.place_after(2.0)]
+    for number in (1, 2):
+        commander.start_trajectory(number, relative_position=True)
+        places.append(log.place_after(2.5))
     commander.stop()
     return places
 
@@ -72,7 +110,7 @@ def tables(scf: SyncCrazyflie) -> dict[str, Any]:
     }
 
 
-PROGRAMS = {"square": square, "go_to": go_to, "tables": tables}
+PROGRAMS = {"square": square, "go_to": go_to, "tables": tables, "trajectories": trajectories}
 
 
 def main(name: str, *uris: str) -> None:
