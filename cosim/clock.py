@@ -188,6 +188,9 @@ class LiveClock:
         listen: called some fifty times a second, also while paused; it calls `go` on a command of the viewer.
         now: the wall clock, ns.
         sleep: waits for so many seconds.
+
+    Attributes:
+        held: the run is paused, and the step that was asked for is over.
     """
 
     def __init__(
@@ -199,6 +202,7 @@ class LiveClock:
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self.speed, self.paused, self.slipped_ns = speed, False, 0
+        self.held = False
         self._listen, self._now, self._sleep = listen, now, sleep
         self._logical_ns, self._free_ns, self._heard_ns = 0, 0, 0
         self._anchor = 0, 0  # a logical time and its wall-clock time
@@ -209,7 +213,7 @@ class LiveClock:
 
     def go(self, *, paused: bool, speed: float | None, step_ns: int = 0) -> None:
         """Change pause and speed from here on; a paused run still advances by ``step_ns``."""
-        self.paused, self.speed, self._free_ns = paused, speed, self._logical_ns + step_ns
+        self.paused, self.speed, self._free_ns, self.held = paused, speed, self._logical_ns + step_ns, False
         self._anchor = self._logical_ns, self._now()
 
     def wait_until(self, due_ns: int) -> int:
@@ -231,7 +235,8 @@ class LiveClock:
         if now_ns - self._heard_ns >= LISTEN_NS:
             self._heard_ns = now_ns
             self._listen()
-        if self.paused and due_ns > self._free_ns:
+        self.held = self.paused and due_ns > self._free_ns
+        if self.held:
             return LISTEN_NS
         if self.speed is None:
             return 0

@@ -269,6 +269,46 @@ class Stack(Protocol):
         """End all connections. Repeated calls are allowed."""
 
 
+class RunControl(Protocol):
+    """What programs outside may see and change of a run. All in the run's thread, between two instants or during a pause."""
+
+    may_pause: bool  # false: a part of the run cannot wait
+    step_s: float  # shortest period of the agents: a step
+    obstacles: tuple[str, ...]  # that can be moved
+
+    @property
+    def paused(self) -> bool:
+        """Whether the run is paused, or makes steps."""
+
+    @property
+    def held(self) -> bool:
+        """Whether the run is paused and its steps are over."""
+
+    def truths(self) -> Mapping[str, tuple[int, VehicleState]]:
+        """Newest true states of vehicles and movable obstacles, with their times, ns; before the first instant none."""
+
+    def go(self, *, paused: bool, steps: int = 0) -> None:
+        """Pause the run, after so many steps, or continue it."""
+
+    def end(self) -> None:
+        """End the run, as Ctrl-C does."""
+
+    def move(self, obstacle: str, position: tuple[float, float], yaw: float) -> None:
+        """Put an obstacle elsewhere, x, y m and yaw rad, at the next instant: an intervention, which a replay repeats.
+
+        Raises:
+            ValueError: it cannot be put there; the text says why.
+        """
+
+
+@runtime_checkable
+class ControllingStack(Protocol):
+    """A stack whose programs may also control the run."""
+
+    def attend(self, control: RunControl) -> None:
+        """Carry out the requests of programs; called some fifty times a second, also during a pause."""
+
+
 class ExternalVehicles(Federate, ExternalMotion, Protocol):
     """The federate of vehicles that physics does not move: publishes their estimates and readings, takes their commands."""
 

@@ -27,7 +27,7 @@ from vcmvsp.cosim.assembly.run import AssembledRun, assemble, clock_of
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import AgentError, FederateError, Interrupted, UsageError, VcmvspError
-from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim.federate import ControllingStack, Event
 from vcmvsp.cosim.kernel.kernel import Kernel, Observer
 from vcmvsp.cosim.metrics.own import own_values
 from vcmvsp.cosim.recording import external_inputs
@@ -35,6 +35,7 @@ from vcmvsp.cosim.recording.external_inputs import FILE
 from vcmvsp.cosim.recording.mcap_writer import MessageSink
 from vcmvsp.cosim.recording.recorder import Recorder
 from vcmvsp.cosim.runs import notebook
+from vcmvsp.cosim.runs.control import StackControl
 from vcmvsp.cosim.runs.result import Result, compared, figures_again, load_figures
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.scenario import schema
@@ -128,8 +129,14 @@ class Simulation:
         sink: MessageSink | None = None,
     ) -> None:
         self._run, self._folder, self._progress, self._tell, self._over = run, folder, progress, tell, False
-        self._live = None if view is None else view.live(run, speed or 1.0, stop=self._stop, tell=tell)
-        self._clock = run.clock if self._live is None else self._live.clock
+        callers = [each for each in run.stacks.values() if isinstance(each, ControllingStack)]
+        self._control = StackControl(run, callers, stop=self._stop, clock=run.clock) if callers else None
+        self._clock = run.clock if self._control is None else self._control.clock
+        self._live = None if view is None else view.live(run, speed or 1.0, stop=self._stop, tell=tell, clock=self._clock)
+        if self._live is not None:
+            self._clock = self._live.clock
+            if self._control is not None:
+                self._control.also = self._live.listen
         topics, live = run.hosts.topics, self._live
         self._broadcast = None
         if topics is not None:
@@ -137,7 +144,7 @@ class Simulation:
 
             self._broadcast = Broadcast(run, topics)
         pages = [page.on for page in (live, self._broadcast) if page is not None]
-        onlookers = (topics.on if topics else None, observe, *pages)
+        onlookers = (topics.on if topics else None, observe, self._control.on if self._control else None, *pages)
         self._observers = [each for each in onlookers if each is not None]
         self._resolved = run.resolved()  # before the run: an error here must not discard a finished run
         info = msgspec.structs.replace(run.info, paced=self._clock.speed is not None)
@@ -249,9 +256,9 @@ class Simulation:
 
     def _on_instant(self) -> Callable[[int], None] | None:
         """Callback before each instant: progress display and live view."""
-        progress, live, broadcast = self._progress, self._live, self._broadcast
+        progress, live, broadcast, control = self._progress, self._live, self._broadcast, self._control
         clock, end_ns = self._clock, self._run.info.duration_ns
-        if live is None and broadcast is None:
+        if live is None and broadcast is None and control is None:
             return None if progress is None else lambda now: progress(now, end_ns)
 
         def all_of_them(now_ns: int) -> None:
@@ -259,6 +266,8 @@ class Simulation:
                 live.on_instant(now_ns)
             if broadcast is not None:
                 broadcast.pace(clock.speed)
+            if control is not None:
+                control.on_instant(now_ns)
             if progress is not None:
                 progress(now_ns, end_ns)
 

@@ -9,13 +9,15 @@ topic                         type                           content
 ``<vehicle>/radio/send``, in  vcmvsp_msgs/RadioSend          bytes for the emulated radio
 ``<vehicle>/radio/received``  vcmvsp_msgs/RadioReceived      bytes from it, at the vehicle's ticks
 ``<vehicle>/odom``            nav_msgs/Odometry              wheel odometry, without wheels the estimate; at ticks
-``<vehicle>/tf``              tf2_msgs/TFMessage             ``map``, ``odom``, ``base_link`` and sensors; at ticks
+``<vehicle>/tf``              tf2_msgs/TFMessage             ``map``, ``odom``, ``base_link``; at ticks
+``<vehicle>/tf_static``       tf2_msgs/TFMessage             ``base_link`` and the sensors' frames; once, latched
 ``<vehicle>/<sensor>``        sensor_msgs/LaserScan, Imu     readings of scanners and inertial units
 ``<vehicle>/<sensor>/...``    sensor_msgs/Image, CameraInfo  pictures: ``image_raw`` and ``camera_info``
 ``<vehicle>/gps/fix``         sensor_msgs/NavSatFix          positions; of a named sensor ``<sensor>/fix``
 ============================  =============================  =======================================================
 
-A message is made only if the topic has subscribers. Of one instant, ``odom`` is published last.
+A message is made only if the topic has subscribers. Of one instant, ``odom`` is published last. Services of the run:
+`hardware.stacks.simulation_services`.
 """
 
 import queue
@@ -30,7 +32,7 @@ import msgspec
 from vcmvsp.cosim.agent import Observation, check_body
 from vcmvsp.cosim.errors import FederateError, ScenarioError
 from vcmvsp.cosim.estimation.tangent_plane import TangentPlane
-from vcmvsp.cosim.federate import Event, RunInfo, StackAnswer
+from vcmvsp.cosim.federate import Event, RunControl, RunInfo, StackAnswer
 from vcmvsp.cosim.frames import Quaternion, product, quaternion_from_yaw, rotate2, yaw_of
 from vcmvsp.cosim.hosts.remote_host import LinkError
 from vcmvsp.cosim.recording import ros_messages as ros
@@ -38,12 +40,14 @@ from vcmvsp.cosim.types import ORIGIN, Fix, Image, Imu, Later, Name, Odometry, P
 from vcmvsp.hardware.drivers.base import PortError
 from vcmvsp.hardware.drivers.ros2.node import Mode, Node, ReceivedMessage
 from vcmvsp.hardware.drivers.ros2.protocol import TWIST, TWIST_STAMPED, Endpoint, RmwZenoh, decode_twist
+from vcmvsp.hardware.stacks.simulation_services import SimulationServices
 
 POSE = "geometry_msgs/msg/PoseStamped"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
 SEND, RECEIVED = ros.OWN_TYPES
 MAP, ODOM, BASE = "map", "odom", "base_link"
 INPUTS = {"cmd_vel": TWIST, "goal_pose": POSE, "radio/send": SEND}
-OUTPUTS = {"odom": "nav_msgs/msg/Odometry", "tf": "tf2_msgs/msg/TFMessage", "radio/received": RECEIVED}
+OUTPUTS = {"odom": "nav_msgs/msg/Odometry", "tf": TRANSFORMS, "radio/received": RECEIVED}
 DEFAULT = "tcp/127.0.0.1:7447"  # where rmw_zenoh looks for its router
 LARGEST = 1e9  # m, m/s, rad/s
 WAITING = 4096  # messages in the queue
@@ -154,6 +158,7 @@ class Ros2Stack:
         self._names = {ros.ros_name(name)[1:]: name for name in vehicles}  # by namespace
         self._news: queue.SimpleQueue[_News] = queue.SimpleQueue()
         self._node: Node | None = None
+        self._services: SimulationServices | None = None
         self._outlets: dict[str, Outlet] = {}  # by topic
         self._sensors: dict[str, list[tuple[Outlet, Callable[[Any], ros.RosMessage]]]] = {}  # by key of the reading
         self._now_ns = -1
@@ -175,6 +180,11 @@ class Ros2Stack:
                 endpoint = Endpoint("MS", f"{namespace}/{topic}", kind)
                 node.add(endpoint)
                 node.hear(endpoint, partial(self._hand_over, vehicle, topic), whatever=True)
+            if mounted := self._mounted(vehicle):
+                latched = Endpoint("MP", f"{namespace}/tf_static", TRANSFORMS, latched=True)
+                node.add(latched)
+                node.latch(latched, ros.encoded(mounted))
+        self._services = SimulationServices(node)
         node.watch(self._watched)
         self._tell(self._how_to_reach())
         if not self.paced:
@@ -227,8 +237,16 @@ class Ros2Stack:
         messages, program.messages = program.messages, []
         return StackAnswer(command, messages)
 
+    def attend(self, control: RunControl) -> None:
+        """Answer the calls of services."""
+        if self._services is not None:
+            self._services.attend(control)
+
     def close(self) -> None:
         """Close the session, and tell what was refused."""
+        if self._services is not None:
+            self._services.close()
+            self._services = None
         if self._node is not None:
             self._node.close()
             self._node = None
@@ -245,26 +263,16 @@ class Ros2Stack:
         return self._outlets[topic]
 
     def _publish(self, namespace: str, vehicle: str, seen: Observation) -> None:
-        self._outlets[f"{namespace}/tf"].put(lambda: self._transforms(vehicle, seen))
+        self._outlets[f"{namespace}/tf"].put(partial(_transforms, seen))
         received = self._outlets[f"{namespace}/radio/received"]
         for each in seen.heard if received.wanted else ():
             received.put(partial(ros.radio_received, each))
 
-    def _transforms(self, vehicle: str, seen: Observation) -> ros.RosMessage:
-        """``map`` to ``odom`` to ``base_link``, which is where the estimate is; and the frames of sensors."""
-        odometry = seen.readings.get("odometry")
-        place, turn = seen.state.position, seen.state.attitude
-        parts = [(MAP, ODOM, ORIGIN, (1.0, 0.0, 0.0, 0.0)), (ODOM, BASE, place, turn)]
-        if isinstance(odometry, Odometry):
-            x, y, yaw = odometry.pose
-            off = product(turn, quaternion_from_yaw(-yaw))
-            dx, dy, dz = ros.rotated(off, (x, y, 0.0))
-            corrected = place[0] - dx, place[1] - dy, place[2] - dz
-            parts = [(MAP, ODOM, corrected, off), (ODOM, BASE, (x, y, 0.0), quaternion_from_yaw(yaw))]
-        for key, mount in self._mounts.items():
-            if key.partition("/")[0] == vehicle:
-                parts.append((BASE, key.partition("/")[2], *mount))
-        return ros.make("tf2_msgs/TFMessage", [ros.transform(seen.time_ns, *part) for part in parts])
+    def _mounted(self, vehicle: str) -> ros.RosMessage | None:
+        """The frames of a vehicle's sensors; None: it has none."""
+        own = {key: mount for key, mount in self._mounts.items() if key.partition("/")[0] == vehicle}
+        parts = [ros.transform(0, BASE, key.partition("/")[2], *mount) for key, mount in own.items()]
+        return ros.make("tf2_msgs/TFMessage", parts) if parts else None
 
     def _outlets_of(self, key: str, reading: Reading) -> list[tuple[Outlet, Callable[[Any], ros.RosMessage]]]:
         """Topics of a sensor, from its first reading."""
@@ -377,6 +385,20 @@ class Ros2Stack:
 
 def _computed(value: Any) -> Reading:
     return value.get() if isinstance(value, Later) else value
+
+
+def _transforms(seen: Observation) -> ros.RosMessage:
+    """``map`` to ``odom`` to ``base_link``, which is where the estimate is."""
+    odometry = seen.readings.get("odometry")
+    place, turn = seen.state.position, seen.state.attitude
+    parts = [(MAP, ODOM, ORIGIN, (1.0, 0.0, 0.0, 0.0)), (ODOM, BASE, place, turn)]
+    if isinstance(odometry, Odometry):
+        x, y, yaw = odometry.pose
+        off = product(turn, quaternion_from_yaw(-yaw))
+        dx, dy, dz = ros.rotated(off, (x, y, 0.0))
+        corrected = place[0] - dx, place[1] - dy, place[2] - dz
+        parts = [(MAP, ODOM, corrected, off), (ODOM, BASE, (x, y, 0.0), quaternion_from_yaw(yaw))]
+    return ros.make("tf2_msgs/TFMessage", [ros.transform(seen.time_ns, *part) for part in parts])
 
 
 def _odometry(seen: Observation) -> ros.RosMessage:

@@ -64,14 +64,19 @@ class Viewing(contextlib.AbstractContextManager["Viewing"]):
         self.open(scenery, **motions_of(world))
         self.feed.pace(Pace(waiting="its agents"))
 
-    def live(self, run: AssembledRun, speed: float | None, *, stop: Callable[[], None], tell: Tell) -> "Live":
-        """Show a run whose agents have joined, on the page that `prepare` has opened."""
+    def live(
+        self, run: AssembledRun, speed: float | None, *, stop: Callable[[], None], tell: Tell, clock: Clock | None = None
+    ) -> "Live":
+        """Show a run whose agents have joined, on the page that `prepare` has opened.
+
+        ``clock``: of a run in which robots, stacks or programs take part; default: its own.
+        """
         self.feed.describe(crafts_of(run.scenario, run.source, infos=run.agents))
 
-        def clock(listen: Callable[[], None]) -> Clock:
-            return run.clock if run.has_outside else LiveClock(speed, listen)
+        def paced(listen: Callable[[], None]) -> Clock:
+            return (clock or run.clock) if run.has_outside else LiveClock(speed, listen)
 
-        return Live(self.feed, run.operator, clock=clock, stop=stop, tell=tell)
+        return Live(self.feed, run.operator, clock=paced, stop=stop, tell=tell)
 
     def open(self, scenery: Scenery, *, moving: Poses | None = None, targets: Places | None = None) -> Self:
         """Start the process and wait for the page; arguments as of `Feed`.

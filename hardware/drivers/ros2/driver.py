@@ -320,7 +320,7 @@ class Ros2Driver(ThreadedDriver):
             advice = "the node expects Twist: set stamped = false, or correct release"
         elif others:
             does = {"MP": "publishes", "MS": "hears"}
-            there = ", ".join(f"another node {does[kind]} {topic} ({name})" for kind, topic, name in others[:_SHOWN])
+            there = ", ".join(f"another node {does[each.kind]} {each.topic} ({each.type})" for each in others[:_SHOWN])
             advice = f"check topics, namespace and release: {there}"
         else:
             advice = "check that the robot is running, with this domain, and connected to this router"

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
 import zenoh
+import zenoh.ext
 from zenoh.handlers import Callback
 
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
@@ -31,6 +32,20 @@ class ReceivedMessage(NamedTuple):
     data: bytes
     sender: bytes | None  # its id; None: unknown
     arrived_ns: int  # of this machine's monotonic clock
+
+
+class Call:
+    """A request of a service's client. It may be answered later, from any thread, and at most once."""
+
+    def __init__(self, query: zenoh.Query, answer: Callable[[bytes], None]) -> None:
+        self.data = query.payload.to_bytes() if query.payload is not None else b""
+        self._query, self._answer = query, answer
+
+    def reply(self, data: bytes) -> None:
+        """Send the response. A client that has gone does not get it."""
+        with contextlib.suppress(zenoh.ZError):
+            self._answer(data)
+        self._query.drop()  # type: ignore[no-untyped-call]
 
 
 class Node:
@@ -103,6 +118,34 @@ class Node:
 
         expression = self._mapping.hears(what.topic) if whatever else self._mapping.publishes(what.topic, what.type)
         self._kept.append(self._session.declare_subscriber(expression, Callback(took, indirect=False)))
+
+    def latch(self, what: Endpoint, data: bytes) -> None:
+        """Publish a message that later subscribers get, too: rmw_zenoh's transient-local topics are advanced publishers."""
+        key = self._mapping.publishes(what.topic, what.type)
+        cache = zenoh.ext.CacheConfig(max_samples=1)
+        publisher = zenoh.ext.declare_advanced_publisher(self._session, key, cache=cache, publisher_detection=True)
+        publisher.put(data, attachment=self._mapping.attachment(Origin(1, time.time_ns(), self._ids[what])))
+        self._kept.append(publisher)
+
+    def serve(self, what: Endpoint, called: Callable[[Call], None]) -> None:
+        """Pass on calls of a service, in Zenoh's thread; those without a valid attachment get no answer.
+
+        The attachment of an answer has the number and the sender of the request.
+        """
+        key = self._mapping.publishes(what.topic, what.type)
+
+        def took(query: zenoh.Query) -> None:
+            origin = origin_of(query.attachment.to_bytes()) if query.attachment is not None else None
+            if origin is None or (query.payload is not None and len(query.payload) > _MOST_BYTES):
+                query.drop()  # type: ignore[no-untyped-call]
+                return
+
+            def answer(data: bytes) -> None:
+                query.reply(key, data, attachment=self._mapping.attachment(origin._replace(time_ns=time.time_ns())))
+
+            called(Call(query, answer))
+
+        self._kept.append(self._session.declare_queryable(key, Callback(took, indirect=False), complete=True))
 
     def others(self) -> list[Endpoint]:
         """Publishers and subscribers of other nodes."""
@@ -178,6 +221,7 @@ def _session(endpoint: str, mode: Mode) -> zenoh.Session:
         config["transport"] = {"unicast": {"open_timeout": 2000}}
     else:  # gossip lets the nodes of a robot find each other, as with rmw_zenohd
         config = {"mode": "router", "listen": {"endpoints": [endpoint]}, "scouting": {"gossip": {"enabled": True}}}
+    config["timestamping"] = {"enabled": True}  # which latched topics need; rmw_zenoh has it, too
     try:
         return opened(config, {}, "Zenoh")
     except UsageError as error:

@@ -140,11 +140,12 @@ _NAMES = (b"\x0fsequence_number", b"\x10source_timestamp", b"\x0asource_gid")
 
 
 class Endpoint(NamedTuple):
-    """A publisher or a subscriber of a node."""
+    """A publisher, a subscriber or a service of a node."""
 
-    kind: str  # MP: a publisher of messages, MS: a subscriber
-    topic: str  # without the leading slash
+    kind: str  # MP: a publisher of messages, MS: a subscriber, SS: a service
+    topic: str  # or name of the service, without the leading slash
     type: str  # such as geometry_msgs/msg/Twist
+    latched: bool = False  # transient-local: late subscribers get the last message
 
 
 class Origin(NamedTuple):
@@ -178,12 +179,14 @@ class RmwZenoh:
     def tokens(self, session: str, endpoints: tuple[Endpoint, ...]) -> list[str]:
         """Tokens of a node: one for each endpoint, in their order, then the tokens of the node itself.
 
-        It is node 0 in the enclave and namespace ``/``; the quality of service is the default with a queue of `DEPTH`.
+        It is node 0 in the enclave and namespace ``/``; the quality of service is the default with a queue of `DEPTH`, or
+        transient-local (1) with the last message.
         """
         lead = f"@ros2_lv/{self._domain}/{session}/0"
         tokens = []
-        for number, (kind, topic, name) in enumerate(endpoints, start=1):
-            what = f"%{topic.replace('/', '%')}/{_dds_type(name)}/{self._hash(name)}/::,{DEPTH}:,:,:,,"
+        for number, (kind, topic, name, latched) in enumerate(endpoints, start=1):
+            quality = ":1:,1" if latched else f"::,{DEPTH}"
+            what = f"%{topic.replace('/', '%')}/{_dds_type(name)}/{self._hash(name)}/{quality}:,:,:,,"
             tokens.append(f"{lead}/{number}/{kind}/%/%/{self._node}/{what}")
         return [*tokens, f"{lead}/0/NN/%/%/{self._node}"]
 
@@ -222,7 +225,7 @@ class Ros2Dds:
     def tokens(self, session: str, endpoints: tuple[Endpoint, ...]) -> list[str]:
         """Tokens of endpoints: reliable (1), with a queue (0) of `DEPTH`; a slash becomes a section sign."""
         lead = f"@/{session}/@ros2_lv"
-        names = [(kind, topic.replace("/", "§"), name.replace("/", "§")) for kind, topic, name in endpoints]
+        names = [(kind, topic.replace("/", "§"), name.replace("/", "§")) for kind, topic, name, _ in endpoints]
         return [f"{lead}/{kind}/{topic}/{name}/:1::0,{DEPTH}" for kind, topic, name in names] + [lead]
 
     def endpoint(self, token: str) -> Endpoint | None:

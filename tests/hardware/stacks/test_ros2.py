@@ -12,6 +12,7 @@ from typing import IO, Any
 
 import pytest
 import zenoh
+import zenoh.ext
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import vcmvsp
@@ -198,6 +199,9 @@ def test_every_byte_is_that_of_its_type_and_names_and_hashes_are_rmw_zenohs(port
         with zenoh.open(config) as session:
             session.declare_subscriber("0/**", samples.append)
             session.liveliness().declare_subscriber("@ros2_lv/**", lambda said: tokens.add(str(said.key_expr)), history=True)
+            static = f"0/car1/tf_static/tf2_msgs::msg::dds_::TFMessage_/{store.hash_rihs01('tf2_msgs/msg/TFMessage')}"
+            history = zenoh.ext.HistoryConfig(detect_late_publishers=True)
+            zenoh.ext.declare_advanced_subscriber(session, static, samples.append, history=history)
             with node(port, "car1"):  # the run begins with it
                 over.wait(60.0)
 
@@ -218,11 +222,24 @@ def test_every_byte_is_that_of_its_type_and_names_and_hashes_are_rmw_zenohs(port
         assert attachment is not None
         assert len(attachment.to_bytes()) == 33
     inputs = "cmd_vel", "radio/send"  # of the node
-    parts = "clock", *inputs, "odom", "tf", "radio/received", "scan", "inertia", "eye/image_raw", "eye/camera_info", "sat/fix"
+    parts = (
+        "clock",
+        *inputs,
+        "odom",
+        "tf",
+        "tf_static",
+        "radio/received",
+        "scan",
+        "inertia",
+        "eye/image_raw",
+        "eye/camera_info",
+        "sat/fix",
+    )
     assert {*seen} == {each if each == "clock" else f"car1/{each}" for each in parts}
     assert (seen["car1/odom"].header.frame_id, seen["car1/odom"].child_frame_id) == ("odom", "base_link")
-    frames = {each.child_frame_id: each for each in seen["car1/tf"].transforms}
-    assert {*frames} == {"odom", "base_link", "scan", "inertia", "eye", "sat"}
+    assert [each.child_frame_id for each in seen["car1/tf"].transforms] == ["odom", "base_link"]
+    frames = {each.child_frame_id: each for each in seen["car1/tf_static"].transforms}
+    assert {*frames} == {"scan", "inertia", "eye", "sat"}
     turn = frames["eye"].transform.rotation  # body x is forward, the optical axis z: rotation by (-90, 0, -90) degrees
     assert (turn.w, turn.x, turn.y, turn.z) == pytest.approx((0.5, -0.5, 0.5, -0.5))
     picture, lens = seen["car1/eye/image_raw"], seen["car1/eye/camera_info"]

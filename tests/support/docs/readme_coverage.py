@@ -151,6 +151,10 @@ UNRUN = {
 """Why a command cannot be run here, nor anything like it."""
 
 SHOWN = {
+    ("docs/howto/ros2.md", "ros2 service call"): (
+        "tests/hardware/stacks/test_simulation_services.py"
+        "::test_calls_pause_step_and_change_a_run_which_is_recorded_and_repeatable"
+    ),
     ("netsim/bridge/README.md", "protocol babel"): ROUTED,
     ("docs/explanation/rays.md", "load_scene("): (
         "tests/physics/raycast/test_mitsuba_scene.py::test_sionna_finds_the_same_paths"

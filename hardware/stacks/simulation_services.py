@@ -1,0 +1,297 @@
+"""Services of the package ``simulation_interfaces`` (ROS 2): programs see the entities of a run, pause it, step it and end it.
+
+Definitions of the version 2.1.0 (https://github.com/ros-simulation/simulation_interfaces). Entities are the vehicles and the
+obstacles that can be pushed, with their true states in the frame ``map``. What changes the run is done as by an operator of
+the control station: a moved obstacle is an intervention, which the recorded scenario lists.
+"""
+
+import math
+import queue
+import re
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from vcmvsp.cosim.federate import RunControl
+from vcmvsp.cosim.frames import yaw_of
+from vcmvsp.cosim.recording import ros_messages as ros
+from vcmvsp.cosim.recording.ros_services import register_message, register_service
+from vcmvsp.cosim.types import VehicleState
+from vcmvsp.hardware.drivers.ros2.node import Call, Node
+from vcmvsp.hardware.drivers.ros2.protocol import Endpoint
+
+PACKAGE = "simulation_interfaces"
+FRAMES = "", "map", "world"  # names of the one frame
+MESSAGES = {  # each after those it has
+    "Result": "uint8 result\nstring error_message",
+    "SimulationState": "uint8 state",
+    "SimulatorFeatures": "uint16[] features\nstring[] spawn_formats\nstring custom_info",
+    "EntityCategory": "uint8 category",
+    "TagsFilter": "string[] tags\nuint8 filter_mode",
+    "Bounds": "uint8 type\ngeometry_msgs/Vector3[] points",
+    "EntityFilters": f"string filter\n{PACKAGE}/EntityCategory[] categories\n"
+    f"{PACKAGE}/TagsFilter tags\n{PACKAGE}/Bounds bounds",
+    "EntityState": "std_msgs/Header header\ngeometry_msgs/Pose pose\n"
+    "geometry_msgs/Twist twist\ngeometry_msgs/Accel acceleration",
+}
+_RESULT = f"{PACKAGE}/Result result"
+_FILTERS = f"{PACKAGE}/EntityFilters filters"
+SERVICES = {  # name of the service: its type, fields of the request, fields of the response
+    "get_simulator_features": ("GetSimulatorFeatures", "", f"{PACKAGE}/SimulatorFeatures features"),
+    "get_simulation_state": ("GetSimulationState", "", f"{PACKAGE}/SimulationState state\n{_RESULT}"),
+    "set_simulation_state": ("SetSimulationState", f"{PACKAGE}/SimulationState state", _RESULT),
+    "step_simulation": ("StepSimulation", "uint64 steps 1", _RESULT),
+    "reset_simulation": ("ResetSimulation", "uint8 scope", _RESULT),
+    "get_entities": ("GetEntities", _FILTERS, f"{_RESULT}\nstring[] entities"),
+    "get_entity_state": ("GetEntityState", "string entity", f"{_RESULT}\n{PACKAGE}/EntityState state"),
+    "get_entities_states": (
+        "GetEntitiesStates",
+        _FILTERS,
+        f"{_RESULT}\nstring[] entities\n{PACKAGE}/EntityState[] states",
+    ),
+    "set_entity_state": (
+        "SetEntityState",
+        f"string entity\n{PACKAGE}/EntityState state\nbool set_pose\nbool set_twist\nbool set_acceleration",
+        _RESULT,
+    ),
+}
+UNSUPPORTED, OK, NOT_FOUND, INCORRECT_STATE, FAILED = range(5)  # Result
+ALREADY, INVALID_POSE = 101, 101  # of SetSimulationState, of SetEntityState
+PLAYING, PAUSED, QUITTING = 1, 2, 3  # SimulationState
+STATES_READ, STATES_WRITTEN, STATE_READ, STATE_WRITTEN, PAUSE, STEP, STEPS = 10, 11, 24, 25, 26, 31, 32  # SimulatorFeatures
+MOST_STEPS = 10**9
+UNIT_WITHIN = 0.01  # of a quaternion's norm
+UPRIGHT_WITHIN = 0.01  # rad, about
+WAITING = 1000  # calls in the queue
+
+
+class _Refused(Exception):
+    """A call that is not carried out, with its result."""
+
+    def __init__(self, result: int, why: str) -> None:
+        self.result = result
+        super().__init__(why)
+
+
+class _Request(NamedTuple):
+    service: str
+    call: Call
+
+
+class SimulationServices:
+    """The services of a node; calls wait until the run attends to them, in their order."""
+
+    def __init__(self, node: Node) -> None:
+        register()
+        self._requests: queue.SimpleQueue[_Request] = queue.SimpleQueue()
+        self._stepping: Call | None = None  # is answered when its steps are over
+        self._answers: Mapping[str, Callable[[RunControl, Any], tuple[object, ...]]] = {
+            "get_simulator_features": _features,
+            "get_simulation_state": _state_of_run,
+            "set_simulation_state": _set_state,
+            "reset_simulation": _reset,
+            "get_entities": _entities,
+            "get_entity_state": _state_of_entity,
+            "get_entities_states": _states,
+            "set_entity_state": _place,
+        }
+        for name, (kind, _, _) in SERVICES.items():
+            endpoint = Endpoint("SS", name, f"{PACKAGE}/srv/{kind}")
+            node.add(endpoint)
+            node.serve(endpoint, self._taker(name))
+
+    def _taker(self, service: str) -> Callable[[Call], None]:
+        def take(call: Call) -> None:  # in Zenoh's thread
+            if self._requests.qsize() < WAITING:
+                self._requests.put(_Request(service, call))
+
+        return take
+
+    def attend(self, control: RunControl) -> None:
+        """Answer the calls; while a step is not over, the others wait."""
+        if self._stepping is not None:
+            if not control.held:
+                return
+            self._conclude(self._stepping, OK, "")
+        while self._stepping is None and not self._requests.empty():
+            self._carry_out(control, *self._requests.get())
+
+    def close(self) -> None:
+        """Answer a step that the end of the run has cut."""
+        if self._stepping is not None:
+            self._conclude(self._stepping, FAILED, "the run has ended")
+
+    def _carry_out(self, control: RunControl, service: str, call: Call) -> None:
+        kind, fields, _ = SERVICES[service]
+        asked: Any = None
+        try:
+            asked = ros.decoded(call.data, f"{PACKAGE}/srv/{kind}_Request") if fields else None
+            if service == "step_simulation":
+                self._step(control, asked.steps, call)
+                return
+            response = self._answers[service](control, asked)
+        except _Refused as refused:
+            response = failed(service, refused.result, str(refused))
+        except ValueError as error:
+            response = failed(service, FAILED, str(error))
+        call.reply(encoded(service, response))
+        if service == "set_simulation_state" and asked is not None and asked.state.state == QUITTING:
+            control.end()
+
+    def _step(self, control: RunControl, steps: int, call: Call) -> None:
+        _check_pause(control)
+        if not control.paused:
+            raise _Refused(FAILED, "the run is not paused")
+        if not 1 <= steps <= MOST_STEPS:
+            raise _Refused(FAILED, f"steps must be from 1 to {MOST_STEPS}")
+        self._stepping = call
+        control.go(paused=True, steps=steps)
+
+    def _conclude(self, call: Call, result: int, why: str) -> None:
+        self._stepping = None
+        call.reply(encoded("step_simulation", (_result(result, why),)))
+
+
+def register() -> None:
+    """Add the definitions to the store of messages."""
+    for name, fields in MESSAGES.items():
+        register_message(f"{PACKAGE}/msg/{name}", fields)
+    for kind, request, response in SERVICES.values():
+        register_service(f"{PACKAGE}/srv/{kind}", request, response)
+
+
+def _message(name: str, *fields: object) -> ros.RosMessage:
+    return ros.make(f"{PACKAGE}/{name}", *fields)
+
+
+def _result(result: int = OK, why: str = "") -> ros.RosMessage:
+    return _message("Result", result, why)
+
+
+def encoded(service: str, fields: tuple[object, ...]) -> bytes:
+    """CDR bytes of the response with these fields."""
+    kind: Callable[..., ros.RosMessage] = ros.store().types[f"{PACKAGE}/srv/{SERVICES[service][0]}_Response"]
+    return ros.encoded(kind(*fields))
+
+
+def failed(service: str, result: int, why: str) -> tuple[object, ...]:
+    """Response without content."""
+    said = _result(result, why)
+    empty: Mapping[str, tuple[object, ...]] = {
+        "get_entities": (said, []),
+        "get_entities_states": (said, [], []),
+        "get_entity_state": (said, _entity_state(0, VehicleState(position=(0.0, 0.0, 0.0)))),
+    }
+    return empty.get(service, (said,))
+
+
+# --- the run -----------------------------------------------------------------------------------------------------------------
+
+
+def _check_pause(control: RunControl) -> None:
+    if not control.may_pause:
+        raise _Refused(UNSUPPORTED, "robots, programs or other stacks take part in the run, which cannot wait")
+
+
+def _features(control: RunControl, _: None) -> tuple[object, ...]:
+    found = [STATES_READ, STATE_READ, STATE_WRITTEN]
+    if control.obstacles:
+        found.append(STATES_WRITTEN)
+    if control.may_pause:
+        found += [PAUSE, STEP, STEPS]
+    about = f"VCMVSP; a step is {control.step_s:g} s"
+    return (_message("SimulatorFeatures", np.array(sorted(found), np.uint16), [], about),)
+
+
+def _state_of_run(control: RunControl, _: None) -> tuple[object, ...]:
+    return _message("SimulationState", PAUSED if control.paused else PLAYING), _result()
+
+
+def _set_state(control: RunControl, asked: Any) -> tuple[object, ...]:
+    wanted = asked.state.state
+    if wanted == QUITTING:
+        return (_result(),)
+    if wanted not in (PLAYING, PAUSED):
+        raise _Refused(UNSUPPORTED, "a run can play, pause and quit; to start again, start another run")
+    if control.paused == (wanted == PAUSED):
+        raise _Refused(ALREADY, "it is in this state")
+    _check_pause(control)
+    control.go(paused=wanted == PAUSED)
+    return (_result(),)
+
+
+def _reset(_control: RunControl, _: Any) -> tuple[object, ...]:
+    raise _Refused(UNSUPPORTED, "a run cannot be reset; start another run")
+
+
+# --- entities ----------------------------------------------------------------------------------------------------------------
+
+
+def _selected(control: RunControl, filters: Any) -> dict[str, tuple[int, VehicleState]]:
+    """Entities whose whole names match the regular expression, in their order."""
+    if len(filters.categories) or len(filters.tags.tags) or filters.bounds.type:
+        raise _Refused(UNSUPPORTED, "entities can be selected by their names only")
+    try:
+        pattern = re.compile(filters.filter or ".*", re.DOTALL)
+    except re.error as error:
+        raise _Refused(FAILED, f"'{filters.filter}' is not a regular expression: {error}") from None
+    return {name: said for name, said in control.truths().items() if pattern.fullmatch(name)}
+
+
+def _entities(control: RunControl, asked: Any) -> tuple[object, ...]:
+    return _result(), list(_selected(control, asked.filters))
+
+
+def _states(control: RunControl, asked: Any) -> tuple[object, ...]:
+    found = _selected(control, asked.filters)
+    return _result(), list(found), [_entity_state(*said) for said in found.values()]
+
+
+def _known(control: RunControl, name: str) -> tuple[int, VehicleState]:
+    found = control.truths()
+    if name not in found:
+        raise _Refused(NOT_FOUND, f"there is no '{name}'; there are {', '.join(found) or 'no states yet'}")
+    return found[name]
+
+
+def _state_of_entity(control: RunControl, asked: Any) -> tuple[object, ...]:
+    return _result(), _entity_state(*_known(control, asked.entity))
+
+
+def _entity_state(time_ns: int, said: VehicleState) -> ros.RosMessage:
+    """Velocities in the frame of the header; accelerations are not known: zero."""
+    turning = ros.rotated(said.attitude, said.angular_velocity)
+    still = ros.vector(0.0, 0.0, 0.0)
+    place = ros.pose(said.position, said.attitude)
+    rates = ros.twist(said.velocity, turning), ros.make("geometry_msgs/Accel", still, still)
+    return _message("EntityState", ros.header(time_ns, "map"), place, *rates)
+
+
+def _place(control: RunControl, asked: Any) -> tuple[object, ...]:
+    """Put an obstacle somewhere else, where it rests."""
+    _known(control, asked.entity)
+    if asked.entity not in control.obstacles:
+        raise _Refused(UNSUPPORTED, f"{asked.entity} is a vehicle: only obstacles that can be pushed are placed")
+    if asked.set_acceleration or (asked.set_twist and not _is_still(asked.state.twist)):
+        raise _Refused(UNSUPPORTED, "an obstacle that is placed rests")
+    if asked.state.header.frame_id not in FRAMES:
+        raise _Refused(UNSUPPORTED, f"the frame must be map, not {asked.state.header.frame_id}")
+    if asked.set_pose:
+        place, yaw = asked.state.pose.position, _heading(asked.state.pose.orientation)
+        control.move(asked.entity, (place.x, place.y), yaw)
+    return (_result(),)
+
+
+def _is_still(twist: Any) -> bool:
+    return all(number == 0.0 for part in (twist.linear, twist.angular) for number in (part.x, part.y, part.z))
+
+
+def _heading(turn: Any) -> float:
+    """Yaw of an upright attitude, rad."""
+    norm = math.hypot(turn.w, turn.x, turn.y, turn.z)
+    if not abs(norm - 1.0) <= UNIT_WITHIN:  # also refuses NaN
+        raise _Refused(INVALID_POSE, "its orientation is not a rotation")
+    if 2.0 * math.hypot(turn.x, turn.y) > UPRIGHT_WITHIN:
+        raise _Refused(INVALID_POSE, "obstacles are placed upright: turn them about the vertical axis only")
+    return yaw_of((turn.w / norm, turn.x / norm, turn.y / norm, turn.z / norm))
