@@ -214,6 +214,11 @@ class RadioFederate:
             which = "; ".join(f"{name} in {solid}" for name, solid in enclosed.items())
             self._notify(f"radio.path_loss: {len(enclosed)} antennas were inside a solid, reached over the roofs only: {which}")
 
+    @property
+    def networks(self) -> tuple[str, ...]:
+        """Names of the radios on this channel; none: the only radio."""
+        return tuple(self._networks)
+
     def adjustable(self) -> dict[str, float]:
         """Keys that may change during the run, with their values: ``radio.loss.probability``.
 

@@ -1,6 +1,6 @@
 """Build the federates of external programs: checks ``[bridge]`` and ``[sockets]``."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from vcmvsp.cosim.assembly.resolved import Resolution
@@ -33,7 +33,7 @@ def of_scenario(
     source: Source,
     resolution: Resolution,
     *,
-    air: "RadioFederate",
+    airs: "Sequence[RadioFederate]",
     clock: WallClock,
     bridged: Sequence[Input] | None,
     tell: Tell,
@@ -55,19 +55,21 @@ def of_scenario(
         return ProgramFederates(programs, None, EventPlayback("bridge", datagrams))
     if not doors:
         return ProgramFederates(programs, None, None)
-    from vcmvsp.netsim.bridge.federate import Bridge
+    from vcmvsp.netsim.bridge.federate import Bridge, BridgeRadio
 
+    of_radio, members = {name: air for air in airs for name in air.networks}, scenario.radio_members
     bridge = Bridge(
         doors,
         run=scenario.name,
         folder=str(source.folder.resolve()),
         vehicles=[each.name for each in scenario.vehicle],
         agents=scenario.bridge.agents,
-        levels_dbm=air.levels_dbm,
+        levels_dbm=airs[0].levels_dbm,
         clock=clock,
         tell=tell,
         log=log,
         connect=connect,
+        radios={name: BridgeRadio(members[name], of_radio[name].levels_dbm) for name in members},
     )
     return ProgramFederates(programs, bridge, None)
 
@@ -94,19 +96,35 @@ def doors_of(scenario: Scenario, source: Source, resolution: Resolution) -> "lis
             ]
             raise source.error(binding.unknown("key", name, allowed), key)
         kind = kind_of(name, content)
-        door, full = resolution.component("door", {**content, "kind": kind}, key)
+        own = {name: value for name, value in content.items() if name != "radio" or not scenario.radios}
+        door, full = resolution.component("door", {**own, "kind": kind}, key)
         if getattr(door, "only_one", False) and (first := alone.setdefault(type(door), key)) != key:
             raise source.error(f"a run has at most one gateway of kind {kind}, and {first} is one: leave one out", key)
+        radio = _radio_of(scenario, source, key, content, door)
         try:
             door.check(names)
+            if scenario.radios and hasattr(door, "check_radios"):
+                members = scenario.radio_members
+                door.check_radios({radio: members[radio]} if radio else members)
         except ValueError as error:
             raise source.error(str(error), key) from error
         written = full.pop("kind")
-        found.append(GatewaySpec(name=name, kind=kind, params=full))
-        resolved[name] = full if written == name else {"kind": written, **full}
+        found.append(GatewaySpec(name=name, kind=kind, params=full, radio=radio))
+        chosen = {"radio": radio} if radio else {}
+        resolved[name] = {**chosen, **full} if written == name else {"kind": written, **chosen, **full}
     if found:
         resolution.tables["bridge"] = {"agents": scenario.bridge.agents, **resolved}
     return found
+
+
+def _radio_of(scenario: Scenario, source: Source, key: str, content: Mapping[str, Any], door: object) -> str:
+    """The radio of a gateway, of several: that of its table, or the first; empty: the only one, or all."""
+    if not scenario.radios:
+        return ""
+    radio = content.get("radio", "" if getattr(door, "every_radio", False) else next(iter(scenario.radios)))
+    if radio and radio not in scenario.radios:
+        raise source.error(binding.unknown("radio", str(radio), list(scenario.radios)), f"{key}.radio")
+    return str(radio)
 
 
 def programs_of(scenario: Scenario, source: Source, resolution: Resolution, *, tell: Tell, connect: bool) -> "Programs | None":
@@ -117,6 +135,9 @@ def programs_of(scenario: Scenario, source: Source, resolution: Resolution, *, t
             raise source.error(binding.unknown("vehicle", name, names), key)
         if wanted.vehicles.count(name) > 1:
             raise source.error(f"contains {name} twice; a vehicle has one program", key)
+        for radio, members in list(scenario.radio_members.items())[:1]:
+            if name not in members:
+                raise source.error(f"{name} has no radio {radio}: programs use the first one; put its table first", key)
     if not wanted.vehicles:
         return None
     from vcmvsp.netsim.sockets.federate import Programs

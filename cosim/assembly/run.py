@@ -204,7 +204,6 @@ def assemble(
     airs = radio.federates_of(
         scenario, source, resolution, solids=world.solids, recorded=recorded_radio, programs=bridges, tell=tell
     )
-    air = airs[0]
     fleet = Fleet(scenario, source, resolution)
     radius_m = {name: model.radius_m for name, model in fleet.models.items()}
     stacked = stacks.of_scenario(scenario, source, resolution, fleet.models, fleet.sensors, tell=tell)
@@ -219,7 +218,7 @@ def assemble(
         robots = Hardware(real, run=scenario.name, clock=wall, radius_m=around, tell=tell, log=inputs.on, connect=connect)
     outside = playback or robots
     programs = bridge.of_scenario(
-        scenario, source, resolution, air=air, clock=wall, bridged=bridged, tell=tell, log=inputs.on, connect=connect
+        scenario, source, resolution, airs=airs, clock=wall, bridged=bridged, tell=tell, log=inputs.on, connect=connect
     )
     flown = firmware.of_scenario(scenario, source, resolution, fleet.models, tell=tell)
     given: dict[str, Any] = {"world": world, "vehicles": fleet.specs(), "outside": outside}

@@ -16,7 +16,7 @@ from vcmvsp.cosim.util.text import aligned
 from vcmvsp.cosim.view import HOST, PORT
 
 if TYPE_CHECKING:
-    from vcmvsp.cosim.assembly.parts.networks import RunNetwork
+    from vcmvsp.cosim.assembly.parts.networks import RunNetwork, Space
 
 RunName = Annotated[str | None, typer.Option("--run", metavar="NAME", help="Run whose network is meant, if there are several.")]
 NEEDS = "network namespaces need {}: start it as root (sudo), or in a container with --privileged"
@@ -179,7 +179,16 @@ def _chosen(run: str | None) -> "RunNetwork":
 def _lines(network: "RunNetwork") -> Iterator[str]:
     state = f"alive, process {network.pid}" if network.alive else "killed; remove it with 'vcmvsp net down'"
     yield f"{network.run}: {state}"
-    lines = aligned((each.vehicle, *each.addresses) for each in network.spaces)
-    for each, line in zip(network.spaces, lines, strict=True):
-        behind = f"  before {', '.join(each.port.behind)} ({each.port.interface})" if each.port is not None else ""
+    rows = [(space, row) for space in network.spaces for row in _rows(space)]
+    lines = aligned(row for _, row in rows)
+    for (each, (name, *_)), line in zip(rows, lines, strict=True):
+        behind = f"  before {', '.join(each.port.behind)} ({each.port.interface})" if each.port is not None and name else ""
         yield f"  {line}{behind}"
+
+
+def _rows(space: "Space") -> list[tuple[str, ...]]:
+    """Vehicle and addresses; of several radios one for each, with its name."""
+    if not space.radios:
+        return [(space.vehicle, *space.addresses)]
+    named = [space.vehicle, *[""] * (len(space.radios) - 1)]
+    return [(name, each.radio, *each.addresses) for name, each in zip(named, space.radios, strict=True)]

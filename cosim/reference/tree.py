@@ -40,6 +40,8 @@ NOT_SHARED = (
 )  # [vehicles] has none
 DOORS = (*builtin_kinds.KINDS["door"],)
 STACKS = (*builtin_kinds.KINDS["stack"],)
+EXTRA_ABOUT = {"routing": "Forwarding of messages over other vehicles."}
+"""By place: description of a table whose common keys are no parameters of a class."""
 
 
 class Section(msgspec.Struct, frozen=True, kw_only=True):
@@ -173,10 +175,11 @@ def of_place(place: Place) -> Iterator[Section]:
         common = describe.common_of(classes.values())
         own.append(common)
     known = {registry.find(place.group, kind): kind for kind in place.kinds}
-    if own:
+    extra = tuple(extra_keys(place))
+    if own or extra:
         keys = tuple(key for each in own for key, _ in keys_of(each))
-        about = _about(own[0])
-        yield Section(path=place.path, kind="", listed=False, about=about, keys=(*extra_keys(place), *keys))
+        about = _about(own[0]) if own else EXTRA_ABOUT[place.path]
+        yield Section(path=place.path, kind="", listed=False, about=about, keys=(*extra, *keys))
     for target, kind in known.items():
         yield Section(
             path=place.path,
@@ -228,6 +231,10 @@ def extra_keys(place: Place) -> Iterator[Key]:
         yield _name("channel", shared, "its own")
     elif place.path == "routing":
         yield _name("radio", "of several radios, the one over which messages are forwarded", "there is one radio")
+    elif place.path == "bridge.ip":
+        yield _name("radio", "of several radios, the only one with interfaces", "all have one")
+    elif place.path.startswith("bridge."):
+        yield _name("radio", "of several radios, the one that carries the datagrams", "the first")
 
 
 def _name(name: str, meaning: str, without: str) -> Key:

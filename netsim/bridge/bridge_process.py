@@ -10,7 +10,7 @@ import signal
 import sys
 import time
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,7 @@ RETRY_S = 0.001  # between two attempts to send to a run that does not read
 REPORT_S = 0.05  # period of reports of deliveries and counts
 MOST_DELIVERED = 4000  # deliveries in a report; more are reported at once
 MOST_COUNTED = 100  # vehicles in a message
+NO_RADIO = "not on the radio {}, which sender or destination lack"
 
 
 class BridgeProcess:
@@ -39,12 +40,13 @@ class BridgeProcess:
 
     run: str
     vehicles: tuple[str, ...]
+    radios: Mapping[str, tuple[int, ...]] = {}
 
     def __init__(self, link: LocalLink, loop: asyncio.AbstractEventLoop, *, wary: bool = False) -> None:
         self._link, self.loop, self._wary = link, loop, wary
         self._counts: dict[str, Counter[str]] = {}
         self._changed_counts: dict[str, None] = {}  # vehicles with counts that were not reported yet
-        self._levels: Array | None = None
+        self._levels: dict[str, Array] = {}  # by radio
         self._over: asyncio.Future[str] = loop.create_future()  # reason for the end; empty: requested
         self._gateways: list[tuple[str, Gateway]] = []
         self._opened: list[tuple[str, Gateway]] = []  # open, or `open` has failed
@@ -54,7 +56,7 @@ class BridgeProcess:
         self._flushing = False
         self._deliveries = 0  # announced by the run
         self._delivered: list[tuple[int, int]] = []  # number of the delivery, time (ns)
-        self._levels_requested = False
+        self._levels_requested = set[str]()  # of radios
 
     async def serve(self) -> int:
         """Run to the end; returns the exit code."""
@@ -91,7 +93,9 @@ class BridgeProcess:
         if self._wary:
             _check(opening)
         self._store = DatagramStore(len(opening.vehicles), payloads=opening.payloads)
-        self.run, self.vehicles = opening.run, opening.vehicles
+        self.run, self.vehicles, self.radios = opening.run, opening.vehicles, opening.radios
+        self._radio_number = {name: number for number, name in enumerate(opening.radios)}
+        self._radio_of = {each.name: each.radio for each in opening.gateways}
         self._pacer = Pacer(self.loop, self._deliver)
         self._payloads = opening.payloads
         for message in received[1:]:
@@ -106,7 +110,8 @@ class BridgeProcess:
         lines: list[str] = []
         for name, gateway in self._gateways:
             self._opened.append((name, gateway))
-            task = asyncio.ensure_future(gateway.open(self))
+            radio = self._radio_of[name]
+            task = asyncio.ensure_future(gateway.open(RadioContext(self, radio) if radio else self))
             either: list[asyncio.Future[Any]] = [task, self._over]
             await asyncio.wait(either, return_when=asyncio.FIRST_COMPLETED)
             if self._over.done():
@@ -134,14 +139,18 @@ class BridgeProcess:
         *,
         came_ns: int | None = None,
         size_bytes: int | None = None,
+        radio: str = "",
     ) -> bool:
         """Store a datagram for the run, if there is room; returns whether there was."""
         rows = range(len(self.vehicles))
         if len(payload) > LARGEST or sender not in rows or to == sender or (to not in rows and to != BROADCAST):
             raise ValueError(f"{type(gateway).__name__} offers {len(payload)} bytes from row {sender} to {to}")
+        if self.radios and not {sender, *([] if to == BROADCAST else [to])} <= {*self.radios[radio]}:
+            self.count(sender, NO_RADIO.format(radio))
+            return True
         now_ns = time.monotonic_ns()
         at_ns = now_ns if came_ns is None else min(came_ns, now_ns)
-        if not self._store.put(gateway, sender, to, payload, at_ns, size_bytes):
+        if not self._store.put(gateway, sender, to, payload, at_ns, size_bytes, self._radio_number.get(radio, 0)):
             return False
         if not self._awaits_confirmation and not self._flushing:
             self._flushing = True
@@ -154,12 +163,13 @@ class BridgeProcess:
         self._counts.setdefault(name, Counter())[what] += by
         self._changed_counts[name] = None
 
-    def level_dbm(self, sender: int, receiver: int) -> float:
+    def level_dbm(self, sender: int, receiver: int, radio: str = "") -> float:
         """The newest level from the run, which sends levels from the first request on."""
-        if self._levels is None and not self._levels_requested:
-            self._levels_requested = True
-            self._send(messages.LevelsRequest())
-        return float("nan") if self._levels is None else float(self._levels[sender, receiver])
+        levels_dbm = self._levels.get(radio)
+        if levels_dbm is None and radio not in self._levels_requested:
+            self._levels_requested.add(radio)
+            self._send(messages.LevelsRequest(radio=radio))
+        return float("nan") if levels_dbm is None else float(levels_dbm[sender, receiver])
 
     def _flush(self) -> None:
         """Send new datagrams to the run, unless it has not confirmed the last batch yet."""
@@ -173,11 +183,15 @@ class BridgeProcess:
         for each in numbers:
             datagram = store[each]
             gateway_row = gateways[id(datagram.gateway)]
-            rows.append((each, gateway_row, datagram.sender, datagram.to, datagram.size_bytes, datagram.came_ns))
-        number, gateway, sender, to, size, came_ns = np.array(rows, np.int64).T
+            rows.append(
+                (each, gateway_row, datagram.sender, datagram.to, datagram.size_bytes, datagram.came_ns, datagram.radio)
+            )
+        number, gateway, sender, to, size, came_ns, radio = np.array(rows, np.int64).T
         whose = {"gateway": gateway.astype(np.int32), "sender": sender.astype(np.int32), "to": to.astype(np.int32)}
         payloads = tuple(store[each].payload for each in numbers) if self._payloads else ()
-        self._send(messages.NewDatagrams(number=number, **whose, size_bytes=size, came_ns=came_ns, payloads=payloads))
+        radios = radio.astype(np.int32) if self.radios else None
+        batch = messages.NewDatagrams(number=number, **whose, size_bytes=size, came_ns=came_ns, payloads=payloads, radio=radios)
+        self._send(batch)
 
     def _send(self, message: messages.Up) -> None:
         self._outbox.append(encode(message))
@@ -209,13 +223,14 @@ class BridgeProcess:
         if isinstance(message, messages.Deliveries):
             self._on_due(message)
         elif isinstance(message, messages.AgentDatagram):
-            number = self._store.speak(message.sender, message.payload)
+            radio = self._radio_number.get(message.radio, 0)
+            number = self._store.speak(message.sender, message.payload, radio)
             self._pacer.put(TimedDelivery(message.at_ns, number, -1, message.receiver))
             self._pacer.arm()
         elif isinstance(message, messages.LevelRows):
-            if self._levels is None:
-                self._levels = np.full((len(self.vehicles), len(self.vehicles)), np.nan)
-            self._levels[message.first : message.first + len(message.dbm)] = message.dbm
+            shape = len(self.vehicles), len(self.vehicles)
+            levels_dbm = self._levels.setdefault(message.radio, np.full(shape, np.nan))
+            levels_dbm[message.first : message.first + len(message.dbm)] = message.dbm
         elif isinstance(message, messages.Leave):
             self._end("")
 
@@ -239,7 +254,8 @@ class BridgeProcess:
 
     def _deliver(self, delivery: TimedDelivery) -> None:
         datagram = self._store[delivery.number]
-        gateways = [gateway for _, gateway in self._gateways] if datagram.gateway is None else [datagram.gateway]
+        all_on = [gateway for name, gateway in self._gateways if self._is_on(name, datagram.radio)]
+        gateways = all_on if datagram.gateway is None else [datagram.gateway]
         try:
             for gateway in gateways:
                 with self._errors_of(gateway):
@@ -250,6 +266,11 @@ class BridgeProcess:
             self._delivered.append((delivery.row, time.monotonic_ns()))
             if len(self._delivered) >= MOST_DELIVERED:
                 self._report_deliveries()
+
+    def _is_on(self, gateway: str, radio: int) -> bool:
+        """Whether a gateway has the radio of this number."""
+        own = self._radio_of[gateway]
+        return not own or self._radio_number[own] == radio
 
     @contextlib.contextmanager
     def _errors_of(self, gateway: Gateway) -> Iterator[None]:
@@ -307,6 +328,39 @@ class BridgeProcess:
                 self._link.receive()
                 time.sleep(RETRY_S)
         self._link.close()
+
+
+class RadioContext:
+    """The `GatewayContext` of a gateway that has one of several radios."""
+
+    def __init__(self, process: BridgeProcess, radio: str) -> None:
+        self._process, self._radio = process, radio
+        self.vehicles, self.run, self.loop = process.vehicles, process.run, process.loop
+        self.radios: Mapping[str, tuple[int, ...]] = {radio: process.radios[radio]}
+
+    def offer(
+        self,
+        gateway: Gateway,
+        sender: int,
+        to: int,
+        payload: bytes,
+        *,
+        came_ns: int | None = None,
+        size_bytes: int | None = None,
+        radio: str = "",
+    ) -> bool:
+        """Store a datagram for the run, if there is room; returns whether there was."""
+        return self._process.offer(
+            gateway, sender, to, payload, came_ns=came_ns, size_bytes=size_bytes, radio=radio or self._radio
+        )
+
+    def count(self, vehicle: int, what: str, by: int = 1) -> None:
+        """Count datagrams of a vehicle under a reason."""
+        self._process.count(vehicle, what, by)
+
+    def level_dbm(self, sender: int, receiver: int) -> float:
+        """The newest level from the run."""
+        return self._process.level_dbm(sender, receiver, self._radio)
 
 
 def _check(opening: messages.Opening) -> None:

@@ -37,6 +37,7 @@ class StoredDatagram:
     payload: bytes
     came_ns: int
     size_bytes: int  # payload on the channel
+    radio: int = 0  # number of the radio, of several
     waiting: int = 0  # deliveries
     settled: bool = False
     arrived: bool = False
@@ -61,11 +62,18 @@ class DatagramStore:
         return self._datagrams[number]
 
     def put(
-        self, gateway: Gateway | None, sender: int, to: int, payload: bytes, came_ns: int, size_bytes: int | None = None
+        self,
+        gateway: Gateway | None,
+        sender: int,
+        to: int,
+        payload: bytes,
+        came_ns: int,
+        size_bytes: int | None = None,
+        radio: int = 0,
     ) -> bool:
         """Store a new datagram, unless its vehicle has too many; returns whether it was stored.
 
-        ``size_bytes``: payload on the channel; None: the length of ``payload``.
+        ``size_bytes``: payload on the channel; None: the length of ``payload``. ``radio``: its number, of several.
         """
         held_bytes = self._bytes[sender] + len(payload)
         if self._count[sender] >= MOST or held_bytes > MOST_BYTES:
@@ -75,14 +83,14 @@ class DatagramStore:
         came_ns = self._newest_ns[sender] = max(came_ns, self._newest_ns[sender])
         number, self._number = self._number, self._number + 1
         size = len(payload) if size_bytes is None else size_bytes
-        self._datagrams[number] = StoredDatagram(gateway, sender, to, payload, came_ns, size)
+        self._datagrams[number] = StoredDatagram(gateway, sender, to, payload, came_ns, size, radio)
         self._new[sender].append(number)
         return True
 
-    def speak(self, sender: int, payload: bytes) -> int:
+    def speak(self, sender: int, payload: bytes, radio: int = 0) -> int:
         """Store an agent's payload until it is delivered; returns its number, below all numbers of programs' datagrams."""
         number, self._spoken = self._spoken, self._spoken + 1
-        datagram = self._datagrams[number] = StoredDatagram(None, sender, BROADCAST, payload, 0, len(payload))
+        datagram = self._datagrams[number] = StoredDatagram(None, sender, BROADCAST, payload, 0, len(payload), radio)
         datagram.waiting, datagram.settled = 1, True
         return number
 

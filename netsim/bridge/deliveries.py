@@ -90,11 +90,16 @@ class Lateness:
         self._due = Columns("number", "frame", "receiver", "received_ns", "due_ns", "late")  # by number of the delivery
         self._taken = 0
 
-    def sent(self, number: Array, gateway: Array, sender: Array, to: Array, sent_ns: Array) -> None:
-        """Add datagrams, (n,) each, to the row ``to`` or to all; ``sent_ns`` is a time of the run."""
+    def sent(
+        self, number: Array, gateway: Array, sender: Array, to: Array, sent_ns: Array, others: Array | None = None
+    ) -> None:
+        """Add datagrams, (n,) each, to the row ``to`` or to all; ``sent_ns`` is a time of the run.
+
+        ``others``: number of the receivers of a broadcast, (n,); None: all other vehicles.
+        """
         self._taken += len(number)
         self._sent.reach(int(number.max()) + 1)
-        receivers = np.where(to == BROADCAST, len(self._vehicles) - 1, 1)
+        receivers = np.where(to == BROADCAST, len(self._vehicles) - 1 if others is None else others, 1)
         for name, values in (("gateway", gateway), ("sender", sender), ("sent_ns", sent_ns), ("receivers", receivers)):
             self._sent[name][number] = values
 

@@ -14,8 +14,8 @@ The run must keep the pace of the wall clock.
 
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -41,6 +41,13 @@ KILLED = "bridge: its process did not end in time and was killed"
 _NETWORKS = ": 'vcmvsp net down' removes the networks that it left"
 
 
+class BridgeRadio(NamedTuple):
+    """One of several radios: the vehicles that have it, and their mean levels, as for `Bridge`."""
+
+    members: tuple[str, ...]
+    levels_dbm: Callable[[States], Array]
+
+
 class Bridge:
     """All gateways of a run."""
 
@@ -62,15 +69,22 @@ class Bridge:
         tell: Callable[[str], None],
         log: Log,  # takes the inputs of a replay: key, time, value
         connect: bool,  # False: open nothing; for the check of a scenario
+        radios: Mapping[str, BridgeRadio] | None = None,  # by name, of several radios
     ) -> None:
         self.reads: tuple[str, ...] = ("radio/traffic", RECEPTIONS) if agents else ("radio/traffic",)
         self.wakes: tuple[str, ...] = self.reads
         self._clock, self._log = clock, log
         self._vehicles = tuple(vehicles)
-        self._opening = messages.Opening(
-            run=run, folder=folder, vehicles=self._vehicles, gateways=tuple(gateways), payloads=agents
-        )
         self._row = {name: row for row, name in enumerate(vehicles)}
+        self._radios = dict(radios or {})
+        self._opening = messages.Opening(
+            run=run,
+            folder=folder,
+            vehicles=self._vehicles,
+            gateways=tuple(gateways),
+            payloads=agents,
+            radios={name: tuple([self._row[each] for each in radio.members]) for name, radio in self._radios.items()},
+        )
         self._levels_dbm, self._tell, self._connect = levels_dbm, tell, connect
         self._process: BridgeClient | None = None
         self._waiting: list[messages.NewDatagrams] = []  # until the run has caught up
@@ -82,7 +96,7 @@ class Bridge:
         self._late = Lateness(self._vehicles)
         self._counts: dict[str, dict[str, int]] = {}  # from the process
         self._own_counts: dict[str, Counter[str]] = {}
-        self._wants_levels, self._levels_at_ns = False, 0
+        self._wants_levels, self._levels_at_ns = dict[str, None](), 0  # of these radios
         self._states: States | None = None
         self._echoes = Echoes(self._vehicles)
 
@@ -134,7 +148,7 @@ class Bridge:
         for event in inbox:
             if isinstance(event.value, Receptions):
                 self._on_receptions(process, event.value)
-        events = [Event("bridge/sent", now_ns, self._datagrams(batch)) for batch in self._ready]
+        events = [Event("bridge/sent", now_ns, each) for batch in self._ready for each in self._datagrams(batch)]
         if self._ready:
             self._ready = []
             for event in events:
@@ -164,7 +178,7 @@ class Bridge:
 
     @property
     def _levels_due(self) -> bool:
-        return self._wants_levels and time.monotonic_ns() >= self._levels_at_ns
+        return bool(self._wants_levels) and time.monotonic_ns() >= self._levels_at_ns
 
     def _next(self, process: BridgeClient, now_ns: int) -> int | None:
         wall_ns = time.monotonic_ns()
@@ -181,8 +195,18 @@ class Bridge:
     def _send_levels(self, process: BridgeClient) -> None:
         if self._levels_due and self._states is not None:
             self._levels_at_ns = time.monotonic_ns() + LEVELS_NS
-            for each in messages.levels_in_chunks(self._levels_dbm(self._states)):
-                process.send(each)
+            for radio in self._wants_levels:
+                for each in messages.levels_in_chunks(self._levels_of(radio, self._states), radio):
+                    process.send(each)
+
+    def _levels_of(self, radio: str, states: States) -> Array:
+        if not radio:
+            return self._levels_dbm(states)
+        members, levels_dbm = self._radios[radio]
+        absent = [row for row, name in enumerate(states.names) if name not in members]
+        own = levels_dbm(states).copy()  # of the channel, which several radios may share
+        own[absent] = own[:, absent] = np.nan
+        return own
 
     def _receive(self, received: Sequence[messages.Up]) -> None:
         for message in received:
@@ -193,10 +217,10 @@ class Bridge:
             elif isinstance(message, messages.Counts):
                 self._counts |= message.counts
             elif isinstance(message, messages.LevelsRequest):
-                self._wants_levels = True
+                self._wants_levels[message.radio] = None
 
-    def _datagrams(self, batch: messages.NewDatagrams) -> Datagrams:
-        """Datagrams with times of the run, in order for each sender; after now if the run is late."""
+    def _datagrams(self, batch: messages.NewDatagrams) -> list[Datagrams]:
+        """Datagrams of each radio with times of the run, in order for each sender; after now if the run is late."""
         logical_ns = self._clock.logical_ns
         sent_ns = np.array([logical_ns(each) for each in batch.came_ns.tolist()], np.int64).clip(0, self._end_ns - 1)
         for sender in np.unique(batch.sender):
@@ -204,11 +228,23 @@ class Bridge:
             sent_ns[own] = np.maximum.accumulate(np.maximum(sent_ns[own], self._newest_ns[sender]))
             self._newest_ns[sender] = sent_ns[own][-1]
         self._taken += len(batch.number)
-        self._late.sent(batch.number, batch.gateway, batch.sender, batch.to, sent_ns)
+        others = np.array([len(each.members) - 1 for each in self._radios.values()])
+        to_all = None if batch.radio is None else others[batch.radio]
+        self._late.sent(batch.number, batch.gateway, batch.sender, batch.to, sent_ns, to_all)
         if self._opening.payloads:
             self._echoes.sent(batch)
         taken: dict[str, Any] = {"number": batch.number, "sender": batch.sender, "to": batch.to, "size_bytes": batch.size_bytes}
-        return Datagrams(**taken, sent_ns=frozen(sent_ns), payloads=batch.payloads)
+        if batch.radio is None:
+            return [Datagrams(**taken, sent_ns=frozen(sent_ns), payloads=batch.payloads)]
+        taken["sent_ns"] = sent_ns
+        found = []
+        for number, name in enumerate(self._radios):
+            (own,) = np.nonzero(batch.radio == number)
+            payloads = tuple([batch.payloads[each] for each in own]) if batch.payloads else ()
+            if len(own):
+                columns = {key: frozen(values[own]) for key, values in taken.items()}
+                found.append(Datagrams(**columns, payloads=payloads, radio=name))
+        return found
 
     def _on_traffic(self, process: BridgeClient, traffic: Traffic) -> None:
         monotonic_ns = self._clock.monotonic_ns
@@ -228,4 +264,5 @@ class Bridge:
                 self._own_counts.setdefault(vehicle, Counter())[TOO_LONG] += 1
             elif payload is not None:
                 sender, at_ns = self._row[message.sender], self._clock.monotonic_ns(received_ns)
-                process.send(messages.AgentDatagram(sender=sender, receiver=receiver, at_ns=at_ns, payload=payload))
+                to = {"sender": sender, "receiver": receiver}
+                process.send(messages.AgentDatagram(**to, at_ns=at_ns, payload=payload, radio=message.radio or ""))

@@ -3,7 +3,7 @@
 Times are of this machine's monotonic clock, ns; rows are vehicles'.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,7 @@ class GatewaySpec(Value, frozen=True, kw_only=True):
     name: str  # ``bridge.NAME`` is its table
     kind: str  # short name, module:Class or file.py:Class
     params: dict[str, Any]
+    radio: str = ""  # one of several radios, which carries its datagrams; empty: the only one, or all
 
 
 class Opening(Value, frozen=True, kw_only=True, tag="opening"):
@@ -35,6 +36,7 @@ class Opening(Value, frozen=True, kw_only=True, tag="opening"):
     vehicles: tuple[str, ...]
     gateways: tuple[GatewaySpec, ...]
     payloads: bool  # send payloads to the run, too: agents receive them
+    radios: Mapping[str, tuple[int, ...]] = {}  # rows of the vehicles with each of several radios, by its name
 
 
 class Deliveries(Value, frozen=True, kw_only=True, tag="due"):
@@ -54,6 +56,7 @@ class AgentDatagram(Value, frozen=True, kw_only=True, tag="spoken"):
     receiver: int
     at_ns: int
     payload: bytes
+    radio: str = ""  # name of its radio, of several
 
 
 class LevelRows(Value, frozen=True, kw_only=True, tag="levels"):
@@ -61,6 +64,7 @@ class LevelRows(Value, frozen=True, kw_only=True, tag="levels"):
 
     first: int  # row
     dbm: Array  # (k, n) float64: of the row's radio at the column's
+    radio: str = ""  # name of the radio, of several
 
 
 class Leave(Value, frozen=True, kw_only=True, tag="leave"):
@@ -83,6 +87,7 @@ class NewDatagrams(Value, frozen=True, kw_only=True, tag="came"):
     size_bytes: Array  # (n,) int64
     came_ns: Array  # (n,) int64, not decreasing for one sender
     payloads: tuple[bytes, ...] = ()
+    radio: Array | None = None  # (n,) int32, number of the radio, of several
 
 
 class Delivered(Value, frozen=True, kw_only=True, tag="went"):
@@ -94,6 +99,8 @@ class Delivered(Value, frozen=True, kw_only=True, tag="went"):
 
 class LevelsRequest(Value, frozen=True, kw_only=True, tag="asked"):
     """A gateway needs levels from now on."""
+
+    radio: str = ""  # name of the radio, of several
 
 
 class Counts(Value, frozen=True, kw_only=True, tag="counted"):
@@ -128,11 +135,11 @@ def due_in_chunks(taken: int, traffic: Traffic, at_ns: Array) -> Iterator[Delive
         yield Deliveries(taken=taken, number=number, receiver=receiver, at_ns=at_ns[some], settled=traffic.settled[done])
 
 
-def levels_in_chunks(dbm: Array) -> Iterator[LevelRows]:
+def levels_in_chunks(dbm: Array, radio: str = "") -> Iterator[LevelRows]:
     """Mean levels, (n, n) dBm: of the row's radio at the column's; as many rows a message as fit."""
     rows = max(1, MOST_LEVELS // len(dbm))
     for first in range(0, len(dbm), rows):
-        yield LevelRows(first=first, dbm=frozen(dbm[first : first + rows], np.float64))
+        yield LevelRows(first=first, dbm=frozen(dbm[first : first + rows], np.float64), radio=radio)
 
 
 def _parts(count: int) -> list[slice]:

@@ -1,7 +1,16 @@
 """Networks of runs on this machine, one namespace per vehicle (`netsim.bridge.gateways.ip.run_networks`); Linux only."""
 
 from vcmvsp.netsim.bridge.gateways.ip.namespaces import missing
-from vcmvsp.netsim.bridge.gateways.ip.run_networks import RunNetwork, become, caller, check_free, clear, networks, run_inside
+from vcmvsp.netsim.bridge.gateways.ip.run_networks import (
+    RunNetwork,
+    Space,
+    become,
+    caller,
+    check_free,
+    clear,
+    networks,
+    run_inside,
+)
 from vcmvsp.netsim.bridge.process_client import BridgeClient
 
 

@@ -5,7 +5,7 @@ Gateways run in the bridge process, all on one asyncio loop. Neither a slow run 
 
 import asyncio
 import ipaddress
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated, Protocol
 
 import msgspec
@@ -37,6 +37,7 @@ class GatewayContext(Protocol):
     vehicles: tuple[str, ...]  # rows are places in it
     run: str  # name of the scenario
     loop: asyncio.AbstractEventLoop
+    radios: Mapping[str, tuple[int, ...]]  # rows of the vehicles with each of several radios, by its name; empty: one radio
 
     def offer(
         self,
@@ -47,6 +48,7 @@ class GatewayContext(Protocol):
         *,
         came_ns: int | None = None,
         size_bytes: int | None = None,
+        radio: str = "",
     ) -> bool:
         """Hand a datagram to the radio of a vehicle.
 
@@ -57,6 +59,7 @@ class GatewayContext(Protocol):
             came_ns: time of reception from the program, ``time.monotonic_ns()``; None: now.
             size_bytes: payload size on the channel: less than the length of ``payload`` if a header of it is part of the header
                 of the radio's standard; None: its length.
+            radio: name of one of several radios; empty: that of the gateway's table.
 
         Returns:
             Whether there was room. If not, the datagram was not taken: stop reading from this program for some milliseconds,
@@ -74,8 +77,10 @@ class Gateway(Protocol):
     """A gateway of a table ``[bridge.KIND]``; the keys of the table are its constructor parameters.
 
     The run builds it to check it, the bridge process builds it again and opens it: a constructor opens nothing.
-    Optional: a method ``lost(sender, receiver, payload)``, called when a unicast datagram is lost, and the attribute
-    ``only_one = True``: a run has at most one gateway of this class.
+    Optional: a method ``lost(sender, receiver, payload)``, called when a unicast datagram is lost; the attribute
+    ``only_one = True``: a run has at most one gateway of this class. Of several radios a gateway has one, which the key
+    ``radio`` of its table names, by default the first; with ``every_radio = True`` and a method
+    ``check_radios(radios)``, which gets the vehicles with each radio and raises a `ValueError`, it has all.
     """
 
     def check(self, vehicles: Sequence[str]) -> None:

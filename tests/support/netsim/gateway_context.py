@@ -7,7 +7,7 @@ import os
 import socket
 import threading
 import time
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 
 from vcmvsp.netsim.bridge.gateways.base import BROADCAST, LARGEST, Gateway
 
@@ -23,6 +23,7 @@ class Offered:
     payload: bytes
     came_ns: int
     size_bytes: int
+    radio: str = ""
 
 
 class TestHall:
@@ -31,6 +32,7 @@ class TestHall:
     Args:
         vehicles: names of the run's vehicles.
         delay_s: from the offer to the delivery.
+        radios: rows of the vehicles with each of several radios.
         hears: whether ``receiver`` gets what ``sender`` sent, by rows and by the place of the datagram in `offered`.
 
     Attributes:
@@ -50,8 +52,10 @@ class TestHall:
         run: str = "test",
         delay_s: float = 0.0,
         hears: Callable[[int, int, int], bool] = lambda sender, receiver, place: True,
+        radios: Mapping[str, tuple[int, ...]] | None = None,
     ) -> None:
         self.vehicles, self.run, self.loop = tuple(vehicles), run, asyncio.get_running_loop()
+        self.radios: Mapping[str, tuple[int, ...]] = radios or {}
         self.offered: list[Offered] = []
         self.room = True
         self.counts: dict[str, dict[str, int]] = {}
@@ -70,6 +74,7 @@ class TestHall:
         *,
         came_ns: int | None = None,
         size_bytes: int | None = None,
+        radio: str = "",
     ) -> bool:
         self._on_the_loop()
         rows = range(len(self.vehicles))
@@ -81,8 +86,9 @@ class TestHall:
             return False
         place = len(self.offered)
         at_ns = time.monotonic_ns() if came_ns is None else came_ns
-        self.offered.append(Offered(sender, to, payload, at_ns, len(payload) if size_bytes is None else size_bytes))
-        for receiver in [row for row in rows if row != sender] if to == BROADCAST else [to]:
+        self.offered.append(Offered(sender, to, payload, at_ns, len(payload) if size_bytes is None else size_bytes, radio))
+        members = self.radios.get(radio, rows)
+        for receiver in [row for row in members if row != sender] if to == BROADCAST else [to]:
             if self._hears(sender, receiver, place):
                 self._later(gateway.deliver, sender, receiver, payload)
             elif to != BROADCAST and (lost := getattr(gateway, "lost", None)):

@@ -1,12 +1,14 @@
 """IP gateway: each vehicle is a network namespace of Linux; unchanged programs in it communicate over its radio.
 
-A namespace has one interface, `namespaces.RADIO`: the gateway reads what the kernel sends there, and writes there what the
-vehicle receives. On layer 2 these are Ethernet frames (TAP): the next hop is the receiver, and ARP and neighbour discovery
-cross the air. On layer 3 these are IP packets (TUN): the packet's destination is the receiver. A hop on the air is a hop of IP.
+A namespace has one interface, `namespaces.RADIO`, or one for each of several radios: the gateway reads what the kernel sends
+there, and writes there what the vehicle receives. On layer 2 these are Ethernet frames (TAP): the next hop is the receiver, and
+ARP and neighbour discovery cross the air. On layer 3 these are IP packets (TUN): the destination of a packet is its receiver. A
+hop on the air is a hop of IP.
 """
 
 import asyncio
 import contextlib
+import functools
 import ipaddress
 import os
 from collections.abc import Mapping, Sequence
@@ -40,7 +42,8 @@ COUNTING_S = 1.0  # period at which drops of that queue are counted
 SHOWN = 12  # vehicles in the list of addresses
 
 NOT_TAKEN = "not taken by the kernel"
-NO_ROOM = f"no room in the queue of {namespaces.RADIO}"
+NO_ROOM_OF = "no room in the queue of {}"
+NO_ROOM = NO_ROOM_OF.format(namespaces.RADIO)
 
 Mtu = Annotated[int, msgspec.Meta(ge=68, le=LARGEST)]  # RFC 791: every link carries 68
 
@@ -69,6 +72,22 @@ def network_of(text: str, key: str, version: int | None = None) -> Network:
 def address_in(network: Network, row: int) -> Address:
     """The address of the vehicle in this row; row 0 has the first host address."""
     return network[row + 1]
+
+
+def network_after(network: Network, number: int) -> Network:
+    """The network of equal size that many places later: 10.77.0.0/16, 10.78.0.0/16.
+
+    Raises:
+        ValueError: it is not private, as the first one, or none.
+    """
+    if not number:
+        return network
+    first = int(network.network_address) + number * network.num_addresses
+    with contextlib.suppress(ValueError):
+        found = ipaddress.ip_network((type(network.network_address)(first), network.prefixlen))
+        if found.is_private == network.is_private:
+            return found
+    raise ValueError(f"{network} has no {number} private networks of its size after it, one for each further radio")
 
 
 class Directory:
@@ -132,9 +151,24 @@ def _icmp6_type(packet: bytes) -> int:
     return packet[start] if kind == _ICMP6 and len(packet) > start else -1
 
 
+@dataclass(frozen=True)
+class _Link:
+    """A radio as a link of the vehicles in ``rows``."""
+
+    radio: str  # its name; empty: the only one
+    interface: str
+    networks: tuple[Network, ...]
+    rows: tuple[int, ...]
+    addressing: Directory | ethernet.Stations
+
+    def addresses(self, row: int) -> tuple[str, ...]:
+        return tuple(str(address_in(each, row)) for each in self.networks)
+
+
 @dataclass
 class _Radio:
     row: int
+    link: _Link
     packets: int  # descriptor
     statistics: int  # descriptor
     waiting: tuple[int, bytes] | None = None  # packet without room in the run
@@ -145,7 +179,8 @@ class Ip:
     """A network namespace for each vehicle: ``vcmvsp net exec car1 -- ping car2``.
 
     The i-th vehicle of the scenario has the i-th address of both networks. Packets to a multicast group or to the broadcast
-    address are broadcast.
+    address are broadcast. Of several radios each has an interface with its name, and the next networks of the same size:
+    10.77.0.0/16, 10.78.0.0/16; the routing table of a vehicle chooses the radio.
 
     Args:
         layer: 2: Ethernet. Routing tables and ARP of a vehicle choose the next hop, which receives the frame. 3: IP. Packets to
@@ -158,6 +193,7 @@ class Ip:
     """
 
     only_one = True  # namespaces and addresses of a run are one network
+    every_radio = True
 
     def __init__(
         self,
@@ -172,7 +208,8 @@ class Ip:
         self._networks: tuple[Network, ...] = both if mtu_bytes >= LEAST_MTU6 else both[:1]
         self._mtu_bytes, self._chosen, self._layer = mtu_bytes, vehicles, layer
         self._routes = {name: [network_of(each, "routes") for each in behind] for name, behind in (routes or {}).items()}
-        self._radios: dict[int, _Radio] = {}
+        self._radios: dict[tuple[int, str], _Radio] = {}  # by row and radio
+        self._links: list[_Link] = []
         self._lease: run_networks.Lease | None = None
         self._counting: asyncio.TimerHandle | None = None
 
@@ -189,10 +226,35 @@ class Ip:
             )
         if self._layer == 2 and len(vehicles) > ethernet.VEHICLES:
             raise ValueError(f"layer: more than {ethernet.VEHICLES} vehicles need layer = 3")
-        self._check_routes()
+        self._check_routes(self._networks)
 
-    def _check_routes(self) -> None:
-        used = list(self._networks)
+    def check_radios(self, radios: Mapping[str, Sequence[str]]) -> None:
+        """Check names of interfaces, networks and the layer for several radios."""
+        members = {vehicle for each in radios.values() for vehicle in each}
+        if self._chosen and not members & {*self._chosen}:
+            raise ValueError(f"vehicles: none of these has a radio {' or '.join(radios)}")
+        if len(radios) < 2:
+            return
+        for name in radios:
+            if len(name) > namespaces.NAME_LENGTH:
+                most = f"an interface's name has at most {namespaces.NAME_LENGTH} characters"
+                raise ValueError(f"radio: {most}, and the radio {name} has {len(name)}: shorten its name")
+            if name in namespaces.RESERVED:
+                raise ValueError(f"radio: no interface may be called {name}: give the radio another name")
+        if self._layer == 3:
+            raise ValueError(f"layer: 3 needs one radio: choose one (radio = {next(iter(radios))!r}), or layer = 2 for all")
+        if len(radios) > ethernet.RADIOS:
+            raise ValueError(f"radio: at most {ethernet.RADIOS} radios have interfaces, not {len(radios)}")
+        networks: list[Network] = []
+        for key, network in zip(("network", "network6"), self._networks, strict=False):
+            try:
+                networks += [network_after(network, number) for number in range(len(radios))]
+            except ValueError as error:
+                raise ValueError(f"{key}: {error}: choose a smaller or lower one") from error
+        self._check_routes(networks)
+
+    def _check_routes(self, networks: Sequence[Network]) -> None:
+        used = list(networks)
         versions = {each.version for each in used}
         for network in (each for behind in self._routes.values() for each in behind):
             if network.version not in versions:
@@ -206,11 +268,9 @@ class Ip:
         self._context = context
         if lacks := namespaces.missing():
             raise GatewayError(f"network namespaces need {lacks}: start the run as root (sudo)")
-        rows = [row for row, name in enumerate(context.vehicles) if not self._chosen or name in self._chosen]
-        routed = {row: self._routes[name] for row, name in enumerate(context.vehicles) if name in self._routes}
-        self._addressing: Directory | ethernet.Stations = ethernet.Stations(rows, BROADCAST)
-        if self._layer == 3:
-            self._addressing = Directory(self._networks, rows, routed)
+        chosen = [row for row, name in enumerate(context.vehicles) if not self._chosen or name in self._chosen]
+        self._links = self._links_of(chosen)
+        rows = [row for row in chosen if self._links_at(row)]
         spaces = {row: self._space(row) for row in rows}
         try:
             self._lease = run_networks.Lease(context.run)
@@ -229,51 +289,86 @@ class Ip:
         self._count_dropped()
         return self._lines(list(spaces.values()))
 
+    def _links_of(self, chosen: Sequence[int]) -> list[_Link]:
+        """The radios as links of the chosen vehicles."""
+        vehicles, radios = self._context.vehicles, self._context.radios
+        routed = {row: self._routes[name] for row, name in enumerate(vehicles) if name in self._routes}
+        links = []
+        for number, (radio, members) in enumerate((radios or {"": (*range(len(vehicles)),)}).items()):
+            rows = tuple([row for row in chosen if row in members])
+            networks = tuple([network_after(each, number) for each in self._networks])
+            addressing: Directory | ethernet.Stations = ethernet.Stations(rows, BROADCAST, number)
+            if self._layer == 3:
+                addressing = Directory(networks, rows, routed)
+            interface = radio if len(radios) > 1 else namespaces.RADIO
+            links.append(_Link(radio, interface, networks, rows, addressing))
+        return links
+
+    def _links_at(self, row: int) -> list[_Link]:
+        """The radios of a vehicle."""
+        return [link for link in self._links if row in link.rows]
+
     def _space(self, row: int) -> Space:
-        context = self._context
+        context, links = self._context, self._links_at(row)
         name = context.vehicles[row]
         port = None
         if behind := self._routes.get(name):
-            port = namespaces.port_of(context.run, name, behind, [*self._networks, *self._beyond(name)])
-        addresses = tuple(str(address_in(each, row)) for each in self._networks)
-        return Space(vehicle=name, namespace=f"vcmvsp-{context.run}-{name}", addresses=addresses, port=port)
+            shared = [network for link in links for network in link.networks]
+            port = namespaces.port_of(context.run, name, behind, [*shared, *self._beyond(name)])
+        namespace, addresses = f"vcmvsp-{context.run}-{name}", links[0].addresses(row)
+        if len(self._links) == 1:
+            return Space(vehicle=name, namespace=namespace, addresses=addresses, port=port)
+        radios = tuple([run_networks.Interface(radio=each.radio, addresses=each.addresses(row)) for each in links])
+        return Space(vehicle=name, namespace=namespace, addresses=addresses, port=port, radios=radios)
 
     def _beyond(self, vehicle: str) -> list[Network]:
         return [network for name, behind in self._routes.items() if name != vehicle for network in behind]
 
-    def _radio_of(self, row: int, space: Space) -> namespaces.RadioInterface:
+    def _interface_of(self, row: int, link: _Link) -> namespaces.RadioInterface:
         """The interface of a vehicle: its addresses, and routes to the networks behind other vehicles."""
-        addresses = [(address, each.prefixlen) for address, each in zip(space.addresses, self._networks, strict=True)]
-        routes: list[tuple[Network, str | None]] = [(network, None) for network in self._beyond(space.vehicle)]
+        addresses = [(address, each.prefixlen) for address, each in zip(link.addresses(row), link.networks, strict=True)]
         if self._layer == 3:
-            return namespaces.RadioInterface(addresses, routes, self._mtu_bytes)
-        mac = ethernet.mac_of(row)
+            beyond: list[tuple[Network, str | None]] = [
+                (network, None) for network in self._beyond(self._context.vehicles[row])
+            ]
+            return namespaces.RadioInterface(addresses, beyond, self._mtu_bytes)
+        number = self._links.index(link)
+        mac = ethernet.mac_of(row, number)
         if len(self._networks) > 1:
             addresses.append((ethernet.link_local(mac), 64))
-        routes = [(network, self._gateway_to(network)) for network, _ in routes]
-        return namespaces.RadioInterface(addresses, routes, self._mtu_bytes, mac)
+        routes: list[tuple[Network, str | None]] = []
+        for network in self._beyond(self._context.vehicles[row]):
+            at = self._behind_whom(network)
+            if next((each for each in self._links_at(row) if at in each.rows), None) is link:  # the first radio of both
+                shared = next(each for each in link.networks if each.version == network.version)
+                routes.append((network, str(address_in(shared, at))))
+        metric = number if len(self._links) > 1 else None
+        return namespaces.RadioInterface(addresses, routes, self._mtu_bytes, mac, link.interface, metric)
 
-    def _gateway_to(self, network: Network) -> str:
-        """Address of the vehicle that has a network behind it."""
+    def _behind_whom(self, network: Network) -> int:
+        """Row of the vehicle that has a network behind it."""
         vehicle = next(name for name, behind in self._routes.items() if network in behind)
-        shared = next(each for each in self._networks if each.version == network.version)
-        return str(address_in(shared, self._context.vehicles.index(vehicle)))
+        return self._context.vehicles.index(vehicle)
 
     def _make(self, row: int, space: Space) -> None:
-        interface = self._radio_of(row, space)
         namespaces.create(space.namespace)
-        packets = namespaces.inside(space.namespace, lambda: namespaces.open_radio(interface))
-        try:
-            self._radios[row] = _Radio(row, packets, namespaces.inside(space.namespace, namespaces.statistics))
-        except BaseException:
-            os.close(packets)
-            raise
+        for link in self._links_at(row):
+            interface = self._interface_of(row, link)
+            packets = namespaces.inside(space.namespace, functools.partial(namespaces.open_radio, interface))
+            try:
+                statistics = namespaces.inside(space.namespace, namespaces.statistics)
+            except BaseException:
+                os.close(packets)
+                raise
+            self._radios[row, link.radio] = _Radio(row, link, packets, statistics)
         if (port := space.port) is not None:
             namespaces.in_thread(lambda: namespaces.open_port(port, space.namespace))
-        self._context.loop.add_reader(packets, self._read, self._radios[row])
+        for link in self._links_at(row):
+            radio = self._radios[row, link.radio]
+            self._context.loop.add_reader(radio.packets, self._read, radio)
 
     def _lines(self, spaces: Sequence[Space]) -> list[str]:
-        lines = [f"{each.vehicle}  {'  '.join(each.addresses)}" for each in spaces[:SHOWN]]
+        lines = [f"{each.vehicle}  {'  '.join(_addresses_of(each))}" for each in spaces[:SHOWN]]
         behind = [(each.vehicle, each.port) for each in spaces if each.port is not None]
         lines += [f"behind {name}: {', '.join(port.behind)}, through {port.interface} here" for name, port in behind]
         if len(spaces) > SHOWN:
@@ -290,7 +385,7 @@ class Ip:
             except OSError:  # the interface was removed
                 self._context.loop.remove_reader(radio.packets)
                 return
-            to = self._addressing.goes_to(radio.row, packet)
+            to = radio.link.addressing.goes_to(radio.row, packet)
             if isinstance(to, str):
                 self._context.count(radio.row, to)
             elif not self._offer(radio, to, packet):
@@ -300,11 +395,11 @@ class Ip:
                 return
 
     def _offer(self, radio: _Radio, to: int, packet: bytes) -> bool:
-        size_bytes = len(packet) - self._addressing.header_bytes
-        return self._context.offer(self, radio.row, to, packet, size_bytes=size_bytes)
+        size_bytes = len(packet) - radio.link.addressing.header_bytes
+        return self._context.offer(self, radio.row, to, packet, size_bytes=size_bytes, radio=radio.link.radio)
 
     def _go_on(self, radio: _Radio) -> None:
-        if radio.waiting is None or radio.row not in self._radios:
+        if radio.waiting is None or (radio.row, radio.link.radio) not in self._radios:
             return
         to, packet = radio.waiting
         if self._offer(radio, to, packet):
@@ -315,16 +410,17 @@ class Ip:
 
     def _count_dropped(self) -> None:
         for radio in self._radios.values():
-            dropped = namespaces.dropped(radio.statistics)
+            dropped = namespaces.dropped(radio.statistics, radio.link.interface)
             if dropped > radio.dropped:
-                self._context.count(radio.row, NO_ROOM, dropped - radio.dropped)
+                self._context.count(radio.row, NO_ROOM_OF.format(radio.link.interface), dropped - radio.dropped)
                 radio.dropped = dropped
         self._counting = self._context.loop.call_later(COUNTING_S, self._count_dropped)
 
     def deliver(self, sender: int, receiver: int, payload: bytes) -> None:
         """Write a packet to the interface of a vehicle, if it has one."""
-        radio = self._radios.get(receiver)
-        if radio is None or not self._addressing.carries(sender, payload):
+        link = next((each for each in self._links if each.addressing.carries(sender, payload)), None)
+        radio = None if link is None else self._radios.get((receiver, link.radio))
+        if radio is None:
             return
         try:
             os.write(radio.packets, payload)
@@ -344,3 +440,10 @@ class Ip:
             lease, self._lease = self._lease, None
             with contextlib.suppress(FileNotFoundError):  # removed by vcmvsp net down --force
                 lease.end()
+
+
+def _addresses_of(space: Space) -> list[str]:
+    """Addresses; of several radios with their names."""
+    if not space.radios:
+        return [*space.addresses]
+    return [each for radio in space.radios for each in (radio.radio, *radio.addresses)]

@@ -34,8 +34,10 @@ _libc = ctypes.CDLL(None, use_errno=True)
 
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 
-RADIO = "radio0"
+RADIO = "radio0"  # of several radios each interface has the name of its radio
 PORT = "port0"  # in the namespace; the host's end has another name
+RESERVED = ("lo", PORT, "all", "default")  # names of interfaces and of settings there
+NAME_LENGTH = 15  # characters of an interface's name, at most (IFNAMSIZ, linux/if.h)
 QUEUE = 500  # packets that wait in the kernel
 
 _SET_INTERFACE = 0x400454CA  # TUNSETIFF, linux/if_tun.h
@@ -46,6 +48,8 @@ _RULE_PRIORITY = 7700  # before the main table's
 _HOST_SIDE, _INSIDE = "fe80::1", "fe80::2"  # of a port
 _NO_REDIRECTS = {"send_redirects": "0", "accept_redirects": "0"}
 """The radio is one link, but not all vehicles on it reach each other: no router may say that a detour is needless."""
+_OWN_ADDRESS = {"arp_ignore": "1", "arp_announce": "2"}
+"""Of several radios each answers for its own addresses, and asks with them."""
 _QUIET = {"accept_ra": "0", "router_solicitations": "0", "addr_gen_mode": "1", "disable_ipv6": "0"}
 
 
@@ -171,6 +175,8 @@ class RadioInterface(NamedTuple):
     routes: Sequence[tuple[Network, str | None]]  # further networks: by a vehicle's address, or directly
     mtu_bytes: int
     mac: bytes | None = None  # Ethernet address, of a TAP; None: a TUN
+    name: str = RADIO
+    metric: int | None = None  # of several radios, for broadcasts and multicast: the first radio sends them
 
 
 def open_radio(interface: RadioInterface) -> int:
@@ -179,24 +185,27 @@ def open_radio(interface: RadioInterface) -> int:
     The kernel completes checksums and divides segments by itself, as this interface offers no offloads.
     """
     _sysctl("ipv6", ("all", "default"), _QUIET)
-    kind = _TUN if interface.mac is None else _TAP
+    kind, name = _TUN if interface.mac is None else _TAP, interface.name
     descriptor = os.open(TUN, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
-        fcntl.ioctl(descriptor, _SET_INTERFACE, struct.pack("16sH22x", RADIO.encode(), kind | _WITHOUT_HEADER))
-        _sysctl("ipv6", (RADIO,), _QUIET)
+        fcntl.ioctl(descriptor, _SET_INTERFACE, struct.pack("16sH22x", name.encode(), kind | _WITHOUT_HEADER))
+        _sysctl("ipv6", (name,), _QUIET)
         if interface.mac is not None:
-            _sysctl("ipv4", ("all", "default", RADIO), _NO_REDIRECTS)
-            _sysctl("ipv6", ("all", "default", RADIO), {"accept_redirects": "0"})
+            _sysctl("ipv4", ("all", "default", name), _NO_REDIRECTS)
+            _sysctl("ipv6", ("all", "default", name), {"accept_redirects": "0"})
+        if interface.metric is not None:
+            _sysctl("ipv4", (name,), _OWN_ADDRESS)
         with _netlink() as links:
-            radio = links.link_lookup(ifname=RADIO)[0]
+            radio = links.link_lookup(ifname=name)[0]
             links.link("set", index=1, state="up")
             if interface.mac is not None:
                 links.link("set", index=radio, address=interface.mac.hex(":"))
             links.link("set", index=radio, mtu=interface.mtu_bytes, txqlen=QUEUE, state="up")
             for address, bits in interface.addresses:
                 links.addr("add", index=radio, address=address, prefixlen=bits, **_kind(address))
-            links.route("add", dst="224.0.0.0/4", oif=radio)
-            links.route("add", dst="255.255.255.255/32", oif=radio, type=_BROADCAST_ROUTE, scope=_ON_LINK)
+            metric = {} if interface.metric is None else {"priority": interface.metric}
+            links.route("add", dst="224.0.0.0/4", oif=radio, **metric)
+            links.route("add", dst="255.255.255.255/32", oif=radio, type=_BROADCAST_ROUTE, scope=_ON_LINK, **metric)
             for network, gateway in interface.routes:
                 by = {} if gateway is None else {"gateway": gateway}
                 links.route("add", dst=str(network), oif=radio, family=_family(network), **by)
@@ -241,10 +250,11 @@ def close_port(port: Port) -> None:
         _delete(links, port.interface)
 
 
-def drop_radio() -> None:
-    """Remove the radio's interface from this thread's namespace, if it exists."""
+def drop_radios(names: Iterable[str]) -> None:
+    """Remove the interfaces of radios from this thread's namespace, as far as they exist."""
     with _netlink() as links:
-        _delete(links, RADIO)
+        for name in names:
+            _delete(links, name)
 
 
 def statistics() -> int:
@@ -252,10 +262,10 @@ def statistics() -> int:
     return os.open("/proc/thread-self/net/dev", os.O_RDONLY | os.O_CLOEXEC)
 
 
-def dropped(descriptor: int) -> int:
+def dropped(descriptor: int, name: str = RADIO) -> int:
     """Packets that the radio's queue in the kernel has dropped so far."""
     lines = os.pread(descriptor, 1 << 16, 0).decode("ascii").splitlines()
-    return next((int(line.partition(":")[2].split()[11]) for line in lines if line.lstrip().startswith(f"{RADIO}:")), 0)
+    return next((int(line.partition(":")[2].split()[11]) for line in lines if line.lstrip().startswith(f"{name}:")), 0)
 
 
 def in_common(one: Port, other: Port) -> str:

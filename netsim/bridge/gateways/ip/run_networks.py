@@ -51,13 +51,38 @@ def become(user: pwd.struct_passwd) -> None:
     os.environ.update(HOME=user.pw_dir, USER=user.pw_name, LOGNAME=user.pw_name)
 
 
+class Interface(Value, frozen=True, kw_only=True):
+    """The interface of one of several radios in a vehicle's namespace; it has the name of the radio."""
+
+    radio: str
+    addresses: tuple[str, ...]
+
+
 class Space(Value, frozen=True, kw_only=True):
     """A vehicle's namespace."""
 
     vehicle: str
     namespace: str
-    addresses: tuple[str, ...]
+    addresses: tuple[str, ...]  # of the first radio
     port: Port | None = None
+    radios: tuple[Interface, ...] | msgspec.UnsetType = msgspec.UNSET  # of several radios
+
+    @property
+    def interfaces(self) -> tuple[str, ...]:
+        """Names of the interfaces of its radios."""
+        return tuple([each.radio for each in self.radios]) if self.radios else (namespaces.RADIO,)
+
+    @property
+    def host_names(self) -> list[tuple[str, str]]:
+        """Addresses, each with its names: ``car1``; of several radios ``car1 car1.wifi``, and ``car1.lora`` of further ones."""
+        if not self.radios:
+            return [(address, self.vehicle) for address in self.addresses]
+        first = self.radios[0]
+        return [
+            (address, f"{self.vehicle} " * (each is first) + f"{self.vehicle}.{each.radio}")
+            for each in self.radios
+            for address in each.addresses
+        ]
 
 
 class RunNetwork(Value, frozen=True, kw_only=True):
@@ -116,7 +141,7 @@ class Lease:
                 raise NetworkInUse(_TAKEN.format("namespace", each.namespace, "netns"))
             if each.port is not None and each.port.interface in present:
                 raise NetworkInUse(_TAKEN.format("interface", each.port.interface, "link"))
-        lines = [f"{address}\t{each.vehicle}" for each in network.spaces for address in each.addresses]
+        lines = [f"{address}\t{names}" for each in network.spaces for address, names in each.host_names]
         usual = HOSTS.read_text("utf-8", "replace") if HOSTS.exists() else ""
         (self._folder / _NAMES).write_text("\n".join([usual.rstrip("\n"), "# vehicles", *lines, ""]), "utf-8")
         (self._folder / _NAMES).chmod(0o644)  # for programs of all users
@@ -285,5 +310,5 @@ def _clear_space(space: Space) -> None:
         namespaces.in_thread(functools.partial(namespaces.close_port, port))
     if (namespaces.NAMES / space.namespace).exists():
         with contextlib.suppress(OSError):  # the file exists without a namespace: the run died between creating the two
-            namespaces.inside(space.namespace, namespaces.drop_radio)
+            namespaces.inside(space.namespace, functools.partial(namespaces.drop_radios, space.interfaces))
         namespaces.remove(space.namespace)

@@ -115,7 +115,7 @@ async def test_ping_tells_the_channels_delay_and_loss(to: str) -> None:
 
         def deliver(self, sender: int, receiver: int, payload: bytes) -> None:
             super().deliver(sender, receiver, payload)
-            self._read(self._radios[0])  # all that it has asked by now
+            self._read(self._radios[0, ""])  # all that it has asked by now
             if sender == 1 and sum(each.sender == 0 for each in context.offered) < 40:
                 in_time.add(number(payload))
 
