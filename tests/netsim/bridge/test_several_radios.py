@@ -10,9 +10,9 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import pandas as pd
 import pyarrow.parquet as pq
@@ -31,6 +31,7 @@ from vcmvsp.netsim.bridge.gateways.base import BROADCAST
 from vcmvsp.netsim.bridge.gateways.ip import ethernet, run_networks
 from vcmvsp.netsim.bridge.gateways.ip.gateway import Ip, network_after, network_of
 
+T = TypeVar("T", bound=Callable[..., Any])
 PAGE = "netsim/bridge/README.md"
 NAME = f"radios{os.getpid()}"
 LOSS = {"near": 0.3, "far": 0.0}
@@ -40,12 +41,6 @@ COUNT = 200
 READY_S = 60.0
 COMMANDS = [
     line.partition("  #")[0].strip().replace("lora", "far") for line in block(PAGE, "ping car2.lora").splitlines() if line
-]
-IN_NAMESPACES = [
-    pytest.mark.processes,
-    pytest.mark.sockets,
-    pytest.mark.needs("ip", "ping"),
-    pytest.mark.usefixtures("namespaces_allowed"),
 ]
 
 
@@ -63,6 +58,14 @@ def scenario(**own: Any) -> dict[str, Any]:
         "vehicle": cars,
         **own,
     }
+
+
+def in_namespaces(test: T) -> T:
+    """Mark a test that makes namespaces of Linux."""
+    marks = (pytest.mark.processes, pytest.mark.sockets, pytest.mark.needs("ip", "ping"))
+    for mark in (*marks, pytest.mark.usefixtures("namespaces_allowed")):
+        test = mark(test)
+    return test
 
 
 def frames_of(folder: Path) -> pd.DataFrame:
@@ -168,91 +171,91 @@ def received(listener: socket.socket) -> list[int]:
     return numbers
 
 
-class TestOnMachines:
-    """In namespaces of Linux."""
+@in_namespaces
+def test_datagrams_lose_what_the_recording_says_of_their_radio(tmp_path: Path) -> None:
+    """Whatever the load of the machine: what came is compared with the recording, not with the clock."""
+    with contextlib.ExitStack() as open_sockets:
+        with up(tmp_path):
+            told = vcmvsp_command("net", "status").out
+            listeners = {}
+            for name, (own, other) in ADDRESSES.items():
+                sender = open_sockets.enter_context(udp("car1", own, run=NAME))
+                listeners[name] = open_sockets.enter_context(udp("car2", other, 9000, run=NAME))
+                on("car1", f"ping -c 5 -i 0.2 {other}", tries=30)  # until ARP knows it
+                for number in range(COUNT):
+                    sender.sendto(number.to_bytes(4, "big") + bytes(SIZES[name] - 4), (other, 9000))
+                    time.sleep(0.002)
+            names = on("car3", "cat /etc/hosts")
+            for command in COMMANDS:
+                vehicle, _, words = command.partition(" -- ")
+                on(vehicle.split()[-1], words.replace("ping", "ping -c 5 -i 0.2"), tries=30)  # links lose
+            routes = on("car1", "ip route get 10.77.0.2")
+        came = {name: received(listener) for name, listener in listeners.items()}
+    frames = frames_of(tmp_path / "out")
+    deliveries = pq.read_table(tmp_path / "out" / "bridge.parquet").to_pandas()
+    made = {*deliveries[deliveries.late_s.notna()].frame}
+    for name, size in SIZES.items():
+        sent = frames[frames["size_bytes"] == size + 28]  # with the headers of UDP and IPv4
+        assert set(zip(sent.radio, sent.sender, sent.receiver, strict=True)) == {(name, "car1", "car2")}
+        assert len(sent) > COUNT / 2
+        arrived = sent[sent.outcome == "received"].frame
+        assert len(came[name]) == len({*arrived} & made)
+        assert len({*came[name]}) == len(came[name])
+        share = (sent.outcome == "random loss").mean()
+        assert abs(share - LOSS[name]) < 5.0 * (0.25 / len(sent)) ** 0.5
+    assert " via 10.78.0.2 dev far " in routes
+    assert set(frames[frames.radio == "near"].receiver) <= {"car1", "car2"}
+    hosts = ["10.77.0.1\tcar1 car1.near", "fd77::1\tcar1 car1.near", "10.78.0.1\tcar1.far", "fd77:0:0:1::1\tcar1.far"]
+    assert {*hosts, "10.78.0.3\tcar3 car3.far"} <= {*names.splitlines()}
+    status = [line.split() for line in told.splitlines()]
+    for row in (
+        ["car1", "near", "10.77.0.1", "fd77::1"],
+        ["far", "10.78.0.1", "fd77:0:0:1::1"],
+        ["car3", "far", "10.78.0.3", "fd77:0:0:1::3"],
+    ):
+        assert row in status
 
-    pytestmark = IN_NAMESPACES
 
-    def test_datagrams_lose_what_the_recording_says_of_their_radio(self, tmp_path: Path) -> None:
-        """Whatever the load of the machine: what came is compared with the recording, not with the clock."""
-        with contextlib.ExitStack() as open_sockets:
-            with up(tmp_path):
-                told = vcmvsp_command("net", "status").out
-                listeners = {}
-                for name, (own, other) in ADDRESSES.items():
-                    sender = open_sockets.enter_context(udp("car1", own, run=NAME))
-                    listeners[name] = open_sockets.enter_context(udp("car2", other, 9000, run=NAME))
-                    on("car1", f"ping -c 5 -i 0.2 {other}", tries=30)  # until ARP knows it
-                    for number in range(COUNT):
-                        sender.sendto(number.to_bytes(4, "big") + bytes(SIZES[name] - 4), (other, 9000))
-                        time.sleep(0.002)
-                names = on("car3", "cat /etc/hosts")
-                for command in COMMANDS:
-                    vehicle, _, words = command.partition(" -- ")
-                    on(vehicle.split()[-1], words.replace("ping", "ping -c 5 -i 0.2"), tries=30)  # links lose
-                routes = on("car1", "ip route get 10.77.0.2")
-            came = {name: received(listener) for name, listener in listeners.items()}
-        frames = frames_of(tmp_path / "out")
-        deliveries = pq.read_table(tmp_path / "out" / "bridge.parquet").to_pandas()
-        made = {*deliveries[deliveries.late_s.notna()].frame}
-        for name, size in SIZES.items():
-            sent = frames[frames["size_bytes"] == size + 28]  # with the headers of UDP and IPv4
-            assert set(zip(sent.radio, sent.sender, sent.receiver, strict=True)) == {(name, "car1", "car2")}
-            assert len(sent) > COUNT / 2
-            arrived = sent[sent.outcome == "received"].frame
-            assert len(came[name]) == len({*arrived} & made)
-            assert len({*came[name]}) == len(came[name])
-            share = (sent.outcome == "random loss").mean()
-            assert abs(share - LOSS[name]) < 5.0 * (0.25 / len(sent)) ** 0.5
-        assert " via 10.78.0.2 dev far " in routes
-        assert set(frames[frames.radio == "near"].receiver) <= {"car1", "car2"}
-        hosts = ["10.77.0.1\tcar1 car1.near", "fd77::1\tcar1 car1.near", "10.78.0.1\tcar1.far", "fd77:0:0:1::1\tcar1.far"]
-        assert {*hosts, "10.78.0.3\tcar3 car3.far"} <= {*names.splitlines()}
-        status = [line.split() for line in told.splitlines()]
-        for row in (
-            ["car1", "near", "10.77.0.1", "fd77::1"],
-            ["far", "10.78.0.1", "fd77:0:0:1::1"],
-            ["car3", "far", "10.78.0.3", "fd77:0:0:1::3"],
-        ):
-            assert row in status
-
-    async def test_the_routing_table_chooses_the_radio(self) -> None:
-        radios = {"near": (0, 1), "far": (0, 1, 2)}
-        context = TestHall(("car1", "car2", "car3"), run=RUN, radios=radios)
-        async with opened(Ip(), context):
-            links = {}
-            for vehicle in context.vehicles:
-                _, said = await called(vehicle, "ip", "-br", "link")
-                links[vehicle] = {line.split()[0]: line.split()[2] for line in said.splitlines()}
-                del links[vehicle]["lo"]
-            for address, radio in (("10.77.0.2", "near"), ("fd77::2", "near"), ("10.78.0.2", "far"), ("fd77:0:0:1::2", "far")):
-                with udp("car1", "::" if ":" in address else "0.0.0.0") as sender, udp("car2", address, 9000) as listener:
-                    context.offered.clear()
-                    sender.sendto(b"to one", (address, 9000))
-                    await heard(listener)
-                assert {each.radio for each in context.offered} == {radio}
-                assert context.offered[-1].payload.endswith(b"to one")
-            await called("car1", "ip", "route", "add", "10.77.0.2/32", "via", "10.78.0.2")
-            with udp("car1", "10.77.0.1") as sender, udp("car2", "10.77.0.2", 9000) as listener:
+@in_namespaces
+async def test_the_routing_table_chooses_the_radio() -> None:
+    radios = {"near": (0, 1), "far": (0, 1, 2)}
+    context = TestHall(("car1", "car2", "car3"), run=RUN, radios=radios)
+    async with opened(Ip(), context):
+        links = {}
+        for vehicle in context.vehicles:
+            _, said = await called(vehicle, "ip", "-br", "link")
+            links[vehicle] = {line.split()[0]: line.split()[2] for line in said.splitlines()}
+            del links[vehicle]["lo"]
+        for address, radio in (("10.77.0.2", "near"), ("fd77::2", "near"), ("10.78.0.2", "far"), ("fd77:0:0:1::2", "far")):
+            with udp("car1", "::" if ":" in address else "0.0.0.0") as sender, udp("car2", address, 9000) as listener:
                 context.offered.clear()
-                sender.sendto(b"by far", ("10.77.0.2", 9000))
-                assert await heard(listener) == (b"by far", "10.77.0.1")
-            assert [each.radio for each in context.offered if each.payload.endswith(b"by far")] == ["far"]
-        macs = {name: [ethernet.mac_of(row, number).hex(":") for row in range(3)] for number, name in enumerate(radios)}
-        assert links == {
-            "car1": {"near": macs["near"][0], "far": macs["far"][0]},
-            "car2": {"near": macs["near"][1], "far": macs["far"][1]},
-            "car3": {"far": macs["far"][2]},
-        }
+                sender.sendto(b"to one", (address, 9000))
+                await heard(listener)
+            assert {each.radio for each in context.offered} == {radio}
+            assert context.offered[-1].payload.endswith(b"to one")
+        await called("car1", "ip", "route", "add", "10.77.0.2/32", "via", "10.78.0.2")
+        with udp("car1", "10.77.0.1") as sender, udp("car2", "10.77.0.2", 9000) as listener:
+            context.offered.clear()
+            sender.sendto(b"by far", ("10.77.0.2", 9000))
+            assert await heard(listener) == (b"by far", "10.77.0.1")
+        assert [each.radio for each in context.offered if each.payload.endswith(b"by far")] == ["far"]
+    macs = {name: [ethernet.mac_of(row, number).hex(":") for row in range(3)] for number, name in enumerate(radios)}
+    assert links == {
+        "car1": {"near": macs["near"][0], "far": macs["far"][0]},
+        "car2": {"near": macs["near"][1], "far": macs["far"][1]},
+        "car3": {"far": macs["far"][2]},
+    }
 
-    async def test_a_single_radio_is_as_without_a_name(self) -> None:
-        context = TestHall(("car1", "car2"), run=RUN, radios={"only": (0, 1)})
-        async with opened(Ip(), context):
-            with udp("car1", "10.77.0.1") as sender, udp("car2", "10.77.0.2", 9000) as listener:
-                sender.sendto(b"x", ("10.77.0.2", 9000))
-                assert await heard(listener) == (b"x", "10.77.0.1")
-            _, said = await called("car1", "ip", "-br", "link", "show", "radio0")
-        assert ethernet.mac_of(0).hex(":") in said
+
+@in_namespaces
+async def test_a_single_radio_is_as_without_a_name() -> None:
+    context = TestHall(("car1", "car2"), run=RUN, radios={"only": (0, 1)})
+    async with opened(Ip(), context):
+        with udp("car1", "10.77.0.1") as sender, udp("car2", "10.77.0.2", 9000) as listener:
+            sender.sendto(b"x", ("10.77.0.2", 9000))
+            assert await heard(listener) == (b"x", "10.77.0.1")
+        _, said = await called("car1", "ip", "-br", "link", "show", "radio0")
+    assert ethernet.mac_of(0).hex(":") in said
 
 
 def test_addresses_of_radios_are_all_different() -> None:

@@ -22,10 +22,8 @@ SECRETS = "tests/cosim/hosts/test_containers.py::test_a_container_sees_no_keys_b
 HOSTS = "tests/cosim/hosts/test_containers.py::test_files_of_hosts_are_as_they_are_read"
 NETWORK = "tests/cosim/cli/test_net.py::test_ping_fares_as_the_radio_recorded"
 LEFT_OVER = "tests/cosim/cli/test_net.py::test_status_tells_addresses_and_that_the_run_is_alive"
-ROUTED = "tests/netsim/bridge/test_routing_program.py::test_routes_over_five_hops_carry_everything_and_are_repaired"
-RADIOS = (
-    "tests/netsim/bridge/test_several_radios.py::TestOnMachines::test_datagrams_lose_what_the_recording_says_of_their_radio"
-)
+ROUTED = "tests/netsim/bridge/test_routing_program.py::test_routes_over_five_hops_carry_datagrams_and_are_repaired"
+RADIOS = "tests/netsim/bridge/test_several_radios.py::test_datagrams_lose_what_the_recording_says_of_their_radio"
 PORTS = "tests/netsim/bridge/test_readme.py::test_the_worked_example"
 TEN_LINES = "tests/netsim/bridge/test_readme.py::test_the_ten_lines_of_the_radios_page"
 OWN_DOOR = "tests/netsim/bridge/test_readme.py::test_the_custom_gateway_of_the_page_works"
