@@ -60,6 +60,7 @@ class Around:
 
 FIRMWARE = '[physics]\nrate_hz = 400.0\n[[vehicle]]\nname = "uav1"\nkind = "quadrotor"\n'
 AROUND = {
+    ("netsim/bridge/README.md", "[bridge.fast]"): Around(before='[[radio]]\nname = "wifi"\n[[radio]]\nname = "lora"\n' + CARS),
     ("docs/howto/firmware.md", "--defaults {folder}/copter.parm"): Around(before=FIRMWARE),
     ("docs/howto/firmware.md", 'kind = "px4"'): Around(before=FIRMWARE),
     ("docs/howto/firmware.md", 'kind = "betaflight"'): Around(before=FIRMWARE),
