@@ -60,14 +60,16 @@ class Desk:
     def prepare(self, parts: Parts) -> None:
         """A page that opens before the agents have joined."""
 
-    def live(self, run: AssembledRun, speed: float | None, *, stop: Callable[[], None], tell: Callable[[str], None]) -> Live:
+    def live(
+        self, run: AssembledRun, speed: float | None, *, stop: Callable[[], None], tell: Callable[[str], None], clock: object
+    ) -> Live:
         scenery = scenery_of(run.scenario, run.source, world=run.world, live=True)
         feed = Feed(self._pipe, scenery, clock=lambda: self.now_ns / SECOND_NS)
 
-        def clock(listen: Callable[[], None]) -> LiveClock:
+        def paced(listen: Callable[[], None]) -> LiveClock:
             return LiveClock(speed, listen, now=lambda: self.now_ns, sleep=self._sleep)
 
-        return Live(feed, run.operator, clock=clock, stop=stop, tell=tell)
+        return Live(feed, run.operator, clock=paced, stop=stop, tell=tell)
 
     def _sleep(self, seconds: float) -> None:
         self.now_ns += max(1, round(seconds * SECOND_NS))
