@@ -40,7 +40,7 @@ def sets(*settings: str) -> list[str]:
 
 def channel(preset: str, *arguments: str) -> dict[str, Any]:
     """The counts of a trial."""
-    done = vcmvsp_command(*TRIAL, "--preset", preset, "--json", *arguments)
+    done = vcmvsp_command(*TRIAL, "--quiet", "--preset", preset, "--json", *arguments)
     assert (done.code, done.err) == (0, "")
     return json.loads(done.out)
 
@@ -75,7 +75,7 @@ def test_a_trial_counts_frames_and_receptions() -> None:
 
 
 def test_a_trial_says_the_same_in_words() -> None:
-    done = vcmvsp_command(*TRIAL, "--preset", "wifi-b-1", *sets("mac.kind=ideal"))
+    done = vcmvsp_command(*TRIAL, "--quiet", "--preset", "wifi-b-1", *sets("mac.kind=ideal"))
     assert (done.code, done.err) == (0, "")
     assert "wifi-b-1: 40 frames of 4 vehicles\n" in done.out
     assert "50.00 % of frame x receiver (60 below sensitivity)\n" in done.out
@@ -116,7 +116,7 @@ def test_frames_of_vehicles_on_paths_to_one_of_them(traffic: str, folder: Path) 
 
 def test_a_saturated_vehicle_needs_no_rate() -> None:
     arguments = [each for each in TRIAL if each not in ("--rate", "10")]
-    done = vcmvsp_command(*arguments, "--preset", "wifi-g-6", "--traffic", "saturated", "--json")
+    done = vcmvsp_command(*arguments, "--quiet", "--preset", "wifi-g-6", "--traffic", "saturated", "--json")
     assert (done.code, done.err) == (0, "")
     refused(vcmvsp_command(*arguments, "--preset", "wifi-g-6"), "--traffic periodic needs --rate HZ")
 
