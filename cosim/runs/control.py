@@ -8,7 +8,7 @@ from vcmvsp.cosim.clock import LISTEN_NS, Clock, LiveClock, seconds_to_ns
 from vcmvsp.cosim.federate import ControllingStack, Event
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.scenario.schema import MoveTable
-from vcmvsp.cosim.types import Array, Pushed, States, VehicleState
+from vcmvsp.cosim.types import Pushed, States, VehicleState
 
 
 class StackControl:
@@ -69,15 +69,17 @@ class StackControl:
             return {}
         time_ns, states = self._states.time_ns, self._states.value
         assert isinstance(states, States)  # noqa: S101
-        found = {name: (time_ns, _state(states, row)) for row, name in enumerate(states.names)}
+        columns = (states.position, states.velocity, states.attitude, states.angular_velocity)
+        found: dict[str, tuple[int, VehicleState]] = {}
+        for name, p, v, q, w in zip(states.names, *[each.tolist() for each in columns], strict=True):
+            found[name] = time_ns, VehicleState(position=(*p,), velocity=(*v,), attitude=(*q,), angular_velocity=(*w,))
         for name, (*place, yaw) in self._first.items():
             found[name] = time_ns, VehicleState(position=(place[0], place[1], place[2]), attitude=quaternion_from_yaw(yaw))
         if self._pushed is not None:
             pushed = self._pushed.value
             assert isinstance(pushed, Pushed)  # noqa: S101
-            for row, name in enumerate(pushed.names):
-                still = VehicleState(position=_three(pushed.position[row]), attitude=_four(pushed.attitude[row]))
-                found[name] = self._pushed.time_ns, still
+            for name, p, q in zip(pushed.names, pushed.position.tolist(), pushed.attitude.tolist(), strict=True):
+                found[name] = self._pushed.time_ns, VehicleState(position=(*p,), attitude=(*q,))
         return found
 
     def go(self, *, paused: bool, steps: int = 0) -> None:
@@ -88,22 +90,3 @@ class StackControl:
     def move(self, obstacle: str, position: tuple[float, float], yaw: float) -> None:
         """Put an obstacle elsewhere at the next instant, as the operator of a control station does."""
         self._operator.ask(MoveTable(at_s=0.0, obstacle=obstacle, position=position, yaw=yaw))
-
-
-def _state(states: States, row: int) -> VehicleState:
-    return VehicleState(
-        position=_three(states.position[row]),
-        velocity=_three(states.velocity[row]),
-        attitude=_four(states.attitude[row]),
-        angular_velocity=_three(states.angular_velocity[row]),
-    )
-
-
-def _three(row: Array) -> tuple[float, float, float]:
-    x, y, z = row.tolist()
-    return x, y, z
-
-
-def _four(row: Array) -> tuple[float, float, float, float]:
-    w, x, y, z = row.tolist()
-    return w, x, y, z

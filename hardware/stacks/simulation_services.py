@@ -59,14 +59,15 @@ SERVICES = {  # name of the service: its type, fields of the request, fields of 
 UNSUPPORTED, OK, NOT_FOUND, INCORRECT_STATE, FAILED = range(5)  # Result
 ALREADY, INVALID_POSE = 101, 101  # of SetSimulationState, of SetEntityState
 PLAYING, PAUSED, QUITTING = 1, 2, 3  # SimulationState
-STATES_READ, STATES_WRITTEN, STATE_READ, STATE_WRITTEN, PAUSE, STEP, STEPS = 10, 11, 24, 25, 26, 31, 32  # SimulatorFeatures
+ENTITY_READ, ENTITY_WRITTEN, RUN_READ, RUN_WRITTEN = 10, 11, 24, 25  # SimulatorFeatures: access to states
+PAUSE, STEP, STEPS = 26, 31, 32  # SimulatorFeatures
 MOST_STEPS = 10**9
 UNIT_WITHIN = 0.01  # of a quaternion's norm
 UPRIGHT_WITHIN = 0.01  # rad, about
 WAITING = 1000  # calls in the queue
 
 
-class _Refused(Exception):
+class _RefusedCall(Exception):
     """A call that is not carried out, with its result."""
 
     def __init__(self, result: int, why: str) -> None:
@@ -131,7 +132,7 @@ class SimulationServices:
                 self._step(control, asked.steps, call)
                 return
             response = self._answers[service](control, asked)
-        except _Refused as refused:
+        except _RefusedCall as refused:
             response = failed(service, refused.result, str(refused))
         except ValueError as error:
             response = failed(service, FAILED, str(error))
@@ -142,9 +143,9 @@ class SimulationServices:
     def _step(self, control: RunControl, steps: int, call: Call) -> None:
         _check_pause(control)
         if not control.paused:
-            raise _Refused(FAILED, "the run is not paused")
+            raise _RefusedCall(FAILED, "the run is not paused")
         if not 1 <= steps <= MOST_STEPS:
-            raise _Refused(FAILED, f"steps must be from 1 to {MOST_STEPS}")
+            raise _RefusedCall(FAILED, f"steps must be from 1 to {MOST_STEPS}")
         self._stepping = call
         control.go(paused=True, steps=steps)
 
@@ -191,13 +192,13 @@ def failed(service: str, result: int, why: str) -> tuple[object, ...]:
 
 def _check_pause(control: RunControl) -> None:
     if not control.may_pause:
-        raise _Refused(UNSUPPORTED, "robots, programs or other stacks take part in the run, which cannot wait")
+        raise _RefusedCall(UNSUPPORTED, "robots, programs or other stacks take part in the run, which cannot wait")
 
 
 def _features(control: RunControl, _: None) -> tuple[object, ...]:
-    found = [STATES_READ, STATE_READ, STATE_WRITTEN]
+    found = [ENTITY_READ, RUN_READ, RUN_WRITTEN]
     if control.obstacles:
-        found.append(STATES_WRITTEN)
+        found.append(ENTITY_WRITTEN)
     if control.may_pause:
         found += [PAUSE, STEP, STEPS]
     about = f"VCMVSP; a step is {control.step_s:g} s"
@@ -213,16 +214,16 @@ def _set_state(control: RunControl, asked: Any) -> tuple[object, ...]:
     if wanted == QUITTING:
         return (_result(),)
     if wanted not in (PLAYING, PAUSED):
-        raise _Refused(UNSUPPORTED, "a run can play, pause and quit; to start again, start another run")
+        raise _RefusedCall(UNSUPPORTED, "a run can play, pause and quit; to start again, start another run")
     if control.paused == (wanted == PAUSED):
-        raise _Refused(ALREADY, "it is in this state")
+        raise _RefusedCall(ALREADY, "it is in this state")
     _check_pause(control)
     control.go(paused=wanted == PAUSED)
     return (_result(),)
 
 
 def _reset(_control: RunControl, _: Any) -> tuple[object, ...]:
-    raise _Refused(UNSUPPORTED, "a run cannot be reset; start another run")
+    raise _RefusedCall(UNSUPPORTED, "a run cannot be reset; start another run")
 
 
 # --- entities ----------------------------------------------------------------------------------------------------------------
@@ -231,11 +232,11 @@ def _reset(_control: RunControl, _: Any) -> tuple[object, ...]:
 def _selected(control: RunControl, filters: Any) -> dict[str, tuple[int, VehicleState]]:
     """Entities whose whole names match the regular expression, in their order."""
     if len(filters.categories) or len(filters.tags.tags) or filters.bounds.type:
-        raise _Refused(UNSUPPORTED, "entities can be selected by their names only")
+        raise _RefusedCall(UNSUPPORTED, "entities can be selected by their names only")
     try:
         pattern = re.compile(filters.filter or ".*", re.DOTALL)
     except re.error as error:
-        raise _Refused(FAILED, f"'{filters.filter}' is not a regular expression: {error}") from None
+        raise _RefusedCall(FAILED, f"'{filters.filter}' is not a regular expression: {error}") from None
     return {name: said for name, said in control.truths().items() if pattern.fullmatch(name)}
 
 
@@ -251,7 +252,7 @@ def _states(control: RunControl, asked: Any) -> tuple[object, ...]:
 def _known(control: RunControl, name: str) -> tuple[int, VehicleState]:
     found = control.truths()
     if name not in found:
-        raise _Refused(NOT_FOUND, f"there is no '{name}'; there are {', '.join(found) or 'no states yet'}")
+        raise _RefusedCall(NOT_FOUND, f"there is no '{name}'; there are {', '.join(found) or 'no states yet'}")
     return found[name]
 
 
@@ -272,11 +273,11 @@ def _place(control: RunControl, asked: Any) -> tuple[object, ...]:
     """Put an obstacle somewhere else, where it rests."""
     _known(control, asked.entity)
     if asked.entity not in control.obstacles:
-        raise _Refused(UNSUPPORTED, f"{asked.entity} is a vehicle: only obstacles that can be pushed are placed")
+        raise _RefusedCall(UNSUPPORTED, f"{asked.entity} is a vehicle: only obstacles that can be pushed are placed")
     if asked.set_acceleration or (asked.set_twist and not _is_still(asked.state.twist)):
-        raise _Refused(UNSUPPORTED, "an obstacle that is placed rests")
+        raise _RefusedCall(UNSUPPORTED, "an obstacle that is placed rests")
     if asked.state.header.frame_id not in FRAMES:
-        raise _Refused(UNSUPPORTED, f"the frame must be map, not {asked.state.header.frame_id}")
+        raise _RefusedCall(UNSUPPORTED, f"the frame must be map, not {asked.state.header.frame_id}")
     if asked.set_pose:
         place, yaw = asked.state.pose.position, _heading(asked.state.pose.orientation)
         control.move(asked.entity, (place.x, place.y), yaw)
@@ -291,7 +292,7 @@ def _heading(turn: Any) -> float:
     """Yaw of an upright attitude, rad."""
     norm = math.hypot(turn.w, turn.x, turn.y, turn.z)
     if not abs(norm - 1.0) <= UNIT_WITHIN:  # also refuses NaN
-        raise _Refused(INVALID_POSE, "its orientation is not a rotation")
+        raise _RefusedCall(INVALID_POSE, "its orientation is not a rotation")
     if 2.0 * math.hypot(turn.x, turn.y) > UPRIGHT_WITHIN:
-        raise _Refused(INVALID_POSE, "obstacles are placed upright: turn them about the vertical axis only")
+        raise _RefusedCall(INVALID_POSE, "obstacles are placed upright: turn them about the vertical axis only")
     return yaw_of((turn.w / norm, turn.x / norm, turn.y / norm, turn.z / norm))

@@ -1,7 +1,7 @@
 """Trajectories in a Crazyflie's memory: pieces of polynomials of 7th degree for x, y, z and yaw.
 
-The two formats and the rules for their evaluation are those of Bitcraze's firmware (``pptraj.c``, ``pptraj_compressed.c``,
-``planner.c``, 2024).
+Both formats, and the rules of evaluation, follow Bitcraze's firmware (``pptraj.c``, ``pptraj_compressed.c``, ``planner.c``,
+2024).
 """
 
 import math

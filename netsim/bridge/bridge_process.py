@@ -11,6 +11,7 @@ import sys
 import time
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -334,33 +335,10 @@ class RadioContext:
     """The `GatewayContext` of a gateway that has one of several radios."""
 
     def __init__(self, process: BridgeProcess, radio: str) -> None:
-        self._process, self._radio = process, radio
         self.vehicles, self.run, self.loop = process.vehicles, process.run, process.loop
         self.radios: Mapping[str, tuple[int, ...]] = {radio: process.radios[radio]}
-
-    def offer(
-        self,
-        gateway: Gateway,
-        sender: int,
-        to: int,
-        payload: bytes,
-        *,
-        came_ns: int | None = None,
-        size_bytes: int | None = None,
-        radio: str = "",
-    ) -> bool:
-        """Store a datagram for the run, if there is room; returns whether there was."""
-        return self._process.offer(
-            gateway, sender, to, payload, came_ns=came_ns, size_bytes=size_bytes, radio=radio or self._radio
-        )
-
-    def count(self, vehicle: int, what: str, by: int = 1) -> None:
-        """Count datagrams of a vehicle under a reason."""
-        self._process.count(vehicle, what, by)
-
-    def level_dbm(self, sender: int, receiver: int) -> float:
-        """The newest level from the run."""
-        return self._process.level_dbm(sender, receiver, self._radio)
+        self.offer, self.count = partial(process.offer, radio=radio), process.count
+        self.level_dbm = partial(process.level_dbm, radio=radio)
 
 
 def _check(opening: messages.Opening) -> None:

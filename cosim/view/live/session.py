@@ -64,17 +64,15 @@ class Viewing(contextlib.AbstractContextManager["Viewing"]):
         self.open(scenery, **motions_of(world))
         self.feed.pace(Pace(waiting="its agents"))
 
-    def live(
-        self, run: AssembledRun, speed: float | None, *, stop: Callable[[], None], tell: Tell, clock: Clock | None = None
-    ) -> "Live":
+    def live(self, run: AssembledRun, speed: float | None, *, stop: Callable[[], None], tell: Tell, clock: Clock) -> "Live":
         """Show a run whose agents have joined, on the page that `prepare` has opened.
 
-        ``clock``: of a run in which robots, stacks or programs take part; default: its own.
+        ``clock``: of a run in which robots, stacks or programs take part; others get one that can pause.
         """
         self.feed.describe(crafts_of(run.scenario, run.source, infos=run.agents))
 
         def paced(listen: Callable[[], None]) -> Clock:
-            return (clock or run.clock) if run.has_outside else LiveClock(speed, listen)
+            return clock if run.has_outside else LiveClock(speed, listen)
 
         return Live(self.feed, run.operator, clock=paced, stop=stop, tell=tell)
 

@@ -146,7 +146,7 @@ def share_delivered(chain: Chain) -> float:
 
 
 def share_lost(folder: Path) -> float:
-    """Share of the datagrams that the loss of a link took, over all links, of those that nothing else did."""
+    """Datagrams with the outcome "random loss", as a share of these and the received ones, over all links."""
     rows = pq.read_table(folder / "out" / "radio.parquet", filters=[("size_bytes", "==", DATAGRAM_BYTES)])
     outcomes = Counter(rows["outcome"].to_pylist())
     lost, received = outcomes["random loss"], outcomes["received"]

@@ -173,7 +173,7 @@ def received(listener: socket.socket) -> list[int]:
 
 @in_namespaces
 def test_datagrams_lose_what_the_recording_says_of_their_radio(tmp_path: Path) -> None:
-    """Whatever the load of the machine: what came is compared with the recording, not with the clock."""
+    """The recording says which datagrams must arrive; the load of the machine changes neither."""
     with contextlib.ExitStack() as open_sockets:
         with up(tmp_path):
             told = vcmvsp_command("net", "status").out

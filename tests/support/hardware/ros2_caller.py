@@ -1,6 +1,6 @@
 """Calls the services of a run with zenoh-ros2-sdk, while a `ros2_node.Driver` of the same process answers its observations.
 
-The definitions are those of the package ``simulation_interfaces`` 2.1.0, without comments and constants. As a program,
+Definitions of the package ``simulation_interfaces`` 2.1.0, without comments and constants. As a program,
 ``PORT``: it pauses the run before its first instant, makes the calls of `script`, lets the run end, and prints a JSON list of
 the responses: the name of each call, and its fields.
 """
