@@ -13,7 +13,7 @@ import pytest
 import typer.main
 from hypothesis import settings
 
-from vcmvsp.cosim.runs.result import Result
+from vcmvsp.cosim.runs.figures import Content, Drawer
 
 # Compilation takes longer than most tests save by it: only those that compare both ways do so, and one that flies for long.
 os.environ.setdefault("VCMVSP_COMPILED", "0")
@@ -25,7 +25,7 @@ collect_ignore_glob = []
 if find_spec("pybullet") is None:  # Python 3.14: what these files say of Bullet cannot be asked
     collect_ignore_glob = ["physics/dynamics/bullet/*", "physics/dynamics/test_rigid_body.py", "physics/raycast/test_caster.py"]
     collect_ignore_glob += ["physics/vehicles/test_urdf.py", "cosim/cli/test_bench.py"]
-DRAWN = Result._figures
+DRAWN = Content.figures, Drawer.__enter__
 
 
 def pytest_collection_finish() -> None:
@@ -38,7 +38,8 @@ def pytest_collection_finish() -> None:
 def _no_figures() -> Iterator[None]:
     """Runs in this process are saved without figures: to draw them takes ten times as long as the run of most tests."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Result, "_figures", lambda result, shown: {})
+        patch.setattr(Content, "figures", lambda content: {})
+        patch.setattr(Drawer, "__enter__", lambda drawer: drawer)
         yield
 
 
@@ -61,7 +62,8 @@ def stack() -> Iterator[contextlib.ExitStack]:
 def figures(_no_figures: None) -> Iterator[None]:
     """For test files that look at the figures of runs."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Result, "_figures", DRAWN)
+        patch.setattr(Content, "figures", DRAWN[0])
+        patch.setattr(Drawer, "__enter__", DRAWN[1])
         yield
 
 

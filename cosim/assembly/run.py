@@ -169,7 +169,6 @@ def assemble(
     recorded_radio: Path | None = None,
     tell: Tell = lambda _: None,
     watch: Callable[[], str | None] | None = None,
-    meanwhile: Callable[[], None] = lambda: None,
     built: Callable[["Parts"], None] = lambda _: None,
 ) -> AssembledRun:
     """Build the federates of a scenario, and wait until all agent hosts have joined.
@@ -184,7 +183,6 @@ def assemble(
         bridged: recorded inputs of an earlier run, which replace programs and stacks.
         recorded_radio: frame table of an earlier run, whose outcomes are repeated.
         watch: called while waiting for hosts; returns a reason to give up, or None.
-        meanwhile: called once while child processes for agents start.
         built: called once with the parts of the run, before it waits for its agents.
 
     Raises:
@@ -245,7 +243,6 @@ def assemble(
         about=about,
         tell=tell,
         watch=watch,
-        meanwhile=meanwhile,
     )
     try:
         with _located(scenario, source):

@@ -3,6 +3,7 @@
 Each module of this package holds the commands of one subject and loads heavy modules inside functions.
 """
 
+import atexit
 import functools
 import gc
 import itertools
@@ -150,6 +151,7 @@ def main(arguments: list[str] | None = None) -> None:
 
         completion.answer(app)
     gc.set_threshold(50_000, 20)  # of the many objects of imports, none is in a cycle that ends
+    atexit.register(gc.freeze)  # nor does the end of the process look for cycles among them, a tenth of a short run
     for number in (signal.SIGINT, signal.SIGTERM, *HANGS_UP):  # `kill` ends a run as Ctrl-C does, also one in the background
         signal.signal(number, signal.default_int_handler)
     try:

@@ -51,11 +51,10 @@ class Hosts:
         insecure: bool = False,
         watch: Callable[[], str | None] | None = None,
         about: Mapping[str, Any] | None = None,  # description of the run for observers (`cosim.hosts.event_publisher.About`)
-        meanwhile: Callable[[], None] = lambda: None,  # called once while child processes start
     ) -> None:
         self._about = {**(about or {}), "missing": self._absent}
         self._agents = agents if listen is None else msgspec.structs.replace(agents, listen=listen)
-        self._builders, self._observed, self._meanwhile = builders, listen is not None, meanwhile
+        self._builders, self._observed = builders, listen is not None
         self._tell, self._keys, self._insecure, self._watch = tell, keys, insecure, watch
         self._stack = contextlib.ExitStack()
         self.entrance: Entrance | None = None  # listener for remote hosts and observers
@@ -143,7 +142,6 @@ class Hosts:
             where = "--connect", hub.endpoint
             children[token] = ChildProcess(HOST_PROCESS, *where, *vehicles, first=f"{token}\n", files=hub.files)
             self._stack.callback(children[token].close, LEAVE_S)
-        self._meanwhile()
         links: dict[str, ZenohLink] = {}
         for knock in knocking(hub, self._agents.join_timeout_s, lambda: _missing(groups, links, children), self._tell):
             token = knock.hello.token
@@ -282,8 +280,10 @@ class Hosts:
                 places[0].welcome(self._crew_at(link, specs))
 
 
-def _release(child: "ChildProcess", patient: bool) -> None:
-    child.close(LEAVE_S if patient else 0.0)
+def _release(child: "ChildProcess", answered: bool) -> None:
+    """Kill a host that does not answer. The others exit by themselves, all at once, while the run goes on to its files."""
+    if not answered:
+        child.kill()
 
 
 def _missing(groups: Mapping[str, Sequence[AgentSpec]], links: Mapping[str, Any], children: Mapping[str, Any]) -> list[str]:

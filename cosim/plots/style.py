@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import wraps
-from io import StringIO
+from io import BytesIO, StringIO
 from pathlib import Path
 from typing import Any, ParamSpec
 
@@ -100,11 +100,16 @@ def line_of(index: int) -> dict[str, Any]:
 
 
 def save_png(figure: Figure, path: str | Path) -> None:
-    """Write a figure as PNG: no date, no library version inside."""
+    """Write a figure as PNG: the same bytes for the same figure."""
+    write_whole(Path(path), png(figure))
+
+
+def png(figure: Figure) -> bytes:
+    """A figure as the content of a PNG file, without date and library version."""
+    stream = BytesIO()
     with style():
-        canvas = _laid_out(figure)
-        with replacing(Path(path)) as place:
-            canvas.print_png(str(place), metadata={"Software": None})  # type: ignore[no-untyped-call]
+        _laid_out(figure).print_png(stream, metadata={"Software": None})  # type: ignore[no-untyped-call]
+    return stream.getvalue()
 
 
 def save_svg(figure: Figure, path: str | Path) -> None:

@@ -6,6 +6,7 @@ pickles.
 """
 
 import contextlib
+import importlib
 import json
 import os
 import pickle
@@ -16,7 +17,7 @@ import subprocess
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -36,32 +37,55 @@ class WorkerDiedError(Exception):
 
 
 class Worker:
-    """A process that makes one call after the other."""
+    """A process that makes one call after the other.
 
-    def __init__(self, call: Callable[[Any], Any]) -> None:
+    Args:
+        imports: modules that it imports at once, while it waits for its first call.
+    """
+
+    _ready = False
+
+    def __init__(self, call: Callable[[Any], Any], imports: Sequence[str] = ()) -> None:
         try:
             ours, theirs = socket.socketpair()
             self._pipe: Connection[Any, Any] = Connection(ours.detach())
             with theirs:
-                self._process = ChildProcess(MODULE, stdin=theirs.fileno(), stdout=subprocess.DEVNULL)
+                self._process = ChildProcess(MODULE, *imports, stdin=theirs.fileno(), stdout=subprocess.DEVNULL)
         except OSError as error:
             raise VcmvspError(f"cannot start a worker: {error.strerror or error}") from error
-        try:
+        with contextlib.suppress(BrokenPipeError):  # `await_ready` says it
             os.write(self._pipe.fileno(), json.dumps(sys.path).encode() + b"\n")
-            ready = self.run(call)
-        except (BrokenPipeError, WorkerDiedError):
-            ready = None
-        if ready != READY:
+            self._pipe.send_bytes(pickle.dumps(call))
+
+    def await_ready(self) -> None:
+        """Wait until the worker has started; `run` does so, too.
+
+        Raises:
+            WorkerDiedError: the worker was killed from outside while it started.
+            VcmvspError: it failed by itself.
+        """
+        if self._ready:
+            return
+        with contextlib.suppress(WorkerDiedError):
+            self._ready = self._answer() == READY
+        if not self._ready:
             self.close()
-            if self._process.returncode == -signal.SIGKILL:  # killed from outside during its start: treated like a later kill
+            if self._process.returncode == -signal.SIGKILL:  # treated like a later kill
                 raise WorkerDiedError
             raise VcmvspError(f"a worker ended while it started (exit code {self._process.returncode})")
 
     def run(self, given: object) -> Any:
         """The function's result or exception. Raises `WorkerDiedError` (the process was killed, or crashed)."""
         asked = pickle.dumps(given)
+        self.await_ready()
         try:
             self._pipe.send_bytes(asked)
+        except OSError as error:
+            raise WorkerDiedError from error
+        return self._answer()
+
+    def _answer(self) -> Any:
+        try:
             answer = self._pipe.recv_bytes()
         except (EOFError, OSError) as error:
             raise WorkerDiedError from error
@@ -151,6 +175,7 @@ class Pool:
                 raise WorkerDiedError
             with contextlib.suppress(WorkerDiedError):
                 worker = Worker(self._call)
+                worker.await_ready()
                 with self._lock:
                     self._workers.add(worker)
                     if self._stopped:
@@ -178,6 +203,8 @@ def main() -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the caller handles Ctrl-C and ends its workers
     pipe: Connection[Any, Any] = Connection(os.dup(0))
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)  # processes started by a call neither hold nor read this end
+    for module in sys.argv[1:]:
+        importlib.import_module(module)
     lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_read, args=(pipe, lines), daemon=True).start()
     call = pickle.loads(lines.get())  # noqa: S301  from the process that started us

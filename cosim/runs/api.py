@@ -36,7 +36,8 @@ from vcmvsp.cosim.recording.mcap_writer import MessageSink
 from vcmvsp.cosim.recording.recorder import Recorder
 from vcmvsp.cosim.runs import notebook
 from vcmvsp.cosim.runs.control import StackControl
-from vcmvsp.cosim.runs.result import Result, compared, figures_again, load_figures
+from vcmvsp.cosim.runs.figures import Drawer, Draws, draw
+from vcmvsp.cosim.runs.result import Result, compared, figures_again
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.scenario import schema
 from vcmvsp.cosim.tables.schema import write_table
@@ -315,7 +316,9 @@ class Simulation:
         for name, content in self._run.files.items():
             write_whole(folder / name, content)
 
-    def result(self, failure: VcmvspError | None, started: datetime, cpu_s: float) -> tuple[Result, VcmvspError | None]:
+    def result(
+        self, failure: VcmvspError | None, started: datetime, cpu_s: float, draw: Draws = draw
+    ) -> tuple[Result, VcmvspError | None]:
         """The result, written to the folder if there is one, and what failed: the run, else a metric of its own."""
         run, recorder = self._run, self._recorder
         if recorder is None:
@@ -335,7 +338,7 @@ class Simulation:
             failure = failure or failed
         result.about = self._about(failure, started, cpu_s)
         if self._folder is not None:
-            result.write(self._folder.path)
+            result.write(self._folder.path, draw)
         return result, failure
 
     def _about(self, failure: VcmvspError | None, started: datetime, cpu_s: float) -> dict[str, Any]:
@@ -469,25 +472,28 @@ def run(
     progress = progress or notebook.bar(parsed.name)
     started, cpu = datetime.now(UTC), time.process_time()
     replayed = None if playback is None else external_inputs.read_inputs(Path(playback) / external_inputs.FILE, tell=tell)
+    paced = clock_of(parsed, realtime, replayed=replayed is not None)
     try:
-        with assemble(
-            parsed,
-            source,
-            clock=clock_of(parsed, realtime, replayed=replayed is not None),
-            objects=objects,
-            runs=runs,
-            listen=listen,
-            keys=None if keys is None else Path(keys),
-            insecure=insecure,
-            connect=replayed is None,
-            playback=None if replayed is None else real_vehicles.playback(parsed, replayed, tell),
-            bridged=replayed,
-            recorded_radio=None if recorded_radio is None else Path(recorded_radio),
-            tell=tell,
-            watch=watch,
-            meanwhile=load_figures if folder else lambda: None,
-            built=(lambda _: None) if view is None else view.prepare,
-        ) as assembled:
+        with (
+            Drawer(apart=folder is not None and view is None and paced.speed is None) as drawer,
+            assemble(
+                parsed,
+                source,
+                clock=paced,
+                objects=objects,
+                runs=runs,
+                listen=listen,
+                keys=None if keys is None else Path(keys),
+                insecure=insecure,
+                connect=replayed is None,
+                playback=None if replayed is None else real_vehicles.playback(parsed, replayed, tell),
+                bridged=replayed,
+                recorded_radio=None if recorded_radio is None else Path(recorded_radio),
+                tell=tell,
+                watch=watch,
+                built=(lambda _: None) if view is None else view.prepare,
+            ) as assembled,
+        ):
             if playback is not None:
                 assembled.keep(Path(playback) / external_inputs.FILE)  # so that a replay can be replayed
             simulation = Simulation(
@@ -503,7 +509,7 @@ def run(
             )
             with writing(folder.path if folder else None), simulation.calm():
                 failure = simulation.run()
-                result, failure = simulation.result(failure, started, time.process_time() - cpu)
+                result, failure = simulation.result(failure, started, time.process_time() - cpu, drawer.draw)
     except KeyboardInterrupt:
         raise Interrupted("interrupted") from None
     if failure is not None:

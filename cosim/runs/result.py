@@ -13,15 +13,14 @@ import tomli_w
 from vcmvsp.cosim.assembly import worlds
 from vcmvsp.cosim.config.registry import NO_CODE, only
 from vcmvsp.cosim.errors import UsageError, VcmvspError
-from vcmvsp.cosim.metrics import routing
 from vcmvsp.cosim.metrics.motion import Window, motion
 from vcmvsp.cosim.recording.external_inputs import FILE
 from vcmvsp.cosim.recording.mission_log import MissionLog, read_mission
 from vcmvsp.cosim.recording.recorded_run import tables_of
 from vcmvsp.cosim.recording.recorder import Recorder
+from vcmvsp.cosim.runs.figures import SHOWN, Content, Draws, draw
 from vcmvsp.cosim.scenario import loader
-from vcmvsp.cosim.tables.schema import Placement, RunFacts, Table
-from vcmvsp.cosim.types import Array
+from vcmvsp.cosim.tables.schema import Placement, RunFacts
 from vcmvsp.cosim.util import limits
 from vcmvsp.cosim.util.documents import read_toml
 from vcmvsp.cosim.util.files import Folder, replacing, to_json, write_whole, writing
@@ -30,10 +29,6 @@ from vcmvsp.cosim.util.text import Tell
 if TYPE_CHECKING:
     import pyarrow as pa
     from matplotlib.figure import Figure
-
-
-DRAWN = ("sender", "receiver", "outcome", "sent_ns", "received_ns", *routing.COLUMNS)
-"""Columns of the radio's table that figures need."""
 
 
 class Result:
@@ -125,20 +120,19 @@ class Result:
         return [("run", run), *known, *([("folder", str(self.folder))] if self.folder else [])]
 
     def plot(self) -> "dict[str, Figure]":
-        """The run's figures, by name: ``trajectory``, ``formation_error`` and `mission_figures`.
-
-        The second only where a vehicle follows another, the last only with a recording of a mission. Jupyter shows them.
-        """
+        """The run's figures, by name (`cosim.runs.figures.Content.figures`). Jupyter shows them."""
         from vcmvsp.cosim.runs.notebook import Figures
 
-        return Figures(self._figures(self._shown()))
+        return Figures(self._content().figures())
 
-    def _figures(self, shown: MissionLog | None) -> "dict[str, Figure]":
-        recorder, outlines = self._recorder, worlds.outlines(self._world)
-        figures = figures_of(*recorder.tables, recorder.facts, self.window_s, outlines)
-        return figures | mission_figures(shown, recorder.tables[0], self._world)
+    def _content(self) -> Content:
+        """What the figures show."""
+        recorder, world = self._recorder, self._world
+        return Content(
+            *recorder.tables, recorder.facts, self.window_s, worlds.outlines(world), world.targets, self._mission_log()
+        )
 
-    def _shown(self) -> MissionLog | None:
+    def _mission_log(self) -> MissionLog | None:
         """Mission data that agents published, or None if there is none or no recording."""
         facts = self._recorder.facts
         if "mission" not in self.metrics or (self._mcap is None and self.folder is None):
@@ -166,9 +160,8 @@ class Result:
             self.write(path)
         return path
 
-    def write(self, folder: Path) -> None:
+    def write(self, folder: Path, draw: Draws = draw) -> None:
         """Write all files except the MCAP file, which is written during the run."""
-        from vcmvsp.cosim.plots import style
         from vcmvsp.cosim.report import run_page as report
 
         self.folder = folder
@@ -178,13 +171,15 @@ class Result:
         self._recorder.write_tables(folder)
         write_whole(folder / "metrics.json", to_json(self.metrics))
         write_whole(folder / "about.json", to_json(self.about))
-        shown = self._shown()
-        figures = self._figures(shown)
-        for name, figure in figures.items():
-            style.save_png(figure, folder / f"{name}.png")
-        if self._video:
-            mission_video(folder / "mission.mp4", shown, self._recorder.tables[0], self._world)
-        report.write(folder, {name: style.svg(figure) for name, figure in figures.items()})
+        content = self._content()
+        pictures = draw(content)
+        for name, picture in pictures.items():
+            write_whole(folder / f"{name}.png", picture.png)
+        if self._video and content.mission:
+            from vcmvsp.cosim.plots.mission_video import write_video
+
+            write_video(folder / "mission.mp4", content.mission, motion(content.states), content.targets, content.outlines)
+        report.write(folder, {name: picture.svg for name, picture in pictures.items()})
 
 
 def figures_again(run_dir: Path, tell: Tell = lambda _: None, *, trust: bool = False) -> "dict[str, Figure]":
@@ -199,7 +194,7 @@ def figures_again(run_dir: Path, tell: Tell = lambda _: None, *, trust: bool = F
     """
     scenario = run_dir / "scenario.toml"
     try:
-        recording = tables_of(run_dir, tell, numbers=True, radio=DRAWN)
+        recording = tables_of(run_dir, tell, numbers=True, radio=SHOWN)
         window = read_toml(limits.read_text(scenario)).get("metrics", {}) if scenario.is_file() else {}
     except (OSError, ValueError) as error:  # a damaged table or scenario
         raise UsageError(f"{run_dir} cannot be read: {error}") from error
@@ -208,12 +203,10 @@ def figures_again(run_dir: Path, tell: Tell = lambda _: None, *, trust: bool = F
     world: Any = None
     with contextlib.suppress(VcmvspError), only(None if trust else NO_CODE):  # a world that cannot be built is not drawn
         world = world_in(run_dir, *loader.load(scenario))
-    seen: Sequence[Array] = () if world is None else worlds.outlines(world)
+    outlines, targets = ((), ()) if world is None else (worlds.outlines(world), world.targets)
+    mission = mission_log(run_dir, recording.facts) if "mission" in recording.metrics else None
     within = window.get("from_s", 0.0), window.get("to_s")
-    figures = figures_of(recording.states, recording.radio, recording.facts, within, seen)
-    if "mission" in recording.metrics:
-        figures |= mission_figures(mission_log(run_dir, recording.facts), recording.states, world)
-    return figures
+    return Content(recording.states, recording.radio, recording.facts, within, outlines, targets, mission).figures()
 
 
 def compared(run_dirs: Sequence[Path], tell: Tell = lambda _: None) -> "Figure":
@@ -237,48 +230,8 @@ def compared(run_dirs: Sequence[Path], tell: Tell = lambda _: None) -> "Figure":
     return run_plots.comparison(runs)
 
 
-def figures_of(states: Table, radio: Table, facts: RunFacts, window: Window, outlines: Sequence[Array]) -> "dict[str, Figure]":
-    """The figures of a run, by name: ``trajectory`` and, if a vehicle follows another, ``formation_error``."""
-    from vcmvsp.cosim.plots import run_plots
-
-    follows = facts.follows
-    figures = {"trajectory": run_plots.trajectory(states, follows, outlines, facts.stations or ())}
-    if follows:
-        figures["formation_error"] = run_plots.formation_error(states, radio, follows, window)
-    return figures
-
-
-def load_figures() -> None:
-    """Import what draws figures, which takes a third of a second."""
-    from vcmvsp.cosim.plots import run_plots  # noqa: F401
-
-
 def mission_log(folder: Path, facts: RunFacts) -> MissionLog | None:
     """Mission data that agents published in a saved run, or None without its recording."""
     with contextlib.suppress(OSError), (folder / "run.mcap").open("rb") as stream:
         return read_mission(stream, facts.vehicles, facts.end_ns)
     return None
-
-
-def mission_figures(shown: MissionLog | None, states: Table, world: Any) -> "dict[str, Figure]":
-    """Figures of a reconnaissance mission, by name: ``mission``, and ``mosaic`` and ``detections`` if agents published them."""
-    if not shown:
-        return {}
-    from vcmvsp.cosim.plots import mission_plot
-
-    moved, targets = motion(states), () if world is None else world.targets
-    figures = {"mission": mission_plot.mission(shown, moved, targets, () if world is None else worlds.outlines(world))}
-    if shown.mosaics:
-        figures["mosaic"] = mission_plot.mosaic(shown, moved, targets)
-    if mission_plot.chosen_pictures(shown):
-        figures["detections"] = mission_plot.detections(shown)
-    return figures
-
-
-def mission_video(path: Path, shown: MissionLog | None, states: Table, world: Any) -> None:
-    """Write the video of a reconnaissance mission, if there was one."""
-    if shown:
-        from vcmvsp.cosim.plots.mission_video import write_video
-
-        targets, outlines = ((), ()) if world is None else (world.targets, worlds.outlines(world))
-        write_video(path, shown, motion(states), targets, outlines)

@@ -26,6 +26,7 @@ def test_the_whole_recording_gives_the_tables_that_the_run_has_left(run: str, tm
         assert repr(ours) == repr(theirs), name  # NaN too
 
 
+@pytest.mark.usefixtures("figures")
 def test_a_run_that_was_cut_is_explained_and_drawn_as_far_as_it_goes(tmp_path: Path) -> None:
     folder = export_runs.cut(RUN, tmp_path / "cut", 0.7)
     words = r"no states.parquet here \(the run continues or was killed\): data come from run.mcap, up to [0-2]\.\d{3} s, "

@@ -12,6 +12,8 @@ import vcmvsp
 from tests.support.cosim.studies import two
 from vcmvsp.cosim.errors import AgentError, Interrupted
 from vcmvsp.cosim.recording.mcap_reader import messages
+from vcmvsp.cosim.runs.figures import Draws
+from vcmvsp.cosim.runs.figures import Draws
 from vcmvsp.cosim.runs.result import Result
 
 pytestmark = pytest.mark.processes
@@ -87,9 +89,9 @@ def test_a_run_that_is_killed_before_its_children_have_joined_leaves_nothing(tmp
 def test_ctrl_c_while_files_are_written_says_so_and_they_are_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write, told = Result.write, list[str]()
 
-    def interrupted(result: Result, folder: Path) -> None:
+    def interrupted(result: Result, folder: Path, draw: Draws) -> None:
         signal.raise_signal(signal.SIGINT)
-        write(result, folder)
+        write(result, folder, draw)
 
     monkeypatch.setattr(Result, "write", interrupted)
     vcmvsp.run(two(), out=tmp_path / "run", tell=told.append)
@@ -100,7 +102,7 @@ def test_ctrl_c_while_files_are_written_says_so_and_they_are_written(tmp_path: P
 
 @pytest.mark.usefixtures("figures")
 def test_ctrl_c_twice_while_files_are_written_leaves_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(result: Result, folder: Path) -> None:
+    def interrupted(result: Result, folder: Path, draw: Draws) -> None:
         for _ in range(2):
             signal.raise_signal(signal.SIGINT)
 
