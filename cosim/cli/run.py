@@ -73,10 +73,14 @@ def run_command(
 
     Example: vcmvsp run formation-circle --set radio.loss.probability=0.5 --seed 7 --out lossy
     """
-    sets = simulated(scenario, set_ or []) if twin else set_ or []
+    from vcmvsp.cosim.runs.figures import Drawer
+
     page = (view_host, view_port) if view else None
     options: dict[str, Any] = {"agents": agents, "listen": listen, "keys": keys, "insecure": insecure, "force": force}
+    at_own_pace = realtime is None and page is None and foxglove is None
     with contextlib.ExitStack() as stack:
+        options["drawer"] = stack.enter_context(Drawer(apart=at_own_pace))  # it starts while this process imports the rest
+        sets = simulated(scenario, set_ or []) if twin else set_ or []
         if foxglove is not None:
             options["sink"] = stack.enter_context(foxglove_stream(foxglove_host, foxglove))
             realtime = realtime or 1.0

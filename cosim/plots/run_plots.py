@@ -22,7 +22,8 @@ from vcmvsp.cosim.util.palette import color_of
 
 COMPARED_S = 15.0  # end of the tracks that a comparison shows
 SNAPSHOTS = 5  # instants at which the formation is drawn, including start and end
-_OF_LOSSES = ("sender", "receiver", "outcome", "sent_ns", "received_ns", *COLUMNS)
+OF_RADIO = ("sender", "receiver", "outcome", "sent_ns", "received_ns", *COLUMNS)
+"""Columns of the radio's table that figures need."""
 LISTED = 15  # vehicles in a legend
 EXPLAINED = START, WAY, LINE, SETTLED, EVALUATED = (
     "start",
@@ -94,7 +95,7 @@ def formation_error(states: Table, radio: Table, follows: Sequence[Placement], w
         rows = min(0.3 + 0.12 * len(errors), 1.5)
         above, middle, below = figure.subplots(3, 1, sharex=True, height_ratios=(3.0, 1.8, rows))
         _draw_ages(middle, moved, radio, follows, list(errors))
-        _draw_losses(below, moved, selected(radio, _OF_LOSSES), follows, list(errors))
+        _draw_losses(below, moved, selected(radio, OF_RADIO), follows, list(errors))
     else:
         figure = Figure(figsize=(7.0, 3.2), layout="constrained")
         above = figure.add_subplot()

@@ -426,6 +426,7 @@ def run(
     view: "Viewing | None" = None,
     sink: MessageSink | None = None,
     watch: Callable[[], str | None] | None = None,
+    drawer: Drawer | None = None,
 ) -> Result:
     """Run a scenario to its end.
 
@@ -452,6 +453,7 @@ def run(
         sink: receives each message of the recording, encoded, when it is written (`cosim.view.live.foxglove_server`).
         watch: called while waiting for hosts; returns a reason to give up, or None. Default: the user is told how to start
             the hosts.
+        drawer: draws the figures of a run with ``out``; it may have been started before. Default: one of this run.
 
     Raises:
         ScenarioError: the scenario cannot be run as it is.
@@ -475,7 +477,7 @@ def run(
     paced = clock_of(parsed, realtime, replayed=replayed is not None)
     try:
         with (
-            Drawer(apart=folder is not None and view is None and paced.speed is None) as drawer,
+            drawer or Drawer(apart=folder is not None and view is None and paced.speed is None) as drawing,
             assemble(
                 parsed,
                 source,
@@ -509,7 +511,7 @@ def run(
             )
             with writing(folder.path if folder else None), simulation.calm():
                 failure = simulation.run()
-                result, failure = simulation.result(failure, started, time.process_time() - cpu, drawer.draw)
+                result, failure = simulation.result(failure, started, time.process_time() - cpu, drawing.draw)
     except KeyboardInterrupt:
         raise Interrupted("interrupted") from None
     if failure is not None:

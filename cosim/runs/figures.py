@@ -11,20 +11,17 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from vcmvsp.cosim.errors import VcmvspError
-from vcmvsp.cosim.metrics import routing
-from vcmvsp.cosim.metrics.motion import Window, motion
 from vcmvsp.cosim.processes.worker_pool import Worker, WorkerDiedError
-from vcmvsp.cosim.tables.schema import PART_ROWS, RunFacts, Table, selected
-from vcmvsp.cosim.types import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from vcmvsp.cosim.metrics.mission import Target
+    from vcmvsp.cosim.metrics.motion import Window
     from vcmvsp.cosim.recording.mission_log import MissionLog
+    from vcmvsp.cosim.tables.schema import RunFacts, Table
+    from vcmvsp.cosim.types import Array
 
-SHOWN = ("sender", "receiver", "outcome", "sent_ns", "received_ns", *routing.COLUMNS)
-"""Columns of the radio's table that figures need."""
 IMPORTS = ("vcmvsp.cosim.plots.run_plots",)
 
 
@@ -40,18 +37,18 @@ class Content:
     """What the figures of a run show.
 
     Attributes:
-        radio: its table, with at least the columns `SHOWN`.
+        radio: its table, with at least the columns `run_plots.OF_RADIO`.
         window_s: evaluation window, s.
         outlines: of the world's solids from above, (k, 2) m each.
         targets: of a mission.
         mission: what agents published about a mission; None: nothing.
     """
 
-    states: Table
-    radio: Table
-    facts: RunFacts
-    window_s: Window
-    outlines: Sequence[Array] = ()
+    states: "Table"
+    radio: "Table"
+    facts: "RunFacts"
+    window_s: "Window"
+    outlines: "Sequence[Array]" = ()
     targets: "Sequence[Target]" = ()
     mission: "MissionLog | None" = None
 
@@ -69,6 +66,7 @@ class Content:
             figures["formation_error"] = run_plots.formation_error(self.states, self.radio, follows, self.window_s)
         if not mission:
             return figures
+        from vcmvsp.cosim.metrics.motion import motion
         from vcmvsp.cosim.plots import mission_plot
 
         moved = motion(self.states)
@@ -91,18 +89,18 @@ Draws = Callable[[Content], Mapping[str, Picture]]
 
 
 class Drawer:
-    """Draws the figures of one run; a context manager around the run.
+    """Draws the figures of one run; a context manager around the run, which may be entered again within.
 
     Args:
         apart: draw those of a short run in another process, unless this one has imported Matplotlib already.
     """
 
-    def __init__(self, *, apart: bool) -> None:
+    def __init__(self, *, apart: bool = True) -> None:
         self._apart = apart and "matplotlib.figure" not in sys.modules
         self._worker: Worker | None = None
 
     def __enter__(self) -> "Drawer":
-        if self._apart:
+        if self._apart and self._worker is None:
             with contextlib.suppress(VcmvspError):  # a process that cannot be started: drawn here
                 self._worker = Worker(draw, IMPORTS)
         return self
@@ -113,16 +111,14 @@ class Drawer:
 
     def draw(self, content: Content) -> Mapping[str, Picture]:
         """The figures by name."""
-        short = max(content.states.num_rows, content.radio.num_rows) <= PART_ROWS
-        if self._worker is None or content.mission or not short:
+        from vcmvsp.cosim.tables.schema import PART_ROWS, selected
+
+        states, radio = content.states, content.radio
+        if self._worker is None or content.mission or max(states.num_rows, radio.num_rows) > PART_ROWS:
             return draw(content)
-        in_memory = replace(
-            content,
-            states=selected(content.states, content.states.schema.names),
-            radio=selected(content.radio, SHOWN),
-        )
+        states, radio = (selected(table, table.schema.names) for table in (states, radio))
         try:
-            drawn: dict[str, Picture] = self._worker.run(in_memory)
+            drawn: dict[str, Picture] = self._worker.run(replace(content, states=states, radio=radio))
         except (WorkerDiedError, VcmvspError):
             return draw(content)
         return drawn

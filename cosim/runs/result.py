@@ -18,7 +18,7 @@ from vcmvsp.cosim.recording.external_inputs import FILE
 from vcmvsp.cosim.recording.mission_log import MissionLog, read_mission
 from vcmvsp.cosim.recording.recorded_run import tables_of
 from vcmvsp.cosim.recording.recorder import Recorder
-from vcmvsp.cosim.runs.figures import SHOWN, Content, Draws, draw
+from vcmvsp.cosim.runs.figures import Content, Draws, draw
 from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.tables.schema import Placement, RunFacts
 from vcmvsp.cosim.util import limits
@@ -192,9 +192,11 @@ def figures_again(run_dir: Path, tell: Tell = lambda _: None, *, trust: bool = F
     Raises:
         UsageError: tables or recording are missing or unreadable.
     """
+    from vcmvsp.cosim.plots.run_plots import OF_RADIO
+
     scenario = run_dir / "scenario.toml"
     try:
-        recording = tables_of(run_dir, tell, numbers=True, radio=SHOWN)
+        recording = tables_of(run_dir, tell, numbers=True, radio=OF_RADIO)
         window = read_toml(limits.read_text(scenario)).get("metrics", {}) if scenario.is_file() else {}
     except (OSError, ValueError) as error:  # a damaged table or scenario
         raise UsageError(f"{run_dir} cannot be read: {error}") from error
