@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import functools
 import gc
 import inspect
 import os
@@ -10,13 +9,11 @@ from collections.abc import Iterator
 from importlib.util import find_spec
 
 import pytest
-import typer.main
 from hypothesis import settings
-
-from vcmvsp.cosim.runs.figures import Content, Drawer
 
 # Compilation takes longer than most tests save by it: only those that compare both ways do so, and one that flies for long.
 os.environ.setdefault("VCMVSP_COMPILED", "0")
+os.environ["VCMVSP_FIGURES"] = "0"  # drawing takes ten times as long as the run of most tests
 settings.register_profile("here", deadline=None)  # how long an example takes depends on what else the machine does
 settings.load_profile("here")
 
@@ -25,30 +22,12 @@ collect_ignore_glob = []
 if find_spec("pybullet") is None:  # Python 3.14: what these files say of Bullet cannot be asked
     collect_ignore_glob = ["physics/dynamics/bullet/*", "physics/dynamics/test_rigid_body.py", "physics/raycast/test_caster.py"]
     collect_ignore_glob += ["physics/vehicles/test_urdf.py", "cosim/cli/test_bench.py"]
-DRAWN = Content.figures, Drawer.__enter__
 
 
 def pytest_collection_finish() -> None:
     """What collection has left lives until the end: no garbage collection visits it again (a tenth of all time)."""
     gc.collect()
     gc.freeze()
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _no_figures() -> Iterator[None]:
-    """Runs in this process are saved without figures: to draw them takes ten times as long as the run of most tests."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Content, "figures", lambda content: {})
-        patch.setattr(Drawer, "__enter__", lambda drawer: drawer)
-        yield
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _one_command_line() -> Iterator[None]:
-    """What a process does once, to make commands of functions, tests would do anew for each command: 20 ms each time."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(typer.main, "get_command", functools.cache(typer.main.get_command))
-        yield
 
 
 @pytest.fixture
@@ -59,11 +38,10 @@ def stack() -> Iterator[contextlib.ExitStack]:
 
 
 @pytest.fixture(scope="module")
-def figures(_no_figures: None) -> Iterator[None]:
+def figures() -> Iterator[None]:
     """For test files that look at the figures of runs."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Content, "figures", DRAWN[0])
-        patch.setattr(Drawer, "__enter__", DRAWN[1])
+        patch.setenv("VCMVSP_FIGURES", "1")
         yield
 
 

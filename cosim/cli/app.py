@@ -144,6 +144,12 @@ for _name, _target, _summary, _epilog in itertools.chain.from_iterable(_COMMANDS
         app.command(_name, short_help=_summary, epilog=_epilog)(_interruptible(_target))
 
 
+@functools.cache
+def command() -> Any:
+    """All commands, as an object of Click."""
+    return typer.main.get_command(app)
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Entry point of ``vcmvsp``: reports every error as one message and an exit code."""
     if "_VCMVSP_COMPLETE" in os.environ:  # a shell requests completions
@@ -155,7 +161,7 @@ def main(arguments: list[str] | None = None) -> None:
     for number in (signal.SIGINT, signal.SIGTERM, *HANGS_UP):  # `kill` ends a run as Ctrl-C does, also one in the background
         signal.signal(number, signal.default_int_handler)
     try:
-        app(_with_values(sys.argv[1:] if arguments is None else arguments), standalone_mode=True)
+        command()(_with_values(sys.argv[1:] if arguments is None else arguments), standalone_mode=True)
     except VcmvspError as error:
         say(f"vcmvsp: {' '.join(str(error).splitlines())}")
         if error.result is not None:

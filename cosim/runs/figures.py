@@ -1,10 +1,11 @@
 """Figures of a run, from its tables and recording.
 
 `Drawer` draws those of a short run in another process, which imports Matplotlib while the run goes on: that import takes as
-long as the run.
+long as the run. With ``VCMVSP_FIGURES=0`` in the environment a run leaves no figures; ``vcmvsp plot`` draws them later.
 """
 
 import contextlib
+import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -85,6 +86,11 @@ def draw(content: Content) -> dict[str, Picture]:
     return {name: Picture(style.png(figure), style.svg(figure)) for name, figure in content.figures().items()}
 
 
+def wanted() -> bool:
+    """Whether runs leave figures."""
+    return os.environ.get("VCMVSP_FIGURES", "1") != "0"
+
+
 Draws = Callable[[Content], Mapping[str, Picture]]
 
 
@@ -100,7 +106,7 @@ class Drawer:
         self._worker: Worker | None = None
 
     def __enter__(self) -> "Drawer":
-        if self._apart and self._worker is None:
+        if self._apart and wanted() and self._worker is None:
             with contextlib.suppress(VcmvspError):  # a process that cannot be started: drawn here
                 self._worker = Worker(draw, IMPORTS)
         return self

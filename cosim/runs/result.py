@@ -18,6 +18,7 @@ from vcmvsp.cosim.recording.external_inputs import FILE
 from vcmvsp.cosim.recording.mission_log import MissionLog, read_mission
 from vcmvsp.cosim.recording.recorded_run import tables_of
 from vcmvsp.cosim.recording.recorder import Recorder
+from vcmvsp.cosim.runs import figures
 from vcmvsp.cosim.runs.figures import Content, Draws, draw
 from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.tables.schema import Placement, RunFacts
@@ -171,14 +172,14 @@ class Result:
         self._recorder.write_tables(folder)
         write_whole(folder / "metrics.json", to_json(self.metrics))
         write_whole(folder / "about.json", to_json(self.about))
-        content = self._content()
-        pictures = draw(content)
+        shown = self._content()
+        pictures = draw(shown) if figures.wanted() else {}
         for name, picture in pictures.items():
             write_whole(folder / f"{name}.png", picture.png)
-        if self._video and content.mission:
+        if self._video and shown.mission:
             from vcmvsp.cosim.plots.mission_video import write_video
 
-            write_video(folder / "mission.mp4", content.mission, motion(content.states), content.targets, content.outlines)
+            write_video(folder / "mission.mp4", shown.mission, motion(shown.states), shown.targets, shown.outlines)
         report.write(folder, {name: picture.svg for name, picture in pictures.items()})
 
 

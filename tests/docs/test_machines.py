@@ -10,7 +10,7 @@ import pytest
 
 import vcmvsp
 from tests.support.cosim.command_line import contents, vcmvsp_command
-from tests.support.cosim.run_processes import UNDRAWN, VCMVSP, Stage, ended
+from tests.support.cosim.run_processes import PROGRAM, VCMVSP, Stage, ended
 from tests.support.docs.readme_pages import block, command
 from tests.support.docs.readme_sessions import BRIEF, KEEP_GAP
 
@@ -79,7 +79,7 @@ def test_hosts_that_are_started_with_the_run(machines: Machines) -> None:
     (machines.folder / "hosts.toml").write_text(HOSTS.format(port=machines.port, command=json.dumps(VCMVSP)))
     for key in re.findall(r"^(\w+) =", HOSTS, re.MULTILINE):
         assert f"{key} = " in block("cosim/deploy/README.md", "robot7")
-    code, said = ended(machines.python(*UNDRAWN, *machines.words("vcmvsp launch gap.toml"), *BRIEF.split()))
+    code, said = ended(machines.python(*PROGRAM, *machines.words("vcmvsp launch gap.toml"), *BRIEF.split()))
     assert code == 0, said
     out = machines.folder / "runs" / "gap-0"
     assert json.loads((out / "about.json").read_text())["agents"] == {"car1": "zenoh", "car2": "zenoh"}

@@ -20,7 +20,6 @@ from tests.support.cosim.run_processes import VCMVSP
 from tests.support.netsim.gateway_context import free_ports
 from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.agents.formation.leaders.trajectory import Trajectory
-from vcmvsp.cosim.runs.result import Result
 
 pytestmark = [pytest.mark.processes, pytest.mark.sockets, pytest.mark.usefixtures("figures")]
 
@@ -111,7 +110,7 @@ def test_with_latency_below_and_above_the_period(
     latency_s: float, reference: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The kernel does not wait at t for what takes effect at t + latency, and yet nothing changes."""
-    monkeypatch.setattr(Result, "_figures", lambda result, shown: {})  # they would be drawn from the tables that are compared
+    monkeypatch.setenv("VCMVSP_FIGURES", "0")  # they would be drawn from the tables that are compared
     settings = {**SHORT, "physics.kind": "kinematic", "agents.latency_s": latency_s, "agents.processes": 2}
     vcmvsp.run("formation-circle", set=settings, agents="inprocess", out=tmp_path / "inprocess")
     vcmvsp.run("formation-circle", set=settings, agents="process", out=tmp_path / "process")

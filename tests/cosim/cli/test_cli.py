@@ -3,14 +3,13 @@
 import json
 import re
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import typer.main
 
 from tests.support.cosim.command_line import contents, two_cars, vcmvsp_command
-from tests.support.cosim.run_processes import UNDRAWN
+from tests.support.cosim.run_processes import VCMVSP
 from vcmvsp.cosim.cli.app import PANELS, app
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.terminal import progress
@@ -184,7 +183,7 @@ def test_help_lists_every_command_once_in_a_whole_line() -> None:
 def test_json_is_the_metrics_and_nothing_else_even_if_agents_print(folder: Path, where: str) -> None:
     (folder / "chatty.py").write_text(CHATTY)
     (folder / "s.toml").write_text(two_cars(agents="deadline_s = 20", agent="kind='chatty.py:Chatty'"))
-    command = [sys.executable, *UNDRAWN, "run", "s.toml", "--json", "--out", "out", "--agents", where]
+    command = [*VCMVSP, "run", "s.toml", "--json", "--out", "out", "--agents", where]
     done = subprocess.run(command, capture_output=True, text=True, timeout=500, check=True)
     assert done.stdout == (folder / "out" / "metrics.json").read_text()
     assert json.loads(done.stdout)["scenario"] == "two-cars"
@@ -196,7 +195,7 @@ def test_json_is_the_metrics_and_nothing_else_even_if_agents_print(folder: Path,
 def test_json_is_clean_with_the_physics_engine_too() -> None:
     """PyBullet greets from C++, past Python's own stdout."""
     settings = ["--set", "duration_s=0.5", "--agents", "inprocess"]
-    command = [sys.executable, *UNDRAWN, "run", "formation-circle", *settings, "--json", "--out", "out"]
+    command = [*VCMVSP, "run", "formation-circle", *settings, "--json", "--out", "out"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=500, check=True)
     assert json.loads(done.stdout) == json.loads(Path("out/metrics.json").read_text())
 

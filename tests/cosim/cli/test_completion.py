@@ -1,13 +1,11 @@
 """Completion, asked as shells ask for it: by environment variables."""
 
-import inspect
 import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-import typer.main
 
 from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.paths import ROOT
@@ -23,8 +21,6 @@ HEAVY = ("numpy", "rich", "matplotlib", "pybullet", "zenoh")
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "rich", sys.modules.get("rich"))  # which completion hides
-    # Commands are made anew, of what completion adds to their parameters.
-    monkeypatch.setattr(typer.main, "get_command", inspect.unwrap(typer.main.get_command))
     return tmp_path
 
 

@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.run_processes import UNDRAWN, VCMVSP
+from tests.support.cosim.run_processes import VCMVSP
 from vcmvsp.netsim.bridge.gateways.ip import namespaces
 from vcmvsp.netsim.bridge.gateways.ip import run_networks as networks
 
@@ -54,7 +54,7 @@ def up(folder: Path, *options: str, name: str = NAME) -> Iterator["subprocess.Po
     """A run with a network; killed in the end, if it is still there."""
     scenario = folder / f"{name}.toml"
     scenario.write_text(SCENARIO.format(name=name))
-    command = [sys.executable, *UNDRAWN, "net", "up", str(scenario), "--out", str(folder / name), *options]
+    command = [*VCMVSP, "net", "up", str(scenario), "--out", str(folder / name), *options]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
         try:
             assert process.stderr is not None

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 import vcmvsp
-from tests.support.cosim.run_processes import UNDRAWN
+from tests.support.cosim.run_processes import VCMVSP
 from vcmvsp.agents.federate import AgentHost
 from vcmvsp.cosim.agent import Agent, AgentSpec, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.errors import AgentError
@@ -43,7 +43,7 @@ class Doing(Agent):
 
 def test_runs_at_once_never_share_a_folder(tmp_path: Path) -> None:
     short = ["--set", "duration_s=0.5", "--set", "physics.kind=kinematic", "--quiet"]
-    command = [sys.executable, *UNDRAWN, "run", "formation-circle", "--agents", "inprocess", *short]
+    command = [*VCMVSP, "run", "formation-circle", "--agents", "inprocess", *short]
     seeds = [subprocess.Popen([*command, "--set", f"radio.loss.probability=0.{n}"], cwd=tmp_path) for n in range(3)]
     assert [run.wait(60) for run in seeds] == [0, 0, 0]
     texts = {(path / "scenario.toml").read_text() for path in (tmp_path / "runs").iterdir()}

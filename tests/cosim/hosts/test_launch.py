@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.run_processes import UNDRAWN, VCMVSP, Stage, ended, ended_with, wait_for
+from tests.support.cosim.run_processes import VCMVSP, Stage, ended, ended_with, wait_for
 from tests.support.cosim.ssh_hosts import Machine, played, served
 from tests.support.cosim.teams import FOLLOWER, LEADER, team
 from vcmvsp.cosim.errors import VcmvspError
@@ -72,7 +72,7 @@ class Launching(Stage):
         if not {"--listen", "--keys"} & {*more}:  # with keys, the file says where hosts dial, and the run listens there
             arguments += ["--listen", f"tcp/127.0.0.1:{self.port}"]
         process = subprocess.Popen(
-            [sys.executable, *UNDRAWN, *arguments],
+            [*VCMVSP, *arguments],
             stderr=subprocess.PIPE,
             text=True,
             cwd=self.folder,

@@ -4,7 +4,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +14,7 @@ import pytest
 from mcap.reader import make_reader
 
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.run_processes import UNDRAWN
+from tests.support.cosim.run_processes import VCMVSP
 
 pytestmark = pytest.mark.processes
 
@@ -61,7 +60,7 @@ kind = "kinematic"
 pose = [3.0, 0.0, 0.0]
 agent = {{ kind = "failing.py:Failing", how = "{how}" }}
 """
-COMMAND = [sys.executable, *UNDRAWN, "run"]
+COMMAND = [*VCMVSP, "run"]
 
 
 def write(folder: Path, how: str, duration: float = 5.0) -> Path:

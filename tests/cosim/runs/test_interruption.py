@@ -13,7 +13,6 @@ from tests.support.cosim.studies import two
 from vcmvsp.cosim.errors import AgentError, Interrupted
 from vcmvsp.cosim.recording.mcap_reader import messages
 from vcmvsp.cosim.runs.figures import Draws
-from vcmvsp.cosim.runs.figures import Draws
 from vcmvsp.cosim.runs.result import Result
 
 pytestmark = pytest.mark.processes

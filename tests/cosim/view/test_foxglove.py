@@ -18,7 +18,7 @@ from websockets.typing import Subprotocol
 
 import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.run_processes import UNDRAWN
+from tests.support.cosim.run_processes import VCMVSP
 from vcmvsp.cosim.errors import UsageError
 
 pytest.importorskip("foxglove")
@@ -65,7 +65,7 @@ Message = tuple[str, int, bytes]  # topic, time, content
 @contextlib.contextmanager
 def streamed(folder: Path) -> Iterator[tuple["subprocess.Popen[str]", str]]:
     """The command, and the address that it prints."""
-    command = [sys.executable, *UNDRAWN, "run", "streamed.toml", "--foxglove", "0", "--out", "out"]
+    command = [*VCMVSP, "run", "streamed.toml", "--foxglove", "0", "--out", "out"]
     with subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         try:

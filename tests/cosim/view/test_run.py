@@ -3,7 +3,6 @@
 import json
 import re
 import subprocess
-import sys
 import time
 import tomllib
 from collections.abc import Callable, Iterator
@@ -14,7 +13,7 @@ from typing import Any
 import pytest
 
 import vcmvsp
-from tests.support.cosim.run_processes import UNDRAWN
+from tests.support.cosim.run_processes import VCMVSP
 from tests.support.cosim.view_pages import browser, positions
 from vcmvsp.cosim.tables.schema import load
 
@@ -67,7 +66,7 @@ def looked_at(folder: Path) -> Iterator[tuple["subprocess.Popen[str]", str]]:
     """The command, and where its page is."""
     (folder / "looked-at.toml").write_text(SCENARIO)
     options = ["--view", "--view-port", "0", "--out", str(folder / "out")]
-    command = [sys.executable, *UNDRAWN, "run", str(folder / "looked-at.toml"), *options]
+    command = [*VCMVSP, "run", str(folder / "looked-at.toml"), *options]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         try:
@@ -109,7 +108,7 @@ def test_the_page_is_there_before_the_agents_are_and_says_why_the_run_did_not_be
     (tmp_path / "looked-at.toml").write_text(SCENARIO)
     hosts = ["--agents", "zenoh", "--listen", "tcp/127.0.0.1:0", "--set", "agents.join_timeout_s=8"]
     page_and_files = ["--view", "--view-port", "0", "--out", str(tmp_path / "out")]
-    command = [sys.executable, *UNDRAWN, "run", str(tmp_path / "looked-at.toml"), *hosts, *page_and_files]
+    command = [*VCMVSP, "run", str(tmp_path / "looked-at.toml"), *hosts, *page_and_files]
     with browser() as chromium, subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         try:

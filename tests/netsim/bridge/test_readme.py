@@ -13,7 +13,7 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
-from tests.support.cosim.run_processes import UNDRAWN
+from tests.support.cosim.run_processes import PROGRAM
 from tests.support.docs.readme_pages import PAGES, block
 from tests.support.netsim.bridge_runs import BridgeRun, running
 from tests.support.netsim.gateway_context import TestHall, free_ports, opened
@@ -48,7 +48,7 @@ def test_the_worked_example(tmp_path: Path) -> None:
     def start(*arguments: str, **streams: int) -> "subprocess.Popen[str]":
         return subprocess.Popen([sys.executable, *arguments], cwd=tmp_path, env=environment, encoding="utf-8", **streams)  # type: ignore[call-overload]
 
-    started = [start("echo.py"), run := start(*UNDRAWN, *shorter, stderr=subprocess.PIPE)]
+    started = [start("echo.py"), run := start(*PROGRAM, *shorter, stderr=subprocess.PIPE)]
     try:
         lines = [run.stderr.readline() for _ in range(2)] if run.stderr else []  # from then on its ports are there
         started.append(ask := start("ask.py", stdout=subprocess.PIPE))

@@ -17,7 +17,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from tests.support.cosim.run_processes import UNDRAWN
+from tests.support.cosim.run_processes import VCMVSP
 from tests.support.docs.readme_pages import PAGES, block
 from vcmvsp.netsim.bridge.gateways.ip import run_networks
 
@@ -84,7 +84,7 @@ def running(folder: Path, program: str) -> Iterator[Chain]:
     """The run of the page, while the program routes."""
     folder.mkdir()
     made = Chain(folder, program)
-    start = [sys.executable, *UNDRAWN, "net", "up", "chain.toml", "--out", "out"]
+    start = [*VCMVSP, "net", "up", "chain.toml", "--out", "out"]
     with subprocess.Popen(start, cwd=folder, stderr=subprocess.PIPE, text=True, start_new_session=True) as run:
         try:
             assert run.stderr is not None

@@ -6,7 +6,6 @@ import os
 import signal
 import socket
 import subprocess
-import sys
 import threading
 import time
 from collections import Counter
@@ -20,7 +19,7 @@ import pytest
 
 import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.run_processes import UNDRAWN, VCMVSP
+from tests.support.cosim.run_processes import VCMVSP
 from tests.support.docs.readme_pages import block
 from tests.support.netsim.gateway_context import TestHall, free_ports, opened
 from tests.support.netsim.vehicle_namespaces import RUN, called, heard, udp
@@ -132,7 +131,7 @@ def up(folder: Path) -> Iterator[None]:
         + '[[vehicle]]\nname = "car1"\n[[vehicle]]\nname = "car2"\nposition = [1.0, 0.0, 0.0]\n'
         + '[[vehicle]]\nname = "car3"\nposition = [2.0, 0.0, 0.0]\nradios = ["far"]\n'
     )
-    command = [sys.executable, *UNDRAWN, "net", "up", "radios.toml", "--out", "out"]
+    command = [*VCMVSP, "net", "up", "radios.toml", "--out", "out"]
     with subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, text=True, start_new_session=True) as run:
         try:
             assert run.stderr is not None

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.cosim.run_processes import UNDRAWN
+from tests.support.cosim.run_processes import PROGRAM
 from tests.support.paths import ROOT
 
 pytestmark = pytest.mark.processes
@@ -28,7 +28,7 @@ def test_the_worked_example(tmp_path: Path, order: tuple[str, ...]) -> None:
     (tmp_path / "ping.py").write_text(ping)
     (tmp_path / "pong.py").write_text(pong)
     listen = f"unix/{tmp_path}/s"
-    run = [*UNDRAWN, "run", "sockets.toml", "--out", "out", "--set", f"sockets.listen={listen}"]
+    run = [*PROGRAM, "run", "sockets.toml", "--out", "out", "--set", f"sockets.listen={listen}"]
     commands = {"run": run, "ping": ["ping.py"], "pong": ["pong.py"]}
     environment = {**os.environ, "VCMVSP_SOCKETS": listen, "PYTHONPATH": str(HOME.parents[1])}
     started = {}

@@ -17,7 +17,6 @@ import tempfile
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from vcmvsp.cosim.runs.result import Result
 from vcmvsp.cosim.view.messages import Seek
 from vcmvsp.cosim.view.player.recording import Player, Recording
 
@@ -83,5 +82,5 @@ if __name__ == "__main__":
         importlib.import_module(_name)
     gc.freeze()  # a collection in a forked process would copy all that it visits
     sys.modules["vcmvsp.cosim.cli.outputs"]._serve = _show  # type: ignore[attr-defined]
-    Result._figures = lambda self, shown: {}  # type: ignore[method-assign]
+    os.environ["VCMVSP_FIGURES"] = "0"
     sys.stdout.write(json.dumps([_run(each) for each in sys.argv[1:]]))

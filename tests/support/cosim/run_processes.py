@@ -10,8 +10,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Self
 
-VCMVSP = [sys.executable, "-m", "vcmvsp.cosim.cli.app"]
-UNDRAWN = ["-P", str(Path(__file__).with_name("run_without_figures.py"))]
+PROGRAM = ["-P", "-m", "vcmvsp.cosim.cli.app"]
+VCMVSP = [sys.executable, *PROGRAM]
 
 
 @contextlib.contextmanager
@@ -48,12 +48,8 @@ class Stage:
         return self._held.enter_context(reserved())
 
     def start(self, *arguments: str, before: Sequence[str] = ()) -> subprocess.Popen[str]:
-        """Start ``vcmvsp`` with these arguments; ``before`` is a command that starts commands, such as ``ip netns exec``.
-
-        A run leaves no figures.
-        """
-        program = UNDRAWN if arguments[0] == "run" else ["-m", "vcmvsp.cosim.cli.app"]
-        return self.python(*program, *arguments, before=before)
+        """Start ``vcmvsp`` with these arguments; ``before`` is a command that starts commands, such as ``ip netns exec``."""
+        return self.python(*PROGRAM, *arguments, before=before)
 
     def python(self, *arguments: str, before: Sequence[str] = ()) -> subprocess.Popen[str]:
         command = [*before, sys.executable, *arguments]
