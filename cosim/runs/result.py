@@ -121,7 +121,10 @@ class Result:
         return [("run", run), *known, *([("folder", str(self.folder))] if self.folder else [])]
 
     def plot(self) -> "dict[str, Figure]":
-        """The run's figures, by name (`cosim.runs.figures.Content.figures`). Jupyter shows them."""
+        """The run's figures, by name: ``trajectory``; ``formation_error`` if a vehicle follows another; those of a mission.
+
+        The last need a recording. Jupyter shows figures.
+        """
         from vcmvsp.cosim.runs.notebook import Figures
 
         return Figures(self._content().figures())
