@@ -58,14 +58,16 @@ class Builder:
                 self._add_parts(solid, fixed)
 
     def _add_parts(self, solid: AnySolid, fixed: dict[str, Any]) -> None:
-        for corners in convex_parts_of(solid):
-            if len(self.spec.meshes) == _MOST_TRIANGLES:
+        for number, corners in enumerate(
+            convex_parts_of(solid), start=len(self.spec.meshes)
+        ):  # MuJoCo walks a list for its length
+            if number == _MOST_TRIANGLES:
                 raise ScenarioError(
                     f"the world has more than {_MOST_TRIANGLES} convex parts and triangles: MuJoCo is too slow for them; "
                     'use kind = "bullet"',
                     key="physics.kind",
                 )
-            mesh = self.spec.add_mesh(name=f"part{len(self.spec.meshes)}", uservert=corners.ravel().tolist())
+            mesh = self.spec.add_mesh(name=f"part{number}", uservert=corners.ravel().tolist())
             self.spec.worldbody.add_geom(type=mj.mjtGeom.mjGEOM_MESH, meshname=mesh.name, **fixed)
 
     def _loose(self, friction: float, meets: int = FLOOR | SOLID, steps: float = _IMPACT_STEPS) -> dict[str, Any]:
