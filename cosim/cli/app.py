@@ -158,8 +158,7 @@ def main(arguments: list[str] | None = None) -> None:
         completion.answer(app)
     gc.set_threshold(50_000, 20)  # of the many objects of imports, none is in a cycle that ends
     atexit.register(gc.freeze)  # nor does the end of the process look for cycles among them, a tenth of a short run
-    for number in (signal.SIGINT, signal.SIGTERM, *HANGS_UP):  # `kill` ends a run as Ctrl-C does, also one in the background
-        signal.signal(number, signal.default_int_handler)
+    _handle_ends(signal.default_int_handler)  # `kill` ends a run as Ctrl-C does, also one in the background
     try:
         command()(_with_values(sys.argv[1:] if arguments is None else arguments), standalone_mode=True)
     except VcmvspError as error:
@@ -178,6 +177,14 @@ def main(arguments: list[str] | None = None) -> None:
             raise
         say(f"vcmvsp: {show(str(error.filename))}: {error.strerror}")
         raise SystemExit(UsageError.exit_code) from None
+    finally:
+        if arguments is None:  # the process ends: a late Ctrl-C ends it at once, without a traceback
+            _handle_ends(signal.SIG_DFL)
+
+
+def _handle_ends(handler: Any) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM, *HANGS_UP):
+        signal.signal(number, handler)
 
 
 ALONE = {"--realtime": "1", "--foxglove": str(FOXGLOVE_PORT)}

@@ -2,7 +2,9 @@
 
 import json
 import re
+import signal
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -209,6 +211,13 @@ def test_check_and_show_are_clean_too(folder: Path) -> None:
     assert "at a tick" not in err
     assert vcmvsp_command("show", "s.toml", "--resolved").out.startswith('name = "two-cars"\n')
     assert sorted(path.name for path in folder.iterdir() if path.name != "__pycache__") == ["chatty.py", "s.toml"]
+
+
+def test_ctrl_c_while_a_process_ends_leaves_no_traceback() -> None:
+    late = "import atexit, signal; atexit.register(signal.raise_signal, signal.SIGINT); "
+    code = f"{late}from vcmvsp.cosim.cli.app import main; main()"
+    done = subprocess.run([sys.executable, "-c", code, "list"], capture_output=True, text=True, timeout=500, check=False)
+    assert (done.returncode, done.stderr) == (-signal.SIGINT, "")
 
 
 def test_progress_is_lines_on_stderr_in_a_log(monkeypatch: pytest.MonkeyPatch) -> None:
