@@ -54,7 +54,7 @@ class ChildProcess:
     ) -> None:
         output = sys.__stderr__ if stdout is None else stdout
         command = [sys.executable, "-P", "-c", BOOT.format(module=module), *arguments]
-        environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}  # all use one; the others cost a tenth of its start
+        environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}  # agents compute with one; more cost a fifth of the start
         self._process = subprocess.Popen(command, stdin=stdin, stdout=output, env=environment, pass_fds=files, process_group=0)
         if self._process.stdin:
             with contextlib.suppress(BrokenPipeError):

@@ -53,7 +53,7 @@ class Worker:
                 self._process = ChildProcess(MODULE, *imports, stdin=theirs.fileno(), stdout=subprocess.DEVNULL)
         except OSError as error:
             raise VcmvspError(f"cannot start a worker: {error.strerror or error}") from error
-        with contextlib.suppress(BrokenPipeError):  # `await_ready` says it
+        with contextlib.suppress(OSError):  # the worker has ended, which `await_ready` reports
             os.write(self._pipe.fileno(), json.dumps(sys.path).encode() + b"\n")
             self._pipe.send_bytes(pickle.dumps(call))
 

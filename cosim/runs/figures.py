@@ -1,7 +1,7 @@
 """Figures of a run, from its tables and recording.
 
-`Drawer` draws those of a short run in another process, which imports Matplotlib while the run goes on: that import takes as
-long as the run. With ``VCMVSP_FIGURES=0`` in the environment a run leaves no figures; ``vcmvsp plot`` draws them later.
+`Drawer` draws the figures of a short run in a second process, which imports Matplotlib during the run: the import takes as long
+as the run itself. With ``VCMVSP_FIGURES=0`` in the environment a run leaves no figures; ``vcmvsp plot`` draws them later.
 """
 
 import contextlib
@@ -98,7 +98,7 @@ class Drawer:
     """Draws the figures of one run; a context manager around the run, which may be entered again within.
 
     Args:
-        apart: draw those of a short run in another process, unless this one has imported Matplotlib already.
+        apart: draw the figures of a short run in a second process, unless this process has imported Matplotlib already.
     """
 
     def __init__(self, *, apart: bool = True) -> None:

@@ -18,8 +18,7 @@ from vcmvsp.cosim.recording.external_inputs import FILE
 from vcmvsp.cosim.recording.mission_log import MissionLog, read_mission
 from vcmvsp.cosim.recording.recorded_run import tables_of
 from vcmvsp.cosim.recording.recorder import Recorder
-from vcmvsp.cosim.runs import figures
-from vcmvsp.cosim.runs.figures import Content, Draws, draw
+from vcmvsp.cosim.runs.figures import Content, Draws, draw, wanted
 from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.tables.schema import Placement, RunFacts
 from vcmvsp.cosim.util import limits
@@ -121,9 +120,10 @@ class Result:
         return [("run", run), *known, *([("folder", str(self.folder))] if self.folder else [])]
 
     def plot(self) -> "dict[str, Figure]":
-        """The run's figures, by name: ``trajectory``; ``formation_error`` if a vehicle follows another; those of a mission.
+        """Figures by name; Jupyter shows them.
 
-        The last need a recording. Jupyter shows figures.
+        ``trajectory``; ``formation_error`` if a vehicle follows another; ``mission``, ``mosaic`` and ``detections`` if agents
+        published them and the run has a recording.
         """
         from vcmvsp.cosim.runs.notebook import Figures
 
@@ -176,7 +176,7 @@ class Result:
         write_whole(folder / "metrics.json", to_json(self.metrics))
         write_whole(folder / "about.json", to_json(self.about))
         shown = self._content()
-        pictures = draw(shown) if figures.wanted() else {}
+        pictures = draw(shown) if wanted() else {}
         for name, picture in pictures.items():
             write_whole(folder / f"{name}.png", picture.png)
         if self._video and shown.mission:

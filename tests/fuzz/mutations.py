@@ -13,10 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import tomli_w
-import typer.main
 
 from tests.support.paths import SCENARIOS
-from vcmvsp.cosim.cli.app import app
+from vcmvsp.cosim.cli.app import command
 from vcmvsp.cosim.reference.markdown import INDEX
 
 SMALL = """
@@ -128,7 +127,7 @@ RESULTS = (
         ["show", "results/scenario.toml"],
     ),
 )
-COMMANDS: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[attr-defined]  # it is a group
+COMMANDS: dict[str, Any] = command().commands
 
 Case = list[str]  # the words of a command; its files are in the folder
 

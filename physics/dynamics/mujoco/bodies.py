@@ -58,9 +58,8 @@ class Builder:
                 self._add_parts(solid, fixed)
 
     def _add_parts(self, solid: AnySolid, fixed: dict[str, Any]) -> None:
-        for number, corners in enumerate(
-            convex_parts_of(solid), start=len(self.spec.meshes)
-        ):  # MuJoCo walks a list for its length
+        first = len(self.spec.meshes)  # MuJoCo walks through all meshes for this
+        for number, corners in enumerate(convex_parts_of(solid), first):
             if number == _MOST_TRIANGLES:
                 raise ScenarioError(
                     f"the world has more than {_MOST_TRIANGLES} convex parts and triangles: MuJoCo is too slow for them; "

@@ -8,11 +8,10 @@ import sys
 from pathlib import Path
 
 import pytest
-import typer.main
 
 from tests.support.cosim.command_line import contents, two_cars, vcmvsp_command
 from tests.support.cosim.run_processes import VCMVSP
-from vcmvsp.cosim.cli.app import PANELS, app
+from vcmvsp.cosim.cli.app import PANELS, command
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.terminal import progress
 
@@ -172,7 +171,7 @@ def test_every_command_has_help(command: str) -> None:
 
 def test_help_lists_every_command_once_in_a_whole_line() -> None:
     _, out, _ = vcmvsp_command("--help")
-    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]  # it is a group
+    commands = command().commands
     assert sorted(name for names in PANELS.values() for name in names) == sorted(commands)
     for text in (out, *(vcmvsp_command(group, "--help").out for group in ("keys", "net", "emulate"))):
         assert re.findall(r"[^\]]\.\.\.$", text, re.MULTILINE) == []

@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 import tomli_w
-import typer.main
 
 import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.cosim.recorded_run import SCENARIO
 from vcmvsp.cosim.analysis.coverage import coverage
-from vcmvsp.cosim.cli.app import app
+from vcmvsp.cosim.cli import app
 from vcmvsp.cosim.cli.options import DATA, PROGRAM
 from vcmvsp.cosim.config import registry
 from vcmvsp.cosim.studies.engine import study
@@ -47,7 +46,7 @@ KINDS = ("evil.py:Thing", "evil:Thing", "theirs")
 
 def commands() -> Iterator[tuple[str, str]]:
     """Every command, and what stands below its help."""
-    for name, command in typer.main.get_command(app).commands.items():  # type: ignore[attr-defined]
+    for name, command in app.command().commands.items():
         inner = getattr(command, "commands", None)
         for each, found in (inner or {"": command}).items():
             yield f"{name} {each}".strip(), found.epilog or ""

@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import typer
 import yaml
 
 import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.cosim.run_processes import Stage, ended
 from tests.support.paths import ROOT
-from vcmvsp.cosim.cli.app import app
+from vcmvsp.cosim.cli import app
 from vcmvsp.cosim.hosts import ssh_hosts
 
 pytestmark = [pytest.mark.processes, pytest.mark.sockets]
@@ -42,7 +41,7 @@ STEPS = [line for line in COMMANDS if " keys " in line and "launch" not in line]
 
 def parsed(words: list[str]) -> dict[str, Any]:
     """What our command line makes of these words; those that it does not know are an error."""
-    command: Any = typer.main.get_command(app)
+    command = app.command()
     words = words[1:] if words[0] == "vcmvsp" else words
     while hasattr(command, "commands"):
         command, words = command.commands[words[0]], words[1:]

@@ -1,4 +1,4 @@
-"""Figures of a run: the same in this process and in another one, and drawn whatever becomes of the other."""
+"""Figures of a run are equal from this process and from a second one, and are drawn even if the second process dies."""
 
 import sys
 from pathlib import Path

@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import math
 import os
 import re
 import signal
@@ -126,7 +125,8 @@ def check_routes(chain: Chain) -> None:
     way = ["car1", "car2", "relief", "car4", "car5", "car6"]  # once car3 is out of range
     chain.until(lambda: [next_hop(chain, car, "10.77.0.6") for car in way[:-1]] == way[1:], REPAIR_S)
     chain.until(lambda: answers(chain) >= 8, REPAIR_S)  # of 20, with 0.98^10 = 0.82
-    chain.until(lambda: share_delivered(chain) > 0.5, DELIVERY_S)  # with 0.98^5 = 0.90
+    for _ in range(2):  # a busy machine takes less than 2000 receptions of the first thousand datagrams
+        chain.until(lambda: share_delivered(chain) > 0.5, DELIVERY_S)  # with 0.98^5 = 0.90
 
 
 def answers(chain: Chain) -> int:
@@ -146,13 +146,13 @@ def share_delivered(chain: Chain) -> float:
     return 1.0 - float(told["lost_packets"]) / float(told["packets"])
 
 
-def lost_and_sent(folder: Path) -> tuple[int, int]:
-    """Datagrams with the outcome "random loss", and these and the received ones, over all links."""
+def share_lost(folder: Path) -> float:
+    """Datagrams with the outcome "random loss", as a share of these and the received ones, over all links."""
     rows = pq.read_table(folder / "out" / "radio.parquet", filters=[("size_bytes", "==", DATAGRAM_BYTES)])
     outcomes = Counter(rows["outcome"].to_pylist())
     lost, received = outcomes["random loss"], outcomes["received"]
-    assert received > 500, outcomes  # so many, whatever else the machine does
-    return lost, lost + received
+    assert received > 2000, outcomes
+    return lost / (lost + received)
 
 
 def test_routes_over_five_hops_carry_datagrams_and_are_repaired(tmp_path: Path) -> None:
@@ -163,8 +163,7 @@ def test_routes_over_five_hops_carry_datagrams_and_are_repaired(tmp_path: Path) 
     with ThreadPoolExecutor() as pool:
         list(pool.map(partial(routed, tmp_path), PROGRAMS))
     for program in PROGRAMS:
-        lost, sent = lost_and_sent(tmp_path / program)
-        assert lost == pytest.approx(LOSS * sent, abs=4.0 * math.sqrt(LOSS * (1.0 - LOSS) * sent))  # four standard deviations
+        assert share_lost(tmp_path / program) == pytest.approx(LOSS, abs=0.012)  # four deviations of 2000 receptions
 
 
 def test_the_page_says_which_losses_there_are() -> None:

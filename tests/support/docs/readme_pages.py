@@ -5,11 +5,8 @@ import re
 import shlex
 import tomllib
 from collections.abc import Collection, Iterator, Sequence
-from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
-
-import typer
 
 from tests.support.paths import ROOT
 from vcmvsp.cosim.cli import app as cli
@@ -161,12 +158,6 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 READERS_OWN = re.compile(r"[A-Z_]+|\.\.\.|.*[./].*")  # RUN_DIR, mine.toml, runs/formation-circle-1
 
 
-@cache
-def app() -> Any:
-    """Our command line, as its parser has it."""
-    return typer.main.get_command(cli.app)
-
-
 def ours(words: Sequence[str]) -> list[str]:
     """The words behind ``vcmvsp``."""
     return [*words[next(at for at, word in enumerate(words) if Path(word).name == "vcmvsp") + 1 :]]
@@ -223,7 +214,7 @@ def _alternatives(words: list[str]) -> list[list[str]]:
 
 def _command(words: Sequence[str]) -> tuple[Any, list[str]]:
     """What the first words name, and the rest of them."""
-    command, rest = app(), [*words]
+    command, rest = cli.command(), [*words]
     while rest and not rest[0].startswith("-") and hasattr(command, "commands"):
         _one_of("command", rest[0], command.commands)
         command = command.commands[rest.pop(0)]

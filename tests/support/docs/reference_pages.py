@@ -13,8 +13,6 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import typer.main
-
 import vcmvsp
 from tests.support.paths import ROOT
 from vcmvsp.cosim import testing, types
@@ -232,7 +230,7 @@ def columns() -> str:
 
 def commands() -> str:
     """Every command with its options, as ``--help`` has them."""
-    return "\n\n".join(_commands("vcmvsp", typer.main.get_command(cli.app)))
+    return "\n\n".join(_commands("vcmvsp", cli.command()))
 
 
 def _commands(name: str, command: Any) -> Iterator[str]:
