@@ -230,8 +230,8 @@ async def test_the_routing_table_chooses_the_radio() -> None:
                 context.offered.clear()
                 sender.sendto(b"to one", (address, 9000))
                 await heard(listener)
-            assert {each.radio for each in context.offered} == {radio}
-            assert context.offered[-1].payload.endswith(b"to one")
+            # The kernel may ask for a neighbour's address at any time, on either radio.
+            assert [each.radio for each in context.offered if each.payload.endswith(b"to one")] == [radio]
         await called("car1", "ip", "route", "add", "10.77.0.2/32", "via", "10.78.0.2")
         with udp("car1", "10.77.0.1") as sender, udp("car2", "10.77.0.2", 9000) as listener:
             context.offered.clear()
