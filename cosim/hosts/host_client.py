@@ -1,5 +1,6 @@
 """Client side of an agent host: answers questions (`Desk`) and dials in to a run over Eclipse Zenoh (`serve`)."""
 
+import math
 import queue
 import time
 import traceback
@@ -263,7 +264,7 @@ def _join(session: zenoh.Session, name: str, hello: protocol.Hello) -> protocol.
     greeting = protocol.encode(hello)
     if len(greeting) > access_control.MAX_JOIN:
         raise UsageError(f"join request too long ({len(greeting)} bytes; at most {access_control.MAX_JOIN}): use fewer --set")
-    last = time.monotonic() + JOIN_S
+    last = math.inf if hello.token else time.monotonic() + JOIN_S  # a host that the run has started ends with it
     while True:
         for reply in session.get(key_names.join_key(name), payload=greeting, timeout=_NO_TIMEOUT_S):
             if reply.ok is not None:

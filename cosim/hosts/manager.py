@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from vcmvsp.cosim.agent import Agent, AgentInfo, AgentSpec
+from vcmvsp.cosim.config.builtin_kinds import KINDS
 from vcmvsp.cosim.config.source_code import difference, fingerprint
 from vcmvsp.cosim.errors import AgentError, ScenarioError
 from vcmvsp.cosim.federate import Federate
@@ -128,7 +129,7 @@ class Hosts:
     def run_in_processes(self, specs: Sequence[AgentSpec]) -> None:
         """Spawn child processes, distribute the agents over them in order, and wait until all have joined."""
         from vcmvsp.cosim.hosts.hub import Hub, LinkCallbacks
-        from vcmvsp.cosim.processes.child_process import ChildProcess
+        from vcmvsp.cosim.processes.fork_server import starter
 
         count = min(self._agents.processes or len(specs), len(specs))
         groups = {secrets.token_hex(16): specs[start::count] for start in range(count)}
@@ -136,11 +137,12 @@ class Hosts:
         # No port: no other user of this machine can delay the hub, question the children or answer for them.
         hub = Hub(None, patience_s=patient_s, cut_deadline_s=cut_s, hosts=count)
         self._stack.callback(hub.close)
+        known = {KINDS["agent"][spec.kind].partition(":")[0] for spec in specs if spec.kind in KINDS["agent"]}
+        start = self._stack.enter_context(starter(HOST_PROCESS, *sorted(known), files=hub.files))
         children: dict[str, ChildProcess] = {}
         for token, group in groups.items():
             vehicles = (f"--vehicle={spec.vehicle}" for spec in group)
-            where = "--connect", hub.endpoint
-            children[token] = ChildProcess(HOST_PROCESS, *where, *vehicles, first=f"{token}\n", files=hub.files)
+            children[token] = start("--connect", hub.endpoint, *vehicles, first=f"{token}\n")
             self._stack.callback(children[token].close, LEAVE_S)
         links: dict[str, ZenohLink] = {}
         for knock in knocking(hub, self._agents.join_timeout_s, lambda: _missing(groups, links, children), self._tell):

@@ -1,4 +1,4 @@
-"""Child processes of this machine: started afresh (never forked), ended together with this process, and links to them.
+"""Child processes of this machine: never a fork of this process, ended together with this process, and links to them.
 
 A link carries whole messages, and neither side ever waits for the other. It is a pair of local sockets that keep message
 boundaries (``SOCK_SEQPACKET``): a message that cannot be sent at once is not sent at all, so there are no partial messages, and
@@ -20,12 +20,10 @@ from vcmvsp.cosim.util.polling import readable
 LONGEST = 1 << 18  # bytes of a message; the operating system accepts some 200 kB
 
 BOOT = """
-import atexit, gc, json, os, sys
+import atexit, gc, io, json, sys
 atexit.register(gc.freeze)
-line = b""
-while not line.endswith(b"\\n"):
-    line += os.read(0, 1) or sys.exit()  # its parent has died
-sys.path[:] = json.loads(line)
+line = io.FileIO(0, closefd=False).readline()
+sys.path[:] = json.loads(line or sys.exit())  # without a line, its parent has died
 from {module} import main
 sys.exit(main())
 """
@@ -56,9 +54,13 @@ class ChildProcess:
         command = [sys.executable, "-P", "-c", BOOT.format(module=module), *arguments]
         environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}  # agents compute with one; more cost a fifth of the start
         self._process = subprocess.Popen(command, stdin=stdin, stdout=output, env=environment, pass_fds=files, process_group=0)
+        self._tell(f"{json.dumps(sys.path)}\n{first}")
+
+    def _tell(self, text: str) -> None:
+        """Write to the standard input of the process, if that is a pipe."""
         if self._process.stdin:
             with contextlib.suppress(BrokenPipeError):
-                self._process.stdin.write(f"{json.dumps(sys.path)}\n{first}".encode())
+                self._process.stdin.write(text.encode())
                 self._process.stdin.flush()
 
     @property

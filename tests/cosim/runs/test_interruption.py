@@ -71,8 +71,8 @@ def test_the_recording_of_a_run_that_was_cut_is_the_beginning_of_the_whole_one(a
 KILLED = """
 import os, signal, sys, tempfile
 tempfile.tempdir = sys.argv[1]
-from vcmvsp.cosim.processes import child_process
-child_process.ChildProcess = lambda *_, **__: os.kill(os.getpid(), signal.SIGKILL)
+from vcmvsp.cosim.processes import fork_server
+fork_server.starter = lambda *_, **__: os.kill(os.getpid(), signal.SIGKILL)
 import vcmvsp
 vcmvsp.run("formation-circle", agents="process")
 """

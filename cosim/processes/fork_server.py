@@ -1,0 +1,179 @@
+"""Child processes forked from one that has imported their modules: a hundred of them start in the time of one.
+
+A fork has only the thread that calls it, and locks that other threads hold stay locked in it. So the run, which has threads,
+is never forked: it starts one child afresh, which imports modules, has a single thread, and forks itself on request.
+(`multiprocessing.forkserver` does so, too, but each child would run the user's script again.)
+"""
+
+import contextlib
+import functools
+import gc
+import importlib
+import io
+import json
+import math
+import os
+import select
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import cast
+
+import numpy as np
+
+from vcmvsp.cosim.processes.child_process import ChildProcess
+from vcmvsp.cosim.util.polling import readable
+
+MODULE = "vcmvsp.cosim.processes.fork_server"
+FORKS = sys.platform == "linux"  # libraries of macOS do not survive a fork
+REQUEST = b"+"
+LONG_S = 3600.0
+NUMBER = struct.Struct("q")  # of a report
+
+
+@contextlib.contextmanager
+def starter(module: str, *imports: str, files: Sequence[int] = ()) -> Iterator[Callable[..., ChildProcess]]:
+    """A function that starts child processes which call the ``main`` of a module; at the end, their exit codes are lost.
+
+    The function takes the arguments of a child process, and ``first``, the first text on its standard input.
+
+    Args:
+        imports: further modules that the child processes need. No module here may start a thread when it is imported.
+        files: descriptors that the child processes inherit.
+
+    Raises:
+        OSError: no process can be started.
+    """
+    if not FORKS:
+        yield functools.partial(ChildProcess, module, files=files)
+        return
+    requests, theirs = socket.socketpair()
+    with requests:
+        with theirs:
+            server = ChildProcess(MODULE, module, *imports, stdin=theirs.fileno(), files=files)
+        try:
+            with contextlib.suppress(BrokenPipeError):  # the server has ended, and so has each child
+                requests.sendall(f"{json.dumps(sys.path)}\n".encode())
+            yield functools.partial(ForkedProcess, requests)
+        finally:
+            server.kill()
+            server.wait()
+
+
+class ForkedProcess(ChildProcess):
+    """A child process that the fork server at the other end of ``requests`` forks."""
+
+    def __init__(self, requests: socket.socket, *arguments: str, first: str = "") -> None:
+        self._process = cast("subprocess.Popen[bytes]", _Fork(requests))
+        self._tell(f"{json.dumps(arguments)}\n{first}")
+
+
+class _Fork:
+    """The part of `subprocess.Popen` that `ChildProcess` uses, from the server's report: process id, then exit code."""
+
+    def __init__(self, requests: socket.socket) -> None:
+        stdin, own_stdin = os.pipe()
+        self._report, report = os.pipe()
+        self.stdin = os.fdopen(own_stdin, "wb")
+        self._pid: int | None = None
+        self._code: int | None = None
+        with contextlib.suppress(BrokenPipeError):  # the server has ended, and with it the report
+            socket.send_fds(requests, [REQUEST], [stdin, report])
+        os.close(stdin)
+        os.close(report)
+
+    @property
+    def pid(self) -> int:
+        """The process id, as soon as the server has started; 0: it never will."""
+        while self._pid is None:
+            self._read()
+        return self._pid
+
+    def poll(self) -> int | None:
+        """The exit code; None: the process still runs."""
+        while self._code is None and readable([self._report], 0.0):
+            self._read()
+        return self._code
+
+    def wait(self, timeout: float | None = None) -> int:
+        """The exit code when the process has ended. Raises `subprocess.TimeoutExpired` (it still runs after ``timeout`` s)."""
+        last = time.monotonic() + (math.inf if timeout is None else timeout)
+        while (code := self.poll()) is None:
+            left_s = last - time.monotonic()
+            if left_s <= 0.0:
+                raise subprocess.TimeoutExpired(MODULE, timeout or 0.0)
+            readable([self._report], min(left_s, LONG_S))
+        return code
+
+    def kill(self) -> None:
+        """Kill the process if it still runs."""
+        if self.pid and self.poll() is None:
+            os.kill(self.pid, signal.SIGKILL)
+
+    def _read(self) -> None:
+        """Read the next number of the report. Without a server nobody knows the end: it counts as killed, too."""
+        number = os.read(self._report, NUMBER.size)
+        if not number:
+            self._pid, self._code = self._pid or 0, -signal.SIGKILL
+        elif self._pid is None:
+            self._pid = NUMBER.unpack(number)[0]
+        else:
+            self._code = NUMBER.unpack(number)[0]
+        if self._code is not None:
+            os.close(self._report)
+
+
+# --- server process -------------------------------------------------------------------------------------------------------
+
+
+def main() -> int:
+    """Entry point of a fork server, which returns in its forks only."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the run to handle, which ends its children
+    requests = socket.socket(fileno=os.dup(0))
+    module = importlib.import_module(sys.argv[1])
+    for name in sys.argv[2:]:
+        importlib.import_module(name)
+    gc.freeze()  # a collection in a fork would copy the memory that it shares
+    reports: dict[int, int] = {}  # by the process id of a fork that runs
+    ends, wakes = os.pipe()
+    os.set_blocking(wakes, False)
+    signal.signal(signal.SIGCHLD, lambda *_: None)
+    signal.set_wakeup_fd(wakes, warn_on_full_buffer=False)
+    while True:
+        ready = readable([requests.fileno(), ends], LONG_S)
+        if ends in ready:
+            os.read(ends, select.PIPE_BUF)
+            _report_ends(reports)
+        if requests.fileno() in ready:
+            request, files, _, _ = socket.recv_fds(requests, len(REQUEST), 2)
+            if not request:
+                os._exit(0)  # its parent has ended
+            stdin, report = files
+            if (pid := os.fork()) == 0:
+                break
+            os.write(report, NUMBER.pack(pid))
+            reports[pid] = report
+            os.close(stdin)
+    signal.set_wakeup_fd(-1)
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    os.dup2(stdin, 0)
+    for descriptor in (stdin, report, ends, wakes, *reports.values()):
+        os.close(descriptor)
+    requests.close()
+    np.random.seed()  # noqa: NPY002  as in a process that is started afresh
+    os.setpgid(0, 0)
+    sys.argv[1:] = json.loads(io.FileIO(0, closefd=False).readline() or sys.exit())  # without a line, its parent has died
+    code: int = module.main()
+    return code
+
+
+def _report_ends(reports: dict[int, int]) -> None:
+    with contextlib.suppress(ChildProcessError):  # none is left
+        while (end := os.waitpid(-1, os.WNOHANG))[0]:
+            report = reports.pop(end[0])
+            os.write(report, NUMBER.pack(os.waitstatus_to_exitcode(end[1])))
+            os.close(report)

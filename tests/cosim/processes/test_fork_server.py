@@ -1,0 +1,104 @@
+"""Child processes that a fork server starts: each as one that is started afresh, to the caller and to itself."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from vcmvsp.cosim.config.builtin_kinds import KINDS
+from vcmvsp.cosim.processes import fork_server
+from vcmvsp.cosim.processes.fork_server import starter
+
+pytestmark = pytest.mark.processes
+
+CHILD = """
+import json, os, random, sys, threading
+import numpy as np
+
+def main():
+    out, code = sys.argv[1:]
+    first, file = sys.stdin.readline(), os.read(FILE, 9).decode()
+    about = {"first": first, "file": file, "draws": [random.random(), np.random.random()], "pid": os.getpid()}
+    with open(out, "w") as stream:
+        json.dump(about, stream)
+    if code == "wait":
+        sys.stdin.read()
+        sys.exit(3)
+    return int(code)
+"""
+
+
+@pytest.fixture(params=[True, False], ids=["forked", "afresh"])
+def ways(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both ways to start child processes. Their module is in the folder ``tmp_path``."""
+    if request.param and not fork_server.FORKS:
+        pytest.skip("no forks on this operating system")
+    monkeypatch.setattr(fork_server, "FORKS", request.param)
+    monkeypatch.syspath_prepend(str(tmp_path))
+
+
+def about(out: Path) -> Any:
+    return json.loads(out.read_text())
+
+
+@pytest.mark.usefixtures("ways")
+def test_each_child_has_its_arguments_first_text_file_exit_code_and_random_numbers(tmp_path: Path) -> None:
+    with (tmp_path / "given").open("w+b", buffering=0) as given:
+        given.write(b"for both!" * 2)
+        given.seek(0)
+        (tmp_path / "child.py").write_text(CHILD.replace("FILE", str(given.fileno())))
+        with starter("child", files=[given.fileno()]) as start:
+            children = [start(str(tmp_path / str(code)), str(code), first=f"to {code}\n") for code in (0, 5)]
+            for child in children:
+                child.wait()
+                assert child.close(0.0)
+            assert [child.returncode for child in children] == [0, 5]
+            assert children[1].why_ended() == "ended with exit code 5"
+    first, second = about(tmp_path / "0"), about(tmp_path / "5")
+    assert [first["first"], second["first"]] == ["to 0\n", "to 5\n"]
+    assert first["file"] == second["file"] == "for both!"
+    assert [first["pid"], second["pid"]] == [child.pid for child in children]
+    for one, other in zip(first["draws"], second["draws"], strict=True):
+        assert one != other
+
+
+@pytest.mark.usefixtures("ways")
+def test_a_child_ends_by_itself_when_its_input_closes_and_else_is_killed(tmp_path: Path) -> None:
+    (tmp_path / "child.py").write_text(CHILD.replace("os.read(FILE, 9)", "b''"))
+    with starter("child") as start:
+        ends, hangs = (start(str(tmp_path / name), "wait", first="x\n") for name in ("ends", "hangs"))
+        assert ends.why_ended() == hangs.why_ended() == ""
+        assert ends.close(500.0)
+        assert ends.why_ended() == "ended with exit code 3"
+        os.kill(hangs.pid, signal.SIGSTOP)
+        assert not hangs.close(0.1)
+        assert hangs.why_ended() == "was killed by SIGKILL"
+
+
+def test_children_of_a_server_that_cannot_start_have_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with starter("no_such_module") as start:
+        child = start("x")
+        assert child.why_ended(500.0) in ("ended with exit code 1", "was killed by SIGKILL")
+        child.kill()
+        child.close(0.1)
+
+
+THREADS = """
+import importlib, os, sys
+for module in sys.argv[1:]:
+    importlib.import_module(module)
+print(len(os.listdir("/proc/self/task")))
+"""
+
+
+@pytest.mark.skipif(not fork_server.FORKS, reason="no forks on this operating system")
+def test_a_host_and_the_built_in_agents_start_no_thread_when_they_are_imported() -> None:
+    modules = {"vcmvsp.agents.host_process", *(kind.partition(":")[0] for kind in KINDS["agent"].values())}
+    command = [sys.executable, "-c", THREADS, *sorted(modules)]
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+    assert subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout == "1\n"
