@@ -59,7 +59,8 @@ def _burn() -> None:
 def test_what_breaks_a_law_is_found(
     command: Callable[[], object], problem: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(forked, "CPU_S", 1)
+    if command is _burn:
+        monkeypatch.setattr(forked, "CPU_S", 1)
     monkeypatch.setattr(forked, "main", lambda words: command())
     (tmp_path / "here" / "case").mkdir(parents=True)
     found = forked.problems([], tmp_path / "here" / "case")
