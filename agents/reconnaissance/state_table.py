@@ -60,7 +60,7 @@ class MissionFacts(NamedTuple):
 
 
 class MissionState(NamedTuple):
-    """The commander, since when and why; the task; the timers of the table."""
+    """State of the table: which algorithm commands the vehicle, the task, and the timers."""
 
     name: Name = "search"
     task: Task = "search"  # the commander, or the algorithm that commands again after avoidance

@@ -63,7 +63,7 @@ class _Stretches(NamedTuple):
     end_ns: Array  # (s,)
 
     def cut(self, begin_ns: int, end_ns: int) -> "_Stretches":
-        """What lies between two times."""
+        """The parts of the stretches between two times."""
         begins, ends = np.maximum(self.begin_ns, begin_ns), np.minimum(self.end_ns, end_ns)
         return _Stretches(self.link, begins, ends).some(begins < ends)
 

@@ -144,7 +144,11 @@ def problem_of_picture(path: str) -> str:
 
 
 def _stick(pixels: Array, picture: Array, corners: Array) -> None:
-    """Lay a picture over another; columns and rows of its corners, upper right first and counter-clockwise."""
+    """Draw a picture into another.
+
+    Args:
+        corners: where its corners lie, (4, 2) column and row, from the upper right one counter-clockwise.
+    """
     import cv2
 
     low = np.maximum(np.floor(corners.min(axis=0)).astype(int) - 1, 0)

@@ -368,7 +368,7 @@ class MavlinkSession:
 
 
 class StatusTexts:
-    """Error messages (STATUSTEXT) of one vehicle, joined from chunks, the ``last`` one not again for a while."""
+    """Error messages (STATUSTEXT) of one vehicle, joined from chunks. The ``last`` one is not repeated for a while."""
 
     def __init__(self) -> None:
         self.last = ""

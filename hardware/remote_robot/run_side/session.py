@@ -18,7 +18,11 @@ MOST_MISSED = 1_000_000  # samples between two received ones
 
 
 class RemoteSampler:
-    """Converts messages of a robot to samples and notices. ``pose``: the newest of odometry, where an opening anew starts."""
+    """Converts messages of a robot to samples and notices.
+
+    Attributes:
+        pose: newest pose by odometry; a reopened robot starts there.
+    """
 
     def __init__(self, start: Vec3) -> None:
         self.clock = EchoClock(window=WINDOW)

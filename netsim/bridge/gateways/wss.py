@@ -51,11 +51,11 @@ class WssMessage(NamedTuple):
         return self.fields.get("Robot", "")
 
     def port(self) -> int | None:
-        """Field ``Port``; None: none, or invalid."""
+        """Field ``Port``; None: missing or invalid."""
         return _port(self.fields.get("Port", ""))
 
     def ports(self) -> tuple[int, ...] | None:
-        """Field ``Port`` as a list without repetitions; None: none, too many, or invalid."""
+        """Field ``Port`` as a list without repetitions; None: missing, too long or invalid."""
         words = self.fields.get("Port", "").split(",")
         ports = [port for word in words if (port := _port(word)) is not None]
         return tuple(dict.fromkeys(ports)) if len(ports) == len(words) <= MOST_PORTS else None
