@@ -129,7 +129,7 @@ class Hosts:
     def run_in_processes(self, specs: Sequence[AgentSpec]) -> None:
         """Spawn child processes, distribute the agents over them in order, and wait until all have joined."""
         from vcmvsp.cosim.hosts.hub import Hub, LinkCallbacks
-        from vcmvsp.cosim.processes.fork_server import starter
+        from vcmvsp.cosim.processes.fork_server import ForkServer
 
         count = min(self._agents.processes or len(specs), len(specs))
         groups = {secrets.token_hex(16): specs[start::count] for start in range(count)}
@@ -138,11 +138,11 @@ class Hosts:
         hub = Hub(None, patience_s=patient_s, cut_deadline_s=cut_s, hosts=count)
         self._stack.callback(hub.close)
         known = {KINDS["agent"][spec.kind].partition(":")[0] for spec in specs if spec.kind in KINDS["agent"]}
-        start = self._stack.enter_context(starter(HOST_PROCESS, *sorted(known), files=hub.files))
+        server = self._stack.enter_context(ForkServer(HOST_PROCESS, *sorted(known), files=hub.files))
         children: dict[str, ChildProcess] = {}
         for token, group in groups.items():
             vehicles = (f"--vehicle={spec.vehicle}" for spec in group)
-            children[token] = start("--connect", hub.endpoint, *vehicles, first=f"{token}\n")
+            children[token] = server.start("--connect", hub.endpoint, *vehicles, first=f"{token}\n")
             self._stack.callback(children[token].close, LEAVE_S)
         links: dict[str, ZenohLink] = {}
         for knock in knocking(hub, self._agents.join_timeout_s, lambda: _missing(groups, links, children), self._tell):

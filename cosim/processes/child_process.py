@@ -19,11 +19,11 @@ from vcmvsp.cosim.util.polling import readable
 
 LONGEST = 1 << 18  # bytes of a message; the operating system accepts some 200 kB
 
+PATHS = "VCMVSP_CHILD_PATHS"  # variable of a child's environment
 BOOT = """
-import atexit, gc, io, json, sys
+import atexit, gc, json, os, sys
 atexit.register(gc.freeze)
-line = io.FileIO(0, closefd=False).readline()
-sys.path[:] = json.loads(line or sys.exit())  # without a line, its parent has died
+sys.path[:] = json.loads(os.environ.pop("{paths}"))
 from {module} import main
 sys.exit(main())
 """
@@ -51,10 +51,11 @@ class ChildProcess:
         stdout: int | None = None,
     ) -> None:
         output = sys.__stderr__ if stdout is None else stdout
-        command = [sys.executable, "-P", "-c", BOOT.format(module=module), *arguments]
-        environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}  # agents compute with one; more cost a fifth of the start
+        command = [sys.executable, "-P", "-c", BOOT.format(module=module, paths=PATHS), *arguments]
+        environment = {**os.environ, PATHS: json.dumps(sys.path)}
+        environment["OPENBLAS_NUM_THREADS"] = "1"  # agents compute with one; more cost a fifth of the start
         self._process = subprocess.Popen(command, stdin=stdin, stdout=output, env=environment, pass_fds=files, process_group=0)
-        self._tell(f"{json.dumps(sys.path)}\n{first}")
+        self._tell(first)
 
     def _tell(self, text: str) -> None:
         """Write to the standard input of the process, if that is a pipe."""
@@ -79,9 +80,9 @@ class ChildProcess:
             return ending(self._process.wait(seconds))
         return ""
 
-    def wait(self) -> None:
-        """Wait until the process ends."""
-        self._process.wait()
+    def wait(self) -> int:
+        """Wait until the process ends; returns its exit code."""
+        return self._process.wait()
 
     def kill(self) -> None:
         """Kill the process, without waiting."""

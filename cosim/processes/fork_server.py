@@ -6,10 +6,8 @@ is never forked: it starts one child afresh, which imports modules, has a single
 """
 
 import contextlib
-import functools
 import gc
 import importlib
-import io
 import json
 import math
 import os
@@ -19,9 +17,10 @@ import socket
 import struct
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from typing import cast
+from collections.abc import Sequence
+from typing import IO, cast
 
 import numpy as np
 
@@ -30,61 +29,84 @@ from vcmvsp.cosim.util.polling import readable
 
 MODULE = "vcmvsp.cosim.processes.fork_server"
 FORKS = sys.platform == "linux"  # libraries of macOS do not survive a fork
-REQUEST = b"+"
 LONG_S = 3600.0
-NUMBER = struct.Struct("q")  # of a report
+NUMBER = struct.Struct("q")  # in a request: the size of the arguments; in a report
 
 
-@contextlib.contextmanager
-def starter(module: str, *imports: str, files: Sequence[int] = ()) -> Iterator[Callable[..., ChildProcess]]:
-    """A function that starts child processes which call the ``main`` of a module; at the end, their exit codes are lost.
+class ForkServer:
+    """Starts child processes that call the ``main`` of a module: forks of one process that has imported the module.
 
-    The function takes the arguments of a child process, and ``first``, the first text on its standard input.
+    Use it as a context manager: entering it starts that process, leaving it loses the exit codes of its forks. Threads may
+    share it. Where `FORKS` is false, it starts each process afresh.
 
     Args:
         imports: further modules that the child processes need. No module here may start a thread when it is imported.
         files: descriptors that the child processes inherit.
-
-    Raises:
-        OSError: no process can be started.
+        stdout: as of `ChildProcess`.
     """
-    if not FORKS:
-        yield functools.partial(ChildProcess, module, files=files)
-        return
-    requests, theirs = socket.socketpair()
-    with requests:
-        with theirs:
-            server = ChildProcess(MODULE, module, *imports, stdin=theirs.fileno(), files=files)
-        try:
-            with contextlib.suppress(BrokenPipeError):  # the server has ended, and so has each child
-                requests.sendall(f"{json.dumps(sys.path)}\n".encode())
-            yield functools.partial(ForkedProcess, requests)
-        finally:
-            server.kill()
-            server.wait()
+
+    def __init__(self, module: str, *imports: str, files: Sequence[int] = (), stdout: int | None = None) -> None:
+        self._module, self._imports, self._files, self._stdout = module, imports, files, stdout
+        self._lock = threading.Lock()
+        self._open = contextlib.ExitStack()
+
+    def __enter__(self) -> "ForkServer":
+        if not FORKS:
+            return self
+        with contextlib.ExitStack() as opened:
+            self._requests, theirs = socket.socketpair()
+            opened.enter_context(self._requests)
+            arguments = self._module, *self._imports
+            with theirs:
+                self._process = ChildProcess(MODULE, *arguments, files=self._files, stdin=theirs.fileno(), stdout=self._stdout)
+            opened.callback(self._process.wait)
+            opened.callback(self._process.kill)
+            self._open = opened.pop_all()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._open.close()
+
+    def start(self, *arguments: str, first: str = "", stdin: int = subprocess.PIPE) -> ChildProcess:
+        """A child process. Arguments and errors are those of `ChildProcess`."""
+        if not FORKS:
+            return ChildProcess(self._module, *arguments, first=first, files=self._files, stdin=stdin, stdout=self._stdout)
+        with self._lock:
+            try:
+                return ForkedProcess(self._requests, self._process, arguments, first, stdin)
+            except BrokenPipeError:  # the server was killed
+                self._open.close()
+                self.__enter__()
+                return ForkedProcess(self._requests, self._process, arguments, first, stdin)
 
 
 class ForkedProcess(ChildProcess):
     """A child process that the fork server at the other end of ``requests`` forks."""
 
-    def __init__(self, requests: socket.socket, *arguments: str, first: str = "") -> None:
-        self._process = cast("subprocess.Popen[bytes]", _Fork(requests))
-        self._tell(f"{json.dumps(arguments)}\n{first}")
+    def __init__(self, requests: socket.socket, server: ChildProcess, arguments: Sequence[str], first: str, stdin: int) -> None:
+        self._process = cast("subprocess.Popen[bytes]", _Fork(requests, server, json.dumps(arguments).encode(), stdin))
+        self._tell(first)
 
 
 class _Fork:
     """The part of `subprocess.Popen` that `ChildProcess` uses, from the server's report: process id, then exit code."""
 
-    def __init__(self, requests: socket.socket) -> None:
-        stdin, own_stdin = os.pipe()
-        self._report, report = os.pipe()
-        self.stdin = os.fdopen(own_stdin, "wb")
+    def __init__(self, requests: socket.socket, server: ChildProcess, arguments: bytes, stdin: int) -> None:
+        self._server = server
         self._pid: int | None = None
         self._code: int | None = None
-        with contextlib.suppress(BrokenPipeError):  # the server has ended, and with it the report
-            socket.send_fds(requests, [REQUEST], [stdin, report])
-        os.close(stdin)
-        os.close(report)
+        with contextlib.ExitStack() as theirs, contextlib.ExitStack() as ours:
+            self._report, report = os.pipe()
+            theirs.callback(os.close, report)
+            ours.callback(os.close, self._report)
+            self.stdin: IO[bytes] | None = None
+            if stdin == subprocess.PIPE:
+                stdin, own = os.pipe()
+                theirs.callback(os.close, stdin)
+                self.stdin = ours.enter_context(os.fdopen(own, "wb"))
+            socket.send_fds(requests, [NUMBER.pack(len(arguments))], [stdin, report])
+            requests.sendall(arguments)
+            ours.pop_all()
 
     @property
     def pid(self) -> int:
@@ -115,10 +137,10 @@ class _Fork:
             os.kill(self.pid, signal.SIGKILL)
 
     def _read(self) -> None:
-        """Read the next number of the report. Without a server nobody knows the end: it counts as killed, too."""
+        """Read the next number of the report. If the server ends first, its end counts as that of the fork."""
         number = os.read(self._report, NUMBER.size)
         if not number:
-            self._pid, self._code = self._pid or 0, -signal.SIGKILL
+            self._pid, self._code = self._pid or 0, self._server.wait()
         elif self._pid is None:
             self._pid = NUMBER.unpack(number)[0]
         else:
@@ -149,9 +171,10 @@ def main() -> int:
             os.read(ends, select.PIPE_BUF)
             _report_ends(reports)
         if requests.fileno() in ready:
-            request, files, _, _ = socket.recv_fds(requests, len(REQUEST), 2)
-            if not request:
+            size, files, _, _ = socket.recv_fds(requests, NUMBER.size, 2)
+            if not size:
                 os._exit(0)  # its parent has ended
+            arguments = requests.recv(NUMBER.unpack(size)[0], socket.MSG_WAITALL)
             stdin, report = files
             if (pid := os.fork()) == 0:
                 break
@@ -166,7 +189,7 @@ def main() -> int:
     requests.close()
     np.random.seed()  # noqa: NPY002  as in a process that is started afresh
     os.setpgid(0, 0)
-    sys.argv[1:] = json.loads(io.FileIO(0, closefd=False).readline() or sys.exit())  # without a line, its parent has died
+    sys.argv[1:] = json.loads(arguments)
     code: int = module.main()
     return code
 

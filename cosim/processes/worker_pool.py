@@ -1,13 +1,10 @@
 """Pool of worker processes for many calls of a function on this machine; a worker that dies costs one call.
 
-Workers are started afresh, and a thread waits for each. They are separate interpreters rather than children of
-`multiprocessing`, which would import the caller's script again in each of them. Functions, arguments and results travel as
-pickles.
+A thread waits for each worker. Workers are not children of `multiprocessing`, which would import the caller's script again in
+each of them. Functions, arguments and results travel as pickles.
 """
 
 import contextlib
-import importlib
-import json
 import os
 import pickle
 import queue
@@ -23,6 +20,7 @@ from typing import Any
 
 from vcmvsp.cosim.errors import VcmvspError, words_of
 from vcmvsp.cosim.processes.child_process import ChildProcess
+from vcmvsp.cosim.processes.fork_server import ForkServer
 
 ATTEMPTS = 2  # attempts of a call
 STARTS = 10  # of a worker, before repeated kills count as an error
@@ -40,21 +38,20 @@ class Worker:
     """A process that makes one call after the other.
 
     Args:
-        imports: modules that it imports at once, while it waits for its first call.
+        start: starts processes of this module.
     """
 
     _ready = False
 
-    def __init__(self, call: Callable[[Any], Any], imports: Sequence[str] = ()) -> None:
+    def __init__(self, call: Callable[[Any], Any], start: Callable[..., ChildProcess]) -> None:
         try:
             ours, theirs = socket.socketpair()
             self._pipe: Connection[Any, Any] = Connection(ours.detach())
             with theirs:
-                self._process = ChildProcess(MODULE, *imports, stdin=theirs.fileno(), stdout=subprocess.DEVNULL)
+                self._process = start(stdin=theirs.fileno())
         except OSError as error:
             raise VcmvspError(f"cannot start a worker: {error.strerror or error}") from error
         with contextlib.suppress(OSError):  # the worker has ended, which `await_ready` reports
-            os.write(self._pipe.fileno(), json.dumps(sys.path).encode() + b"\n")
             self._pipe.send_bytes(pickle.dumps(call))
 
     def await_ready(self) -> None:
@@ -112,16 +109,22 @@ class Pool:
         call: a function of a module, or a `functools.partial` of one.
         jobs: number of parallel calls.
         died: result of a call whose worker died twice; an exception is raised.
+        imports: modules that a call needs, besides its own; they must start no thread when they are imported.
     """
 
-    def __init__(self, call: Callable[[Any], Any], jobs: int, *, died: object) -> None:
+    def __init__(self, call: Callable[[Any], Any], jobs: int, *, died: object, imports: Sequence[str] = ()) -> None:
         self._call, self._jobs, self._died = call, jobs, died
+        self._server = ForkServer(MODULE, *imports, stdout=subprocess.DEVNULL)
         self._lock, self._stopped = threading.Lock(), False
         self._threads: list[threading.Thread] = []
         self._workers: set[Worker] = set()
         self._answers: queue.SimpleQueue[Answered | BaseException] = queue.SimpleQueue()
 
     def __enter__(self) -> "Pool":
+        try:
+            self._server.__enter__()
+        except OSError as error:
+            raise VcmvspError(f"cannot start a worker: {error.strerror or error}") from error
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -131,6 +134,7 @@ class Pool:
                 worker.kill()
         for thread in self._threads:
             thread.join()
+        self._server.__exit__(*error)
 
     def answers(self, asked: Iterable[Asked], count: int) -> Iterator[Answered]:
         """The results of these ``count`` calls in the order of completion; the first exception ends it."""
@@ -174,7 +178,7 @@ class Pool:
             if self._stopped:
                 raise WorkerDiedError
             with contextlib.suppress(WorkerDiedError):
-                worker = Worker(self._call)
+                worker = Worker(self._call, self._server.start)
                 worker.await_ready()
                 with self._lock:
                     self._workers.add(worker)
@@ -203,8 +207,6 @@ def main() -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the caller handles Ctrl-C and ends its workers
     pipe: Connection[Any, Any] = Connection(os.dup(0))
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)  # processes started by a call neither hold nor read this end
-    for module in sys.argv[1:]:
-        importlib.import_module(module)
     lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_read, args=(pipe, lines), daemon=True).start()
     call = pickle.loads(lines.get())  # noqa: S301  from the process that started us

@@ -1,7 +1,8 @@
 """Figures of a run, from its tables and recording.
 
-`Drawer` draws the figures of a short run in a second process, which imports Matplotlib during the run: the import takes as long
-as the run itself. With ``VCMVSP_FIGURES=0`` in the environment a run leaves no figures; ``vcmvsp plot`` draws them later.
+`Drawer` draws the figures of a short run in other processes: the import of Matplotlib takes as long as the run itself, so one
+process imports it meanwhile, and each figure is drawn by a fork of it. With ``VCMVSP_FIGURES=0`` in the environment a run
+leaves no figures; ``vcmvsp plot`` draws them later.
 """
 
 import contextlib
@@ -12,7 +13,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from vcmvsp.cosim.errors import VcmvspError
-from vcmvsp.cosim.processes.worker_pool import Worker, WorkerDiedError
+from vcmvsp.cosim.processes.fork_server import FORKS
+from vcmvsp.cosim.processes.worker_pool import Pool, WorkerDiedError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
     from vcmvsp.cosim.types import Array
 
 IMPORTS = ("vcmvsp.cosim.plots.run_plots",)
+JOBS = 2  # figures at the same time
 
 
 class Picture(NamedTuple):
@@ -53,37 +56,63 @@ class Content:
     targets: "Sequence[Target]" = ()
     mission: "MissionLog | None" = None
 
-    def figures(self) -> "dict[str, Figure]":
-        """The figures by name.
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the figures.
 
         ``trajectory``; ``formation_error`` if a vehicle follows another; ``mission``, ``mosaic`` and ``detections`` if agents
         published them.
         """
+        names = ["trajectory"]
+        if self.facts.follows:
+            names.append("formation_error")
+        if self.mission:
+            from vcmvsp.cosim.plots import mission_plot
+
+            names.append("mission")
+            if self.mission.mosaics:
+                names.append("mosaic")
+            if mission_plot.chosen_pictures(self.mission):
+                names.append("detections")
+        return tuple(names)
+
+    def figure(self, name: str) -> "Figure":
+        """One of the figures. Raises `KeyError` (there is none of this name)."""
         from vcmvsp.cosim.plots import run_plots
 
         follows, mission = self.facts.follows, self.mission
-        figures = {"trajectory": run_plots.trajectory(self.states, follows, self.outlines, self.facts.stations or ())}
-        if follows:
-            figures["formation_error"] = run_plots.formation_error(self.states, self.radio, follows, self.window_s)
-        if not mission:
-            return figures
+        if name == "trajectory":
+            return run_plots.trajectory(self.states, follows, self.outlines, self.facts.stations or ())
+        if name == "formation_error":
+            return run_plots.formation_error(self.states, self.radio, follows, self.window_s)
         from vcmvsp.cosim.metrics.motion import motion
         from vcmvsp.cosim.plots import mission_plot
 
+        if mission is None:
+            raise KeyError(name)
+        if name == "detections":
+            return mission_plot.detections(mission)
         moved = motion(self.states)
-        figures["mission"] = mission_plot.mission(mission, moved, self.targets, self.outlines)
-        if mission.mosaics:
-            figures["mosaic"] = mission_plot.mosaic(mission, moved, self.targets)
-        if mission_plot.chosen_pictures(mission):
-            figures["detections"] = mission_plot.detections(mission)
-        return figures
+        if name == "mosaic":
+            return mission_plot.mosaic(mission, moved, self.targets)
+        return mission_plot.mission(mission, moved, self.targets, self.outlines)
+
+    def figures(self) -> "dict[str, Figure]":
+        """The figures by name."""
+        return {name: self.figure(name) for name in self.names}
 
 
 def draw(content: Content) -> dict[str, Picture]:
     """The figures of a run by name, drawn in this process."""
+    return {name: _picture((name, content)) for name in content.names}
+
+
+def _picture(asked: tuple[str, Content]) -> Picture:
     from vcmvsp.cosim.plots import style
 
-    return {name: Picture(style.png(figure), style.svg(figure)) for name, figure in content.figures().items()}
+    name, content = asked
+    figure = content.figure(name)
+    return Picture(style.png(figure), style.svg(figure))
 
 
 def wanted() -> bool:
@@ -98,33 +127,35 @@ class Drawer:
     """Draws the figures of one run; a context manager around the run, which may be entered again within.
 
     Args:
-        apart: draw the figures of a short run in a second process, unless this process has imported Matplotlib already.
+        apart: draw the figures of a short run in other processes, unless this process has imported Matplotlib already.
     """
 
     def __init__(self, *, apart: bool = True) -> None:
-        self._apart = apart and "matplotlib.figure" not in sys.modules
-        self._worker: Worker | None = None
+        self._apart = apart and FORKS and "matplotlib.figure" not in sys.modules
+        self._pool: Pool | None = None
 
     def __enter__(self) -> "Drawer":
-        if self._apart and wanted() and self._worker is None:
-            with contextlib.suppress(VcmvspError):  # a process that cannot be started: drawn here
-                self._worker = Worker(draw, IMPORTS)
+        if self._apart and wanted() and self._pool is None:
+            pool = Pool(_picture, JOBS, died=WorkerDiedError(), imports=IMPORTS)
+            with contextlib.suppress(VcmvspError):  # no process can be started: drawn here
+                self._pool = pool.__enter__()
         return self
 
     def __exit__(self, *error: object) -> None:
-        if self._worker is not None:
-            self._worker.close()
+        if self._pool is not None:
+            self._pool.__exit__(*error)
 
     def draw(self, content: Content) -> Mapping[str, Picture]:
         """The figures by name."""
         from vcmvsp.cosim.tables.schema import PART_ROWS, selected
 
         states, radio = content.states, content.radio
-        if self._worker is None or content.mission or max(states.num_rows, radio.num_rows) > PART_ROWS:
+        if self._pool is None or content.mission or max(states.num_rows, radio.num_rows) > PART_ROWS:
             return draw(content)
         states, radio = (selected(table, table.schema.names) for table in (states, radio))
+        names, sent = content.names, replace(content, states=states, radio=radio)
         try:
-            drawn: dict[str, Picture] = self._worker.run(replace(content, states=states, radio=radio))
+            drawn = dict(self._pool.answers([(name, (name, sent)) for name in names], len(names)))
         except (WorkerDiedError, VcmvspError):
             return draw(content)
-        return drawn
+        return {name: drawn[name] for name in names}

@@ -8,11 +8,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 
 from vcmvsp.cosim.config.builtin_kinds import KINDS
 from vcmvsp.cosim.processes import fork_server
-from vcmvsp.cosim.processes.fork_server import starter
+from vcmvsp.cosim.processes.fork_server import ForkServer
+from vcmvsp.cosim.runs.figures import IMPORTS
 
 pytestmark = pytest.mark.processes
 
@@ -52,8 +54,8 @@ def test_each_child_has_its_arguments_first_text_file_exit_code_and_random_numbe
         given.write(b"for both!" * 2)
         given.seek(0)
         (tmp_path / "child.py").write_text(CHILD.replace("FILE", str(given.fileno())))
-        with starter("child", files=[given.fileno()]) as start:
-            children = [start(str(tmp_path / str(code)), str(code), first=f"to {code}\n") for code in (0, 5)]
+        with ForkServer("child", files=[given.fileno()]) as server:
+            children = [server.start(str(tmp_path / str(code)), str(code), first=f"to {code}\n") for code in (0, 5)]
             for child in children:
                 child.wait()
                 assert child.close(0.0)
@@ -70,8 +72,8 @@ def test_each_child_has_its_arguments_first_text_file_exit_code_and_random_numbe
 @pytest.mark.usefixtures("ways")
 def test_a_child_ends_by_itself_when_its_input_closes_and_else_is_killed(tmp_path: Path) -> None:
     (tmp_path / "child.py").write_text(CHILD.replace("os.read(FILE, 9)", "b''"))
-    with starter("child") as start:
-        ends, hangs = (start(str(tmp_path / name), "wait", first="x\n") for name in ("ends", "hangs"))
+    with ForkServer("child") as server:
+        ends, hangs = (server.start(str(tmp_path / name), "wait", first="x\n") for name in ("ends", "hangs"))
         assert ends.why_ended() == hangs.why_ended() == ""
         assert ends.close(500.0)
         assert ends.why_ended() == "ended with exit code 3"
@@ -80,9 +82,26 @@ def test_a_child_ends_by_itself_when_its_input_closes_and_else_is_killed(tmp_pat
         assert hangs.why_ended() == "was killed by SIGKILL"
 
 
-def test_children_of_a_server_that_cannot_start_have_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with starter("no_such_module") as start:
-        child = start("x")
+@pytest.mark.skipif(not fork_server.FORKS, reason="no forks on this operating system")
+def test_a_server_that_is_killed_is_replaced_and_its_forks_live_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "child.py").write_text(CHILD.replace("os.read(FILE, 9)", "b''"))
+    with ForkServer("child") as server:
+        waits = server.start(str(tmp_path / "waits"), "wait", first="x\n")
+        forked = psutil.Process(waits.pid)
+        forked.parent().kill()
+        assert waits.why_ended(500.0) == "was killed by SIGKILL"  # nobody knows better
+        assert forked.is_running()
+        ends = server.start(str(tmp_path / "ends"), "0", first="x\n")
+        assert ends.why_ended(500.0) == "ended with exit code 0"
+        for child in (waits, ends):
+            child.close(0.1)
+        forked.wait(500.0)
+
+
+def test_children_of_a_server_that_cannot_start_have_ended() -> None:
+    with ForkServer("no_such_module") as server:
+        child = server.start("x")
         assert child.why_ended(500.0) in ("ended with exit code 1", "was killed by SIGKILL")
         child.kill()
         child.close(0.1)
@@ -92,13 +111,16 @@ THREADS = """
 import importlib, os, sys
 for module in sys.argv[1:]:
     importlib.import_module(module)
-print(len(os.listdir("/proc/self/task")))
+for thread in os.listdir("/proc/self/task"):
+    if int(thread) != os.getpid():
+        print(open(f"/proc/self/task/{thread}/comm").read().strip())
 """
 
 
 @pytest.mark.skipif(not fork_server.FORKS, reason="no forks on this operating system")
-def test_a_host_and_the_built_in_agents_start_no_thread_when_they_are_imported() -> None:
-    modules = {"vcmvsp.agents.host_process", *(kind.partition(":")[0] for kind in KINDS["agent"].values())}
+def test_hosts_built_in_agents_and_figures_start_no_thread_when_they_are_imported() -> None:
+    modules = {"vcmvsp.agents.host_process", *IMPORTS, *(kind.partition(":")[0] for kind in KINDS["agent"].values())}
     command = [sys.executable, "-c", THREADS, *sorted(modules)]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
-    assert subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout == "1\n"
+    threads = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.split()
+    assert set(threads) <= {"jemalloc_bg_thd"}  # of pyarrow, and prepared for forks

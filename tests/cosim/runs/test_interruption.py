@@ -72,7 +72,7 @@ KILLED = """
 import os, signal, sys, tempfile
 tempfile.tempdir = sys.argv[1]
 from vcmvsp.cosim.processes import fork_server
-fork_server.starter = lambda *_, **__: os.kill(os.getpid(), signal.SIGKILL)
+fork_server.ForkServer = lambda *_, **__: os.kill(os.getpid(), signal.SIGKILL)
 import vcmvsp
 vcmvsp.run("formation-circle", agents="process")
 """

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pytest
 
 import vcmvsp
@@ -20,7 +21,7 @@ from tests.support.cosim.studies import ESTIMATOR, LOSS, columns, mine, two
 from vcmvsp.cosim.assembly.run import AssembledRun
 from vcmvsp.cosim.errors import AgentError, FederateError, UsageError, VcmvspError
 from vcmvsp.cosim.processes import child_process, worker_pool
-from vcmvsp.cosim.processes.worker_pool import Pool, Worker
+from vcmvsp.cosim.processes.worker_pool import Pool
 from vcmvsp.cosim.studies import engine, rows
 from vcmvsp.cosim.studies import plan as plans
 from vcmvsp.cosim.studies.engine import study
@@ -78,7 +79,7 @@ def test_a_run_that_fails_is_a_row(tmp_path: Path) -> None:
     errors = [row[0] for row in columns(found, "error")]
     assert [error is None for error in errors] == [True, False, True] * 2
     assert "RuntimeError: not with this seed" in errors[1]
-    failed = found.filter(pa.compute.is_valid(found["error"])).drop_columns(["agents.nap_s", "seed", "error"])
+    failed = found.filter(pc.is_valid(found["error"])).drop_columns(["agents.nap_s", "seed", "error"])
     assert failed.num_columns > 20
     assert all(column.null_count == 2 for column in failed.columns)
     with pytest.raises(AgentError, match="not with"):
@@ -157,7 +158,7 @@ def test_a_worker_that_is_killed_costs_its_run_only_if_it_dies_twice(tmp_path: P
 def test_a_worker_that_is_killed_while_it_starts_costs_no_run(
     deaths: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    boots = iter(["import os; os.kill(os.getpid(), 9)  # {module}"] * deaths + [child_process.BOOT] * 2)
+    boots = iter(["import os; os.kill(os.getpid(), 9)  # {module} {paths}"] * deaths + [child_process.BOOT] * 2)
 
     class Boot:
         def format(self, **named: str) -> str:
@@ -210,9 +211,9 @@ def test_what_agents_print_is_no_answer(tmp_path: Path) -> None:
         "import os\nprint('module')\nos.write(1, b'raw')\n" + (mine(tmp_path).parent / "mine.py").read_text()
     )
     work = Work(mine(tmp_path).read_text().replace("mine.py", "loud.py"), str(tmp_path), version())
-    worker = Worker(functools.partial(run_one, work))
-    assert worker.run(Job(0, {})).startswith(b'{"values":{')
-    worker.close()
+    with Pool(functools.partial(run_one, work), 1, died=DIED) as pool:
+        ((_, row),) = pool.answers([(0, Job(0, {}))], 1)
+    assert row.startswith(b'{"values":{')
 
 
 def test_another_version_makes_no_rows(tmp_path: Path) -> None:
