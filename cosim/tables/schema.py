@@ -136,7 +136,7 @@ class TableFile:
         file, fields = _opened(self._path, columns)
         with file:
             if not self.num_rows:
-                yield pa.schema(fields).empty_table()
+                yield pa.Table.from_batches([], pa.schema(fields))  # empty_table() imports pandas if it is installed
             for batch in file.iter_batches(PART_ROWS, columns=[field.name for field in fields]):
                 yield _as_written(pa.Table.from_batches([batch]), fields, self._path.name)
 
