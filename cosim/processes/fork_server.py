@@ -40,7 +40,8 @@ class ForkServer:
     share it. Where `FORKS` is false, it starts each process afresh.
 
     Args:
-        imports: further modules that the child processes need. No module here may start a thread when it is imported.
+        imports: further modules that the child processes need. No module here may start a thread when it is imported, unless
+            the thread is prepared for forks, as that of pyarrow's allocator.
         files: descriptors that the child processes inherit.
         stdout: as of `ChildProcess`.
     """
