@@ -19,6 +19,7 @@ import subprocess
 import sys
 import threading
 import time
+import weakref
 from collections.abc import Sequence
 from typing import IO, cast
 
@@ -69,7 +70,7 @@ class ForkServer:
         self._open.close()
 
     def start(self, *arguments: str, first: str = "", stdin: int = subprocess.PIPE) -> ChildProcess:
-        """A child process. Arguments and errors are those of `ChildProcess`."""
+        """Start a child process; the arguments and errors are those of `ChildProcess`."""
         if not FORKS:
             return ChildProcess(self._module, *arguments, first=first, files=self._files, stdin=stdin, stdout=self._stdout)
         with self._lock:
@@ -93,7 +94,7 @@ class _Fork:
     """The part of `subprocess.Popen` that `ChildProcess` uses, from the server's report: process id, then exit code."""
 
     def __init__(self, requests: socket.socket, server: ChildProcess, arguments: bytes, stdin: int) -> None:
-        self._server = server
+        self._server, self._lock = server, threading.Lock()
         self._pid: int | None = None
         self._code: int | None = None
         with contextlib.ExitStack() as theirs, contextlib.ExitStack() as ours:
@@ -108,19 +109,23 @@ class _Fork:
             socket.send_fds(requests, [NUMBER.pack(len(arguments))], [stdin, report])
             requests.sendall(arguments)
             ours.pop_all()
+        # Open for as long as this object: a thread may wait for the report while another one reads its end.
+        weakref.finalize(self, os.close, self._report)
 
     @property
     def pid(self) -> int:
         """The process id, as soon as the server has started; 0: it never will."""
-        while self._pid is None:
-            self._read()
-        return self._pid
+        with self._lock:
+            if self._pid is None:
+                self._read()
+            return self._pid or 0
 
     def poll(self) -> int | None:
         """The exit code; None: the process still runs."""
-        while self._code is None and readable([self._report], 0.0):
-            self._read()
-        return self._code
+        with self._lock:
+            while self._code is None and readable([self._report], 0.0):
+                self._read()
+            return self._code
 
     def wait(self, timeout: float | None = None) -> int:
         """The exit code when the process has ended. Raises `subprocess.TimeoutExpired` (it still runs after ``timeout`` s)."""
@@ -135,7 +140,8 @@ class _Fork:
     def kill(self) -> None:
         """Kill the process if it still runs."""
         if self.pid and self.poll() is None:
-            os.kill(self.pid, signal.SIGKILL)
+            with contextlib.suppress(ProcessLookupError):  # it has ended just now
+                os.kill(self.pid, signal.SIGKILL)
 
     def _read(self) -> None:
         """Read the next number of the report. If the server ends first, its end counts as that of the fork."""
@@ -146,8 +152,6 @@ class _Fork:
             self._pid = NUMBER.unpack(number)[0]
         else:
             self._code = NUMBER.unpack(number)[0]
-        if self._code is not None:
-            os.close(self._report)
 
 
 # --- server process -------------------------------------------------------------------------------------------------------

@@ -34,6 +34,14 @@ class WorkerDiedError(Exception):
     """The worker process ended during a call."""
 
 
+@contextlib.contextmanager
+def _starting() -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise VcmvspError(f"cannot start a worker: {error.strerror or error}") from error
+
+
 class Worker:
     """A process that makes one call after the other.
 
@@ -44,13 +52,11 @@ class Worker:
     _ready = False
 
     def __init__(self, call: Callable[[Any], Any], start: Callable[..., ChildProcess]) -> None:
-        try:
+        with _starting():
             ours, theirs = socket.socketpair()
             self._pipe: Connection[Any, Any] = Connection(ours.detach())
             with theirs:
                 self._process = start(stdin=theirs.fileno())
-        except OSError as error:
-            raise VcmvspError(f"cannot start a worker: {error.strerror or error}") from error
         with contextlib.suppress(OSError):  # the worker has ended, which `await_ready` reports
             self._pipe.send_bytes(pickle.dumps(call))
 
@@ -121,10 +127,8 @@ class Pool:
         self._answers: queue.SimpleQueue[Answered | BaseException] = queue.SimpleQueue()
 
     def __enter__(self) -> "Pool":
-        try:
+        with _starting():
             self._server.__enter__()
-        except OSError as error:
-            raise VcmvspError(f"cannot start a worker: {error.strerror or error}") from error
         return self
 
     def __exit__(self, *error: object) -> None:

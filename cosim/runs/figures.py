@@ -10,6 +10,7 @@ import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 from vcmvsp.cosim.errors import VcmvspError
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from vcmvsp.cosim.metrics.mission import Target
-    from vcmvsp.cosim.metrics.motion import Window
+    from vcmvsp.cosim.metrics.motion import Motion, Window
     from vcmvsp.cosim.recording.mission_log import MissionLog
     from vcmvsp.cosim.tables.schema import RunFacts, Table
     from vcmvsp.cosim.types import Array
@@ -85,17 +86,21 @@ class Content:
             return run_plots.trajectory(self.states, follows, self.outlines, self.facts.stations or ())
         if name == "formation_error":
             return run_plots.formation_error(self.states, self.radio, follows, self.window_s)
-        from vcmvsp.cosim.metrics.motion import motion
         from vcmvsp.cosim.plots import mission_plot
 
         if mission is None:
             raise KeyError(name)
         if name == "detections":
             return mission_plot.detections(mission)
-        moved = motion(self.states)
         if name == "mosaic":
-            return mission_plot.mosaic(mission, moved, self.targets)
-        return mission_plot.mission(mission, moved, self.targets, self.outlines)
+            return mission_plot.mosaic(mission, self._moved, self.targets)
+        return mission_plot.mission(mission, self._moved, self.targets, self.outlines)
+
+    @cached_property
+    def _moved(self) -> "Motion":
+        from vcmvsp.cosim.metrics.motion import motion
+
+        return motion(self.states)
 
     def figures(self) -> "dict[str, Figure]":
         """The figures by name."""

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -80,6 +81,18 @@ def test_a_child_ends_by_itself_when_its_input_closes_and_else_is_killed(tmp_pat
         os.kill(hangs.pid, signal.SIGSTOP)
         assert not hangs.close(0.1)
         assert hangs.why_ended() == "was killed by SIGKILL"
+
+
+@pytest.mark.usefixtures("ways")
+def test_threads_that_wait_for_the_same_child_all_learn_how_it_ended(tmp_path: Path) -> None:
+    (tmp_path / "child.py").write_text(CHILD.replace("os.read(FILE, 9)", "b''"))
+    with ForkServer("child") as server, ThreadPoolExecutor(8) as threads:
+        for number in range(20):
+            child = server.start(str(tmp_path / str(number)), "wait", first="x\n")
+            codes = [threads.submit(child.wait) for _ in range(8)]
+            child.kill()
+            assert [code.result() for code in codes] == [-signal.SIGKILL] * 8
+            child.close(0.1)
 
 
 @pytest.mark.skipif(not fork_server.FORKS, reason="no forks on this operating system")
