@@ -8,13 +8,14 @@ import matplotlib.pyplot as plt
 import vcmvsp
 
 FOLDER = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
+RUNS = int(sys.argv[2]) if len(sys.argv) > 2 else 3  # of each point
 QUICK = {"physics.kind": "kinematic", "duration_s": 40.0, "agents.estimator": "hold", "agents.runs": "inprocess"}
 
 
 def main() -> None:
-    """Three robots on a circle, at each of twelve pairs of loss and delay, with three seeds."""
+    """Three robots on a circle, at each of twelve pairs of loss and delay, with some seeds."""
     vary = {"radio.loss.probability": [0.0, 0.3, 0.6, 0.8], "radio.delay.seconds": [0.0, 0.2, 0.4]}
-    table = vcmvsp.study("formation-circle", vary=vary, seeds=3, set=QUICK).to_pandas()
+    table = vcmvsp.study("formation-circle", vary=vary, seeds=RUNS, set=QUICK).to_pandas()
     means = table.groupby(["radio.delay.seconds", "radio.loss.probability"])["formation.rms_m"].mean()
 
     figure, axes = plt.subplots(figsize=(6.0, 4.0), layout="constrained")

@@ -39,6 +39,7 @@ LOAD_S = 0.05  # CPU time for which loading cached code pays
 _DIGEST_BYTES = 16  # of the code, at the beginning of a cache file
 _FUNCTION = ctypes.CFUNCTYPE(ctypes.c_int32, *(ctypes.c_void_p,) * 4, ctypes.c_int64)  # as numba has functions called
 _loaded: dict[Program, "MachineCode"] = {}
+_work_s: dict[Program, float] = {}  # CPU time of work, interpreted, since the cache folder was last asked for the code
 
 
 def available() -> bool:
@@ -106,13 +107,18 @@ class Core:
     def chosen(self, work_s: float, compile_for_s: float) -> Run:
         """The way for work that takes ``work_s`` CPU s interpreted.
 
-        Compilation pays from ``compile_for_s`` on, of all work for which this was called on this computer so far.
+        Many small calls count as one large call. Compilation pays from ``compile_for_s`` on, of all work for which this was
+        called on this computer so far.
         """
         if not available():
             return self.interpreted
-        pays = self.is_loaded or (
-            work_s >= LOAD_S and (self.is_cached or _total_s(_path(self._program), work_s) >= compile_for_s)
-        )
+        if self.is_loaded:
+            return self.compiled
+        work_s += _work_s.pop(self._program, 0.0)
+        if work_s < LOAD_S:
+            _work_s[self._program] = work_s
+            return self.interpreted
+        pays = self.is_cached or _total_s(_path(self._program), work_s) >= compile_for_s
         return self.compiled if pays else self.interpreted
 
 

@@ -10,13 +10,14 @@ import vcmvsp
 
 HERE = Path(__file__).parent
 FOLDER = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
+RUNS = int(sys.argv[2]) if len(sys.argv) > 2 else None  # of each point; None: as many as the study says
 QUANTITIES = {"own.agreed_s": "time to agreement (s)", "own.disagreement_m": "disagreement, RMS (m)"}
 
 
 def main() -> None:
     """Run the study on all cores, or finish it, and draw means and 95 % bands."""
     study = FOLDER / "agreement"
-    vcmvsp.study(HERE / "agreement.toml", out=study, resume=study.exists())
+    vcmvsp.study(HERE / "agreement.toml", out=study, seeds=RUNS, resume=study.exists())
     summary = pd.read_csv(study / "summary.csv")
     figure, panels = plt.subplots(1, 2, figsize=(7.0, 2.8), layout="constrained")
     for axes, (name, label) in zip(panels, QUANTITIES.items(), strict=True):

@@ -19,6 +19,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.processes, pytest.mark.sockets]
 
 FOLDER = ROOT / "examples"
 PAPER, LEARNING = "paper/figure.py", "learning/train.py"
+RUNS = {"loss_and_delay.py": ["1"], "study_bands.py": ["2"], PAPER: ["2"]}  # of each point of a study, instead of more
 SCRIPTS, NOTEBOOKS = (sorted(path.name for path in FOLDER.glob(pattern)) for pattern in ("*.py", "*.ipynb"))
 
 
@@ -29,14 +30,14 @@ def test_every_example_is_in_the_index() -> None:
 
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_a_script_makes_its_picture(name: str, tmp_path: Path) -> None:
-    done = subprocess.run([sys.executable, FOLDER / name, tmp_path], capture_output=True, text=True, check=False, cwd=tmp_path)
+    done = subprocess.run([sys.executable, FOLDER / name, tmp_path, *RUNS.get(name, [])], capture_output=True, text=True, check=False, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert [path.name for path in tmp_path.iterdir()] == [f"{name.removesuffix('.py')}.png"]
     assert (tmp_path / f"{name.removesuffix('.py')}.png").stat().st_size > 10_000
 
 
 def test_the_figure_of_the_paper_has_bands_that_widen_with_loss(tmp_path: Path) -> None:
-    done = subprocess.run([sys.executable, FOLDER / PAPER, tmp_path], capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, FOLDER / PAPER, tmp_path, *RUNS[PAPER]], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert {"figure.pdf", "figure.png"} <= {path.name for path in tmp_path.iterdir()}
     rows = read_csv(tmp_path / "agreement" / "summary.csv").set_index("radio.loss.probability")

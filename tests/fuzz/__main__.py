@@ -71,6 +71,7 @@ def _import_all() -> None:
         if not module.name.endswith("__main__") and "reproduction" not in module.name:
             with contextlib.suppress(ImportError):
                 importlib.import_module(module.name)
+    importlib.import_module("pydantic.type_adapter")  # for typer
     gc.freeze()  # a collection in a forked process would copy all that it visits
 
 

@@ -27,8 +27,9 @@ SHARED = (
     *("vcmvsp.cosim.cli.outputs", "vcmvsp.cosim.view.player.recording", "vcmvsp.cosim.runs.replay"),
     *("vcmvsp.cosim.export.csv_files", "vcmvsp.cosim.export.video", "vcmvsp.cosim.export.rosbag"),
     *("vcmvsp.cosim.export.foxglove_layout", "vcmvsp.cosim.analysis.coverage", "vcmvsp.cosim.analysis.link_budget"),
+    *("pydantic.type_adapter", "pandas", "cv2", "av", "matplotlib.style"),
 )
-"""Modules that the readers of results import."""
+"""Modules that the readers of results import, some of them by typer and pyarrow."""
 CPU_S, MOST_BYTES = 10, 1 << 30
 
 

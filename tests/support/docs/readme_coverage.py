@@ -54,6 +54,7 @@ RELAYS = "tests/validation/test_relay_canyon.py::test_rays_reach_round_corners_w
 ELSEWHERE = _in_the_gallery() | {
     "vcmvsp study relay-canyon --vary vehicle.relay.count=1,2,3,4 --seeds 1 --metric routing.delivery_ratio": RELAYS,
     ".venv/bin/python examples/loss_and_delay.py": EXAMPLES,
+    ".venv/bin/python examples/study_bands.py pictures 3": EXAMPLES,
     ".venv/bin/python examples/own_agent.py pictures": EXAMPLES,
     "vcmvsp new task meet": LEARNING_TASK,
     "make demo": "tests/docs/test_readme.py::test_the_demo_prints_what_the_readme_says",
