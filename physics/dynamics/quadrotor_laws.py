@@ -48,6 +48,7 @@ Pair = Annotated[Rows, 2]
 Three = Annotated[Rows, 3]
 Four = Annotated[Rows, 4]
 
+INLINE = True  # see `cosim.compiled.machine_code`
 LOOP_HZ = 60.0  # of way-points and velocities; slower where steps are longer
 
 # Values of `run`: what to compute before it is called again.

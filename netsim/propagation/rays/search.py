@@ -15,9 +15,6 @@ from vcmvsp.cosim.util.surfaces import OPAQUE, SKIN
 from vcmvsp.netsim.propagation.rays.arrays import Terrain, Work
 from vcmvsp.netsim.propagation.rays.field import size, weigh
 
-INLINE = False
-"""See `cosim.compiled.machine_code`: half the time of compilation, and as fast."""
-
 TRACE, LOOK, LOOK_FROM_SITES, BEAMS = 0, 1, 2, 3
 """What `run` is to do."""
 
