@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from typing import Annotated
 
 import msgspec
@@ -57,14 +58,24 @@ class Lora:
 
     def air_time_ns(self, size_bytes: int) -> int:
         """Air time of all frames of a message, rounded up to 1 ns."""
-        symbol_s = 2**self.spreading_factor / Fraction(self.bandwidth_hz)
         quarters = 4 * self.preamble_symbols + 17  # of symbols, in the preamble
         total = over_frames(size_bytes, LARGEST_BYTES, lambda size: quarters + 4 * self._payload_symbols(size))
-        return math.ceil(total * symbol_s / 4 * SECOND_NS)
+        quarter_ns = self._quarter_ns
+        return -(-total * quarter_ns.numerator // quarter_ns.denominator)
 
     def _payload_symbols(self, size_bytes: int) -> int:
+        bits = 8 * size_bytes - 4 * self.spreading_factor + 28 + 16 * self.crc - 20 * (not self.explicit_header)
+        return 8 + max(-(-bits // self._block_bits) * (self.coding_rate + 4), 0)
+
+    @cached_property
+    def _quarter_ns(self) -> Fraction:
+        """A quarter of a symbol."""
+        return 2**self.spreading_factor / Fraction(self.bandwidth_hz) / 4 * SECOND_NS
+
+    @cached_property
+    def _block_bits(self) -> int:
+        """Bits that the coding rate applies to at once."""
         slow = self.low_data_rate
         if slow is None:
-            slow = 2**self.spreading_factor / Fraction(self.bandwidth_hz) >= SLOW_SYMBOL_S
-        bits = 8 * size_bytes - 4 * self.spreading_factor + 28 + 16 * self.crc - 20 * (not self.explicit_header)
-        return 8 + max(-(-bits // (4 * (self.spreading_factor - 2 * slow))) * (self.coding_rate + 4), 0)
+            slow = 4 * self._quarter_ns >= SLOW_SYMBOL_S * SECOND_NS
+        return 4 * (self.spreading_factor - 2 * slow)
