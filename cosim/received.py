@@ -190,32 +190,37 @@ class Mailboxes:
         self._row = {name: row for row, name in enumerate(names)}
         self._vehicles = frozenset(vehicles)
         self._owned = None if len(self._vehicles) == len(names) else self._mask(vehicles)
-        self._waiting: list[Receptions] = []
+        self._waiting: list[tuple[int, Receptions]] = []  # with the earliest arrival, ns
 
     def put(self, batch: Receptions) -> None:
         """Add the receptions of the owners of these mailboxes."""
         owned = None if self._owned is None else self._owned[batch.receiver]
-        if owned is None or owned.all():
-            self._waiting.append(batch)
-        elif owned.any():
-            self._waiting.append(_rows_of(batch, owned))
+        if owned is not None and not owned.all():
+            batch = _rows_of(batch, owned)
+        if len(batch.receiver):
+            self._waiting.append((int(batch.arrival_ns.min()), batch))
 
     def take(self, now_ns: int, vehicles: Collection[str] | None = None) -> Receptions | None:
         """Take what has arrived by now at these vehicles (None: at all), by receiver and arrival; None: nothing.
 
         Receptions of equal arrival stay in the order of `put`.
         """
-        if not self._waiting:
+        waiting = self._waiting
+        begun = len(waiting)  # behind the last batch of which something has arrived
+        while begun and waiting[begun - 1][0] > now_ns:
+            begun -= 1
+        if not begun:
             return None
-        batch = _joined(self._waiting)
+        batch = _joined([each for _, each in waiting[:begun]])
         taken = batch.arrival_ns <= now_ns
         if vehicles is not None and len(vehicles) < len(self._vehicles):
             taken &= self._mask(vehicles)[batch.receiver]
         count = np.count_nonzero(taken)
         if count == len(taken):
-            self._waiting = []
+            self._waiting = waiting[begun:]
         else:
-            self._waiting = [pruned(_rows_of(batch, ~taken))]
+            left = pruned(_rows_of(batch, ~taken))
+            self._waiting = [(int(left.arrival_ns.min()), left), *waiting[begun:]]
             if not count:
                 return None
             batch = _rows_of(batch, taken)

@@ -86,7 +86,7 @@ def test_what_waits_keeps_no_message_that_nobody_waits_for() -> None:
             )
         )
         mail.open(now_ns)
-        assert sum(len(each.messages) for each in mail._waiting) <= 4 * 4
+        assert sum(len(each.messages) for _, each in mail._waiting) <= 4 * 4
 
 
 def received() -> ReceivedMessages:
