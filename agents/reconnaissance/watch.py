@@ -29,7 +29,7 @@ class Wanted(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class Watching(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What is looked for, and with which camera."""
+    """Targets to look for, and the camera."""
 
     targets: tuple[Wanted, ...]  # what is looked for
     camera: str = "camera"  # name of a sensor that looks straight down, such as a nadir_camera

@@ -46,7 +46,7 @@ def remarks(
 
 
 def _in_step(key: str, period_s: float, duty: float, ticks: Sequence[Fraction]) -> Iterator[str]:
-    """Of a jammer and agents, one of whose periods (ns) is a multiple of the other: it hits the same ticks, or none."""
+    """A remark on pulses in step with ticks (periods, ns) of agents: they always hit the same part of the frames, or none."""
     pulse = Fraction(seconds_to_ns(period_s))
     for tick in ticks:
         if tick % pulse == 0 or (pulse % tick == 0 and duty * pulse < tick):

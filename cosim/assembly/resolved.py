@@ -176,7 +176,7 @@ class Resolution:
         return {name: value for name, value in full.items() if name not in shared or value != shared[name]}
 
     def _radio_of(self, vehicle: VehicleTable) -> dict[str, Any]:
-        """Its ``radio``, complete; of several radios as it is."""
+        """The table ``radio`` of a vehicle: complete, but unchanged in a scenario with several radios."""
         return binding.plain(vehicle.radio) if self._scenario.radios else self._radio(vehicle.radio)
 
     def _radio(self, content: Mapping[str, Any]) -> dict[str, Any]:

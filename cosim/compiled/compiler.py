@@ -62,7 +62,7 @@ def assembly(function: Any, first: Layout, second: Layout, name: str) -> str:
 
 
 class BlockType(types.Type):
-    """A block with these fields."""
+    """Numba's type of a pointer to a `Block` with these fields."""
 
     def __init__(self, layout: Layout) -> None:
         name = f"Block({hashlib.blake2b(repr(layout).encode(), digest_size=8).hexdigest()})"
@@ -90,7 +90,7 @@ class DistinctArray(types.Array):
 
     @property
     def key(self) -> Any:
-        """What makes two types equal."""
+        """The name: types with equal keys are one type for numba."""
         return self.name
 
 

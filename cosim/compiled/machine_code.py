@@ -190,7 +190,7 @@ class MachineCode:
         self._places = ctypes.addressof(self._result), ctypes.addressof(self._error)
 
     def __call__(self, first: int, second: int, number: int) -> int:
-        """Call it."""
+        """Call the function with the addresses of two blocks and a number."""
         if self._function(*self._places, first, second, number):
             raise RuntimeError("compiled code failed")
         return self._result.value

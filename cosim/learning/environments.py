@@ -39,7 +39,7 @@ def parallel_env(
 
 
 def env(task: str | Path | Mapping[str, Any] | Task | type[Task] = "formation", **options: Any) -> "AECEnv[str, Any, Any]":
-    """The same as a PettingZoo ``AECEnv``, whose vehicles act one after the other; arguments as of `parallel_env`."""
+    """All vehicles of a task as agents of an ``AECEnv``, which act one after the other; arguments as of `parallel_env`."""
     return parallel_to_aec(parallel_env(task, **options))
 
 

@@ -164,7 +164,7 @@ class FrameCount:
         self.sent, self.received, self.lost = 0, 0, Counter[str]()
 
     def info(self) -> dict[str, Any]:
-        """As plain values."""
+        """The counts as a dictionary."""
         return {"frames_sent": self.sent, "received": self.received, "lost": dict(self.lost)}
 
 

@@ -149,22 +149,22 @@ class Layout:
 
     @property
     def own(self) -> slice:
-        """Of `OWN`."""
+        """Place of the vehicle's own state (`OWN`)."""
         return slice(0, len(OWN))
 
     @property
     def features(self) -> slice:
-        """Of `Task.features`."""
+        """Place of the task's features (`Task.features`)."""
         return slice(len(OWN), len(OWN) + self.feature_count)
 
     @property
     def sensors(self) -> slice:
-        """Of the sensors' readings."""
+        """Place of the sensors' readings."""
         return slice(self.features.stop, self.features.stop + self.reading_count)
 
     @property
     def others(self) -> slice:
-        """Of the other vehicles: for each the newest message, its age in s, its level in dBm, and 1 (0: none yet)."""
+        """Place of the other vehicles: for each the newest message, its age in s, its level in dBm, and 1 (0: none yet)."""
         return slice(self.sensors.stop, self.size)
 
     @property

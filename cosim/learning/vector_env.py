@@ -102,7 +102,7 @@ class WorldsEnv:
         return Observed(observations, self.layout)
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: no resource is open."""
 
     def _begin(self, seed: int) -> None:
         seeds = range(seed, seed + self.num_envs)

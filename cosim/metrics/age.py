@@ -147,7 +147,7 @@ def _put_in_order(links: LinkHistories) -> None:
 
 
 def _links_with(turns: Array, starts: Array) -> list[int]:
-    """The links in which a value turns back at one of their receptions but the first."""
+    """The links with a reception, other than their first, at which ``turns`` is true."""
     turns[starts[1:-1] - 1] = False
     return list(dict.fromkeys((starts.searchsorted(np.flatnonzero(turns), side="right") - 1).tolist()))
 
@@ -245,7 +245,7 @@ def _at_ticks(found: LinkHistories, counted: _Stretches, ticks: Mapping[str, Tic
 
 
 def _ages_ns(found: LinkHistories, counted: _Stretches, at_ns: Array) -> Array:
-    """Age at each of the instants that lie in each stretch, of which each has any."""
+    """Age at the instants of each stretch, one stretch after the other; every stretch has an instant."""
     first, stop = at_ns.searchsorted([counted.begin_ns, counted.end_ns])
     begin, end = (_after(found, counted.link, at_ns[each]) for each in (first, stop - 1))
     asked, came = stop - first, end - begin
@@ -268,7 +268,7 @@ def _after(found: LinkHistories, link: Array, at_ns: Array) -> Array:
 
 
 def _ranges(first: Array, counts: Array) -> Array:
-    """Successive integers, so many from each first one."""
+    """The integers from each ``first``, as many as ``counts`` says, one range after the other."""
     return np.repeat(first - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())
 
 

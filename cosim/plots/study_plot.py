@@ -281,7 +281,7 @@ def _short(value: object) -> str:
 
 
 def _axis_label(key: str) -> str:
-    """`label_of`, with what a reader would otherwise take for a part of the value."""
+    """Label of an axis: `label_of`, and for the delay a note that the wait for the next tick comes on top."""
     return "delay before the wait for the next tick [s]" if key == "radio.delay.seconds" else label_of(key)
 
 

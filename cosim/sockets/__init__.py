@@ -128,7 +128,7 @@ class Socket:
         return self._now_ns / SECOND_NS
 
     def time_ns(self) -> int:
-        """The same in nanoseconds, exactly."""
+        """Simulated time since the start of the run, ns."""
         return self._now_ns
 
     def position(self) -> tuple[float, float, float] | None:

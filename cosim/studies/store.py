@@ -57,7 +57,7 @@ class Answers:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        """Nothing is held."""
+        """Do nothing: no resource is open."""
 
     def add(self, run: str, row: bytes) -> None:
         """Store a run's row."""

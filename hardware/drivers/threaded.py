@@ -182,14 +182,14 @@ class ThreadedDriver:
         return HandshakeError(self.device, "the connection hangs", "check the network")
 
     def _check(self) -> None:
-        """Raise why the robot cannot be driven (lock held)."""
+        """Raise the error for which the robot cannot be driven, if there is one (lock held)."""
         if self._thread is None:
             raise RuntimeError(f"{self.device} is not open")
         if self._failure is not None:
             raise self._failure
 
     def _was_read(self) -> None:
-        """A sample was read (lock held)."""
+        """Note that a sample was read (lock held)."""
 
     def _hold(self, cause: str) -> bool:
         """Let the thread send zero speed next (lock held); whether another part reports that stop."""
@@ -201,14 +201,14 @@ class ThreadedDriver:
         raise NotImplementedError
 
     def _release(self) -> None:
-        """The thread has ended (lock held)."""
+        """Release the resources of the thread, which has ended (lock held)."""
 
     def _work(self) -> None:
         """Work of the thread; it sets `_ready` as soon as the robot can be driven."""
         raise NotImplementedError
 
     def _give_up(self) -> None:
-        """An error ends the thread: `_failure`."""
+        """Store the error that ends the thread as `_failure`."""
 
     def _say_goodbye(self) -> None:
         """Leave the robot in a safe state; waiting does not raise `ClosedByCaller` once `_leaving` is set."""

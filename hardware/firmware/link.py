@@ -114,7 +114,7 @@ class FirmwareLink(ABC):
 
     @property
     def refused(self) -> str:
-        """What came of another protocol, in words; empty: nothing."""
+        """Received data of another protocol, in words; empty: none."""
         return ""
 
     @property

@@ -94,7 +94,7 @@ class LockStepFirmware:
             link.close()
 
     def _guarded(self, link: FirmwareLink, now_ns: int, do: Callable[[], None]) -> None:
-        """Do something with a link; what happens to the vehicle if its firmware is lost thereby."""
+        """Call ``do``; if the firmware of ``link`` is lost in it, treat its vehicle as ``on_lost`` says."""
         try:
             do()
         except (FirmwareLost, DriverError) as lost:

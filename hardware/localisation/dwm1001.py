@@ -61,7 +61,7 @@ class Waker:
         self._awake = False
 
     def heard(self, now_ns: int) -> None:
-        """A position arrived."""
+        """Note that a position arrived."""
         self._awake, self._due_ns = False, now_ns + self._patience_ns
 
     def write(self, now_ns: int) -> bytes:

@@ -133,7 +133,7 @@ class _Refused(Exception):
 
 
 class Crazyflie:
-    """What one aircraft answers; ``order`` receives what it is ordered to do.
+    """Answers of one aircraft to packets; ``order`` receives the orders in them.
 
     Attributes:
         refused: packets that were not followed, by cause.

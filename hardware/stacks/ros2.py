@@ -96,7 +96,7 @@ class Outlet:
 
 
 class _Program:
-    """What the nodes of one vehicle have said."""
+    """Newest commands and messages of the nodes of one vehicle."""
 
     def __init__(self, *, flies: bool) -> None:
         self.flies, self.yaw = flies, 0.0
@@ -300,12 +300,12 @@ class Ros2Stack:
     # --- messages from nodes --------------------------------------------------------------------------------------------------
 
     def _hand_over(self, vehicle: str, topic: str, message: ReceivedMessage) -> None:
-        """In Zenoh's thread."""
+        """Queue a message for the run; called in Zenoh's thread."""
         if self._news.qsize() < WAITING:
             self._news.put(_News(vehicle, topic, message))
 
     def _watched(self, token: str, endpoint: Endpoint, there: bool) -> None:
-        """In Zenoh's thread."""
+        """Queue the coming or going of a publisher of commands; called in Zenoh's thread."""
         namespace, _, topic = endpoint.topic.partition("/")
         if endpoint.kind == "MP" and topic in ("cmd_vel", "goal_pose") and namespace in self._names:
             self._news.put(_News(self._names[namespace], topic, token=token, there=there))

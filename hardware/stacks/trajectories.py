@@ -32,7 +32,7 @@ class Piece(NamedTuple):
 
 
 class Pose(NamedTuple):
-    """Where a trajectory is, and how fast."""
+    """Position, yaw and velocity on a trajectory at one time."""
 
     position: Vec3  # m
     yaw: float  # rad

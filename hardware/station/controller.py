@@ -73,7 +73,7 @@ class StationController:
         self._sonar: dict[int, float] = {}
 
     def operator_heard(self) -> None:
-        """The operator is present."""
+        """Note that the operator is present."""
         self._operator_ns = self._now()
 
     def halt(self, cause: str) -> None:
@@ -115,7 +115,7 @@ class StationController:
         return msgspec.structs.replace(self._report(now_ns, None), causes=causes, failed=failed, advice=advice)
 
     def delivered(self) -> None:
-        """The last report was sent: its notices, fixes and ranges are not repeated."""
+        """Note that the last report was sent: its notices, fixes and ranges are not repeated."""
         self._notices, self._fixes, self._sonar = [], [], {}
 
     def _take(self, order: StationOrder, arrival_ns: int) -> None:

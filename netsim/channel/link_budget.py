@@ -37,7 +37,7 @@ from vcmvsp.netsim.propagation.path_loss import SPEED_OF_LIGHT
 from vcmvsp.netsim.propagation.walls import Bodies, through
 
 BELOW_SENSITIVITY, WALLS, SHADOWING, FADING = range(4)
-"""What made a signal too weak: distance alone, or that and what else was needed."""
+"""Causes of a signal that is too weak: distance alone, or distance together with walls, shadowing or fading."""
 
 AT_ONCE = 1 << 16  # links in a batch: NumPy's overhead for each call is negligible for more
 _SURE = 2.0**-54  # hazard that every frame survives: no draw is less, except 0

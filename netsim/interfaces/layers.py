@@ -135,12 +135,12 @@ class Frame(msgspec.Struct, frozen=True):
 
     @property
     def keys(self) -> Keys:
-        """See `SenderLinks.keys`."""
+        """Random keys of the links, (n,), see `SenderLinks.keys`."""
         return self.links.keys
 
     @property
     def pair_keys(self) -> Keys:
-        """See `SenderLinks.pair_keys`."""
+        """Random keys of the pairs, (n,), see `SenderLinks.pair_keys`."""
         return self.links.pair_keys
 
 

@@ -22,10 +22,10 @@ from vcmvsp.netsim.interfaces.layers import Floats, Ints, Keys, Phy
 Codes = NDArray[np.uint8]
 
 Renew = Callable[[int, int], tuple[Floats, Floats]]
-"""Of an attempt (0, 1, ...) that begins at a time (ns): levels (n,) mW and patience (n,), see `Offered`."""
+"""Gives levels (n,) mW and patience (n,), see `Offered`, of an attempt (0, 1, ...) that begins at a time (ns)."""
 
 Answer = Callable[[int], float]
-"""Of the acknowledgement that begins at a time (ns): its fading over that of the attempt last renewed, a ratio of powers."""
+"""Gives the fading of the acknowledgement that begins at a time (ns) over that of the attempt renewed last, as a ratio."""
 
 
 class Fate(IntEnum):

@@ -21,7 +21,7 @@ class EventMedium(Generic[K, R]):
         self._decided: list[Decided] = []
 
     def expect(self, frames: int) -> None:
-        """Ignored: nothing is compiled."""
+        """Do nothing: this medium has no compiled code."""
 
     def offer(self, frame: Offered) -> None:
         """Hand over a frame."""

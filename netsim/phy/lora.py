@@ -1,6 +1,5 @@
 """LoRa as in Semtech's SX1276/77/78/79: time on the air, sensitivity, capture."""
 
-import math
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property

@@ -37,7 +37,7 @@ class Dipole:
     """
 
     def gain(self, direction: Floats) -> Floats:
-        """See `Pattern.gain`."""
+        """Power gain in directions, see `Pattern.gain`."""
         cosine = direction[:, 2]
         sine2 = np.maximum(1.0 - cosine * cosine, LEAST)
         return np.maximum(DIRECTIVITY * np.cos(0.5 * math.pi * cosine) ** 2 / sine2, LEAST)
@@ -52,7 +52,7 @@ class Measured:
     gain_dbi: Floats  # (n, k)
 
     def gain(self, direction: Floats) -> Floats:
-        """See `Pattern.gain`."""
+        """Power gain in directions, see `Pattern.gain`."""
         across = np.sqrt(direction[:, 0] ** 2 + direction[:, 1] ** 2)
         row, up = _between(self.elevation_deg, np.degrees(np.arctan2(direction[:, 2], across)))
         first = self.azimuth_deg[0]

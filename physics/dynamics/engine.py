@@ -95,7 +95,7 @@ class FleetEngine(Engine):
 
     @property
     def fleet(self) -> QuadrotorFleet:
-        """Its quadrotors, in the order of their vehicles."""
+        """The quadrotors, in the order of their vehicles."""
         raise NotImplementedError
 
 

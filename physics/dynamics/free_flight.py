@@ -41,7 +41,7 @@ class FreeFlightEngine(FleetEngine):
 
     @property
     def fleet(self) -> QuadrotorFleet:
-        """Its quadrotors."""
+        """The quadrotors."""
         return self._fleet
 
     def expect(self, duration_ns: int, *, now: bool) -> None:

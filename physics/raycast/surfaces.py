@@ -38,7 +38,7 @@ class SolidSurfaces:
         return tuple([solid.words for solid in self._solids])
 
     def surfaces(self, slab_m: float, *, ground: bool) -> Surfaces:
-        """See `surfaces_of`."""
+        """Facets, edges and bodies of the solids, see `surfaces_of`."""
         return surfaces_of(self._solids, slab_m, ground=ground)
 
 

@@ -32,7 +32,7 @@ MATERIAL_COLORS: dict[str, Color] = {
     "metal": (130, 136, 144),
     "stone": (140, 134, 122),
 }
-"""What solids look like that name no colour of their own."""
+"""Colours of solids without a colour of their own, by material."""
 
 _PLAIN: Color = (176, 176, 176)  # of an unlisted material
 _BROWN: Color = (120, 100, 80)  # of bodies without a colour

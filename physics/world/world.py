@@ -289,7 +289,7 @@ def rotations(attitude: Array) -> Array:
 
 
 def pairs(*products: tuple[int, int]) -> NDArray[np.intp]:
-    """Places of products of two components of a quaternion among all 16."""
+    """Numbers of products of two components of a quaternion (w, x, y, z), among all 16 row by row."""
     return np.array([4 * a + b for a, b in products])
 
 

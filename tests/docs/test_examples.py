@@ -30,7 +30,8 @@ def test_every_example_is_in_the_index() -> None:
 
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_a_script_makes_its_picture(name: str, tmp_path: Path) -> None:
-    done = subprocess.run([sys.executable, FOLDER / name, tmp_path, *RUNS.get(name, [])], capture_output=True, text=True, check=False, cwd=tmp_path)
+    command = [sys.executable, str(FOLDER / name), str(tmp_path), *RUNS.get(name, [])]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert [path.name for path in tmp_path.iterdir()] == [f"{name.removesuffix('.py')}.png"]
     assert (tmp_path / f"{name.removesuffix('.py')}.png").stat().st_size > 10_000

@@ -39,7 +39,7 @@ _read_note = json_reader(_Names)
 
 
 class Collected:
-    """Collects such values while a file is indexed.
+    """Collects, while a file is indexed, the values that depend on all messages of a topic.
 
     Attributes:
         lines: log lines and changes of notes; in order of time after `close`.

@@ -37,7 +37,7 @@ class ArcosSampler:
         self._sonar: dict[int, float] = {}
 
     def connect(self, robot: Robot) -> None:
-        """A connection begins: the next packet is the new base."""
+        """Note that a connection begins: the next packet is the new base."""
         self._robot, self._last = robot, None
         self._link += 1
 
@@ -70,7 +70,7 @@ class ArcosSampler:
         )
 
     def taken(self) -> None:
-        """The newest sample was read: its sonar readings are not repeated."""
+        """Note that the newest sample was read: its sonar readings are not repeated."""
         self._sonar = {}
 
     def _move(self, sip: Sip, now_ns: int) -> None:

@@ -45,7 +45,7 @@ class MavlinkSampler:
         self._base: Vec3 | None = None  # pose at the first sample
 
     def connect(self) -> None:
-        """A connection begins."""
+        """Note that a connection begins."""
         self._link += 1
         self._attitude, self.state = None, None
         self._clock = ForeignClock()  # stamps count from power-up, which may be recent

@@ -48,7 +48,7 @@ class Ros2Sampler:
         self._arrived_ns = 0
 
     def connect(self, *, anew: bool) -> None:
-        """A connection begins; ``anew``: perhaps another node, with another start and another clock."""
+        """Note that a connection begins; ``anew``: perhaps with another node, with another start and another clock."""
         self._link += 1
         if anew:
             self._base = None

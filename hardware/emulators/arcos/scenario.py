@@ -23,7 +23,7 @@ from vcmvsp.hardware.emulators.arcos.server import ArcosServer
 from vcmvsp.hardware.emulators.device_server import Ready, until_interrupted
 
 SONAR = "sonar{}"
-"""What the sensor is called that stands for the sonar of this number; a scenario may have ones of its own."""
+"""Name of the sensor that stands for the sonar of this number; unlike the names of a scenario's own sensors."""
 
 SONAR_HEIGHT_M = 0.1  # above the floor; assumed
 CONE_RAD = 0.35  # of a sonar, 20 degrees: the echo is from the nearest object in it; assumed

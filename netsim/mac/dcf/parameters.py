@@ -35,7 +35,7 @@ class Standard(NamedTuple):
 
     @property
     def header_end_ns(self) -> int:
-        """From the start of a frame."""
+        """Time from the start of a frame to the end of its header."""
         return (self.preamble_us + self.header_us) * US
 
 

@@ -1,4 +1,4 @@
-"""The arrays that the compiled search works on: the world, and what is asked about it."""
+"""Arrays of the compiled search: the world, and arguments, working space and results."""
 
 from typing import NamedTuple
 
@@ -66,7 +66,7 @@ class Terrain(NamedTuple):
 
 
 class Work(NamedTuple):
-    """What is asked, space to work in, and the answer."""
+    """Arguments, working space and results of a search."""
 
     reflections: int
     diffraction: int

@@ -102,7 +102,7 @@ def echoes_with_phases(face: complex, once: complex) -> tuple[complex, complex]:
 
 
 def averaged_echoes(face: complex, once: complex) -> tuple[complex, complex]:
-    """The same with the powers of all echoes, and the phases of the first ones."""
+    """R and T as of `echoes_with_phases`, but from the powers of all echoes, with the phases of the first ones."""
     square = face * face
     power, passage, through = squared(face), squared(once), squared(1.0 - square)
     rest = 1.0 - power * passage * power * passage

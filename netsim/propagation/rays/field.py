@@ -28,7 +28,7 @@ LEAST = 1e-12  # of a squared sine: below it a direction is that of the axis
 
 Vector = tuple[float, float, float]
 Wave = tuple[complex, complex, complex]
-"""Of the electric field."""
+"""Components of the electric field along x, y and z."""
 
 
 def weigh(w: Terrain, s: Work, count: int, first_pass: int, end_pass: int) -> None:
@@ -137,7 +137,7 @@ def eta_of(w: Terrain, f: int) -> complex:
 
 
 def face_of(w: Terrain, f: int, cosine: float) -> tuple[complex, complex]:
-    """What a facet reflects, perpendicular and parallel."""
+    """Reflection coefficients of a facet, perpendicular and parallel."""
     if w.turns[f] == math.inf:
         perpendicular, parallel, _ = half_space(cosine, eta_of(w, f))
     else:
@@ -146,7 +146,7 @@ def face_of(w: Terrain, f: int, cosine: float) -> tuple[complex, complex]:
 
 
 def passage_of(w: Terrain, f: int, cosine: float) -> tuple[complex, complex]:
-    """What a facet lets through, perpendicular and parallel."""
+    """Transmission coefficients of a facet, perpendicular and parallel."""
     _, _, perpendicular, parallel = slab(cosine, eta_of(w, f), w.turns[f], w.averaged)
     return perpendicular, parallel
 

@@ -21,13 +21,13 @@ class Waves(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """What comes of them."""
+    """Results for the n links."""
 
     power: Floats  # (n,) of the sum of the waves, averaged over the band
 
 
 def run(w: Waves, s: Sums, _: int) -> int:
-    """Set the powers."""
+    """Set the power of each link in ``s``; returns 0."""
     first = 0
     for n in range(len(w.paths)):
         end = first + w.paths[n]

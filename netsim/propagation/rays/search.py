@@ -16,10 +16,10 @@ from vcmvsp.netsim.propagation.rays.arrays import Terrain, Work
 from vcmvsp.netsim.propagation.rays.field import size, weigh
 
 TRACE, LOOK, LOOK_FROM_SITES, BEAMS = 0, 1, 2, 3
-"""What `run` is to do."""
+"""Tasks of `run`."""
 
 DONE, FULL = 0, 1
-"""What `run` returns: all done, or the output is full."""
+"""Results of `run`: all done, or the output is full."""
 
 NEXT, PATHS, PASSES, LEGS, PAIRS, OVERFLOW, SOURCE, CORNERS, SIDES, BEGIN = range(10)
 """Places in `Work.counts`."""

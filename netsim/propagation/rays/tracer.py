@@ -52,7 +52,7 @@ class PathTable(NamedTuple):
 
 
 class Views:
-    """What may be seen from the cells of the world, each looked up once.
+    """Facets and edges that may be seen from the cells of the world; each cell is looked up once.
 
     A view is conservative: it leaves out only what no point of the cell can see.
     """

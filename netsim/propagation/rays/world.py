@@ -23,14 +23,14 @@ class Solids(Protocol):
 
     @property
     def materials(self) -> tuple[str, ...]:
-        """Material of each, (m,)."""
+        """Material of each solid, (m,)."""
 
     @property
     def words(self) -> tuple[str, ...]:
-        """Kind and place of each, for messages, (m,)."""
+        """Kind and place of each solid, for messages, (m,)."""
 
     def surfaces(self, slab_m: float, *, ground: bool) -> Surfaces:
-        """Their facets, edges and bodies; solids thinner than ``slab_m`` let waves pass."""
+        """Facets, edges and bodies of the solids; solids thinner than ``slab_m`` let waves pass."""
 
 
 class RayWorld(NamedTuple):

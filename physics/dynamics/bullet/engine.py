@@ -109,7 +109,7 @@ class BulletEngine(FleetEngine):
 
     @property
     def fleet(self) -> QuadrotorFleet:
-        """Its quadrotors."""
+        """The quadrotors."""
         return self._flyers.fleet
 
     def command(self, row: int, linear: Vec3, yaw_rate: float) -> None:

@@ -114,7 +114,7 @@ class MujocoEngine(FleetEngine):
 
     @property
     def fleet(self) -> QuadrotorFleet:
-        """Its quadrotors."""
+        """The quadrotors."""
         return self._flyers.fleet
 
     def command(self, row: int, linear: Vec3, yaw_rate: float) -> None:

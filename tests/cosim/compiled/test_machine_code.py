@@ -81,8 +81,8 @@ def test_much_work_is_compiled_once_and_cached_code_is_loaded_for_less(
     monkeypatch.setattr(machine_code, "_loaded", {})
     assert type(core.chosen(0.0, compile_for_s=1.0)) is type(interpreted)
     assert not core.is_loaded
-    small = [Core((module,), numbers(), numbers()).chosen(0.4 * LOAD_S, compile_for_s=1.0) for _ in range(3)]
-    assert [type(each) for each in small] == [type(interpreted), type(interpreted), type(compiled)]  # together worth the loading
+    ways = [type(Core((module,), numbers(), numbers()).chosen(0.4 * LOAD_S, compile_for_s=1.0)) for _ in range(3)]
+    assert ways == [type(interpreted), type(interpreted), type(compiled)]  # small calls that are together worth the loading
 
     for count in (4, 7):
         one, other = numbers(count), numbers(count)
