@@ -9,6 +9,7 @@ Bullet's default damping is switched off: the parameters have no air or oil. A d
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -103,6 +104,12 @@ _WXYZ = np.array([3, 0, 1, 2])  # of a quaternion in Bullet's order
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])  # axes
 
 
+@lru_cache(maxsize=8)
+def _lists_of(vertices: bytes, triangles: bytes) -> dict[str, Any]:
+    """Vertices and indices of a mesh for Bullet, cached: PyBullet 3.2.7 never frees lists of vertices that it has read."""
+    return {"vertices": np.frombuffer(vertices).reshape(-1, 3).tolist(), "indices": np.frombuffer(triangles, np.int64).tolist()}
+
+
 class WorldBodies:
     """Floor, solids, movables and moving obstacles.
 
@@ -117,7 +124,7 @@ class WorldBodies:
         p.setCollisionFilterGroupMask(floor, -1, FLOOR, SOLID | WHEEL, physicsClientId=client)
         if world.solids:
             vertices, triangles = world.mesh()
-            lists: dict[str, Any] = {"vertices": vertices.tolist(), "indices": triangles.ravel().tolist()}
+            lists = _lists_of(vertices.tobytes(), triangles.astype(np.int64).tobytes())
             mesh = p.createCollisionShape(p.GEOM_MESH, **lists, flags=p.GEOM_FORCE_CONCAVE_TRIMESH, physicsClientId=client)
             p.setCollisionFilterGroupMask(p.createMultiBody(0.0, mesh, physicsClientId=client), -1, SOLID, SOLID, client)
         self.movables = [self._build(each.solid, each.mass_kg, each.friction, FLOOR | SOLID) for each in world.movables]

@@ -1,5 +1,6 @@
 """Things in a Bullet world: movables are pushed and sleep, moving obstacles keep their time, zones change the grip."""
 
+import gc
 import math
 from collections.abc import Callable
 from typing import Any
@@ -20,6 +21,15 @@ pytestmark = pytest.mark.slow
 
 def crate(x: float, mass_kg: float, friction: float = 0.5) -> Movable:
     return Movable(name="crate", solid=Box(center=(x, 0.0, 0.2), size=(0.4, 0.4, 0.4)), mass_kg=mass_kg, friction=friction)
+
+
+def test_the_same_world_built_again_takes_no_further_memory() -> None:
+    world = World(solids=(Box(center=(7.5, 0.0, 0.5), size=(0.875, 1.0, 1.0)),))
+    corners = []
+    for _ in range(3):
+        engine((P2DX(), (0.0, 0.0, 0.0)), world=world).close()
+        corners.append(sum(type(each) is list and each[:1] == [7.0625] for each in gc.get_objects()))
+    assert corners[1:] == corners[:-1]
 
 
 def test_a_movable_falls_asleep_and_wakes_when_it_is_pushed(either: Make) -> None:
