@@ -73,7 +73,7 @@ def radio_command(
         others = {"link": link, "frame": frame, "coverage": coverage, **given}
         for name, value in others.items():
             if value is not None and name not in ("out", "seed", "set"):
-                raise UsageError(f"--{name} has no place beside --paths")
+                raise UsageError(f"--paths and --{name} exclude each other: leave one out")
         answer, text = _traced(what, paths, given, json=json, trust=trust)
     elif coverage is None:
         if given:
@@ -246,7 +246,7 @@ def _places(folder: Path, target: Path, *, beside: tuple[object, ...]) -> tuple[
     from vcmvsp.cosim.analysis.coverage import write_antennas
 
     if any(value is not None for value in beside):
-        raise UsageError("--positions is asked for alone")
+        raise UsageError("--positions excludes --link, --frame, --coverage, --paths and their options: leave them out")
     if not (folder / "scenario.toml").is_file():
         raise UsageError(f"--positions needs the folder of a run: {folder} has no scenario.toml")
     lines = write_antennas(folder, target)

@@ -278,7 +278,7 @@ def _number(value: object) -> object:
     """Convert NumPy numbers and arrays, for example from a notebook, to Python's."""
     if hasattr(value, "tolist"):
         return value.tolist()
-    raise ScenarioError(f"holds a {type(value).__name__}, {binding.show(value)}, which is no value that TOML could say")
+    raise ScenarioError(f"holds a {type(value).__name__}, {binding.show(value)}, which TOML cannot represent")
 
 
 def assign(raw: dict[str, Any], key: str, value: object, source: Source) -> None:

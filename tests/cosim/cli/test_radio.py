@@ -460,7 +460,7 @@ def test_positions_of_antennas_are_those_of_the_vehicles_and_heights(corner: Pat
     assert head == "t,name,x,y,z"
     assert first.startswith("0.0,car1,0.0,0.0,0.5")
     again = vcmvsp_command("radio", str(corner / "run"), "--positions", str(places), "--frame", "1")
-    assert (again.code, "--positions is asked for alone" in again.err) == (2, True)
+    assert (again.code, "--positions excludes --link" in again.err) == (2, True)
     other = vcmvsp_command("radio", str(corner / "corner.toml"), "--positions", str(places))
     assert (other.code, "needs the folder of a run" in other.err) == (2, True)
 
@@ -475,4 +475,4 @@ def test_antennas_that_start_inside_a_solid_are_counted(corner: Path) -> None:
 
 def test_paths_are_asked_for_alone(corner: Path) -> None:
     told = vcmvsp_command("radio", str(corner / "corner.toml"), "--paths", "points.csv", "--coverage", "car1")
-    assert (told.code, "--coverage has no place beside --paths" in told.err) == (2, True)
+    assert (told.code, "--paths and --coverage exclude each other" in told.err) == (2, True)
