@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import vcmvsp
 
 FOLDER = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
-RUNS = int(sys.argv[2]) if len(sys.argv) > 2 else 3  # of each point
+RUNS = int(sys.argv[2]) if len(sys.argv) > 2 else 3  # runs of each point
 QUICK = {"physics.kind": "kinematic", "duration_s": 40.0, "agents.estimator": "hold", "agents.runs": "inprocess"}
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import vcmvsp
 
 FOLDER = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
-RUNS = int(sys.argv[2]) if len(sys.argv) > 2 else 10  # of each point
+RUNS = int(sys.argv[2]) if len(sys.argv) > 2 else 10  # runs of each point
 QUICK = {"physics.kind": "kinematic", "duration_s": 40.0, "agents.runs": "inprocess"}
 VARY = {"agents.estimator": ["hold", "dr", "plan"], "radio.loss.probability": [0.0, 0.3, 0.6, 0.9]}
 

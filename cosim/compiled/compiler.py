@@ -39,7 +39,7 @@ EXTERNAL[math.atan2] = types.ExternalFunction("atan2", _TWO)
 
 
 def compiled(source: Callable[..., Any], *, inline: bool) -> Any:
-    """A function for calls from compiled functions; ``inline``: it becomes a part of each of them."""
+    """A function for calls from compiled functions; ``inline``: it is put into its callers."""
     return numba.njit(**OPTIONS, forceinline=inline)(source)
 
 

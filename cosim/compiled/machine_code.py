@@ -6,8 +6,8 @@ It reads and writes single elements, of tables as ``table[i][j]``, allocates not
 ``atan2`` from `math` by name. Cached code is loaded by llvmlite alone: importing numba takes many times longer.
 `VCMVSP_COMPILED=0` in the environment turns compilation off.
 
-With ``INLINE = True`` in the module of the core, functions become parts of those that call them. That makes small functions in
-large loops a tenth faster, and compilation half as long again.
+``INLINE = True`` in the module of the core puts each function into its callers: small functions in large loops are a tenth
+faster, and compilation takes half as long again.
 """
 
 import contextlib
@@ -18,7 +18,7 @@ import inspect
 import os
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from types import BuiltinFunctionType, FunctionType, ModuleType
 from typing import Any
@@ -102,7 +102,12 @@ class Core:
     @property
     def is_cached(self) -> bool:
         """Whether the compiled code is in the cache folder."""
-        return _read_code(_path(self._program)) is not None
+        return _read_code(self._file) is not None
+
+    @cached_property
+    def _file(self) -> Path:
+        """Cache file; its name is a digest of sources, which takes 2 ms."""
+        return _path(self._program)
 
     def chosen(self, work_s: float, compile_for_s: float) -> Run:
         """The way for work that takes ``work_s`` CPU s interpreted.
@@ -118,7 +123,7 @@ class Core:
         if work_s < LOAD_S:
             _work_s[self._program] = work_s
             return self.interpreted
-        pays = self.is_cached or _total_s(_path(self._program), work_s) >= compile_for_s
+        pays = self.is_cached or _total_s(self._file, work_s) >= compile_for_s
         return self.compiled if pays else self.interpreted
 
 

@@ -70,7 +70,7 @@ class ForkServer:
         self._open.close()
 
     def start(self, *arguments: str, first: str = "", stdin: int = subprocess.PIPE) -> ChildProcess:
-        """Start a child process; the arguments and errors are those of `ChildProcess`."""
+        """Start a child process; arguments and errors as of `ChildProcess`."""
         if not FORKS:
             return ChildProcess(self._module, *arguments, first=first, files=self._files, stdin=stdin, stdout=self._stdout)
         with self._lock:

@@ -10,7 +10,7 @@ import vcmvsp
 
 HERE = Path(__file__).parent
 FOLDER = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
-RUNS = int(sys.argv[2]) if len(sys.argv) > 2 else None  # of each point; None: those of the study
+RUNS = int(sys.argv[2]) if len(sys.argv) > 2 else None  # runs of each point; None: as the study says
 QUANTITIES = {"own.agreed_s": "time to agreement (s)", "own.disagreement_m": "disagreement, RMS (m)"}
 
 
