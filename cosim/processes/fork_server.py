@@ -74,12 +74,12 @@ class ForkServer:
         if not FORKS:
             return ChildProcess(self._module, *arguments, first=first, files=self._files, stdin=stdin, stdout=self._stdout)
         with self._lock:
-            try:
-                return ForkedProcess(self._requests, self._process, arguments, first, stdin)
-            except BrokenPipeError:  # the server was killed
-                self._open.close()
-                self.__enter__()
-                return ForkedProcess(self._requests, self._process, arguments, first, stdin)
+            with contextlib.suppress(BrokenPipeError):  # the server was killed just now
+                if self._process.returncode is None:  # else, a fork may still hold the server's end of the requests
+                    return ForkedProcess(self._requests, self._process, arguments, first, stdin)
+            self._open.close()
+            self.__enter__()
+            return ForkedProcess(self._requests, self._process, arguments, first, stdin)
 
 
 class ForkedProcess(ChildProcess):

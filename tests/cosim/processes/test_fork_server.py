@@ -98,14 +98,17 @@ def test_threads_that_wait_for_the_same_child_all_learn_how_it_ended(tmp_path: P
 @pytest.mark.skipif(not fork_server.FORKS, reason="no forks on this operating system")
 def test_a_server_that_is_killed_is_replaced_and_its_forks_live_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(tmp_path))
-    (tmp_path / "child.py").write_text(CHILD.replace("os.read(FILE, 9)", "b''"))
+    slow = "import time\nos.register_at_fork(after_in_child=lambda: time.sleep(0.5))\n"  # holds the server's descriptors
+    (tmp_path / "child.py").write_text(CHILD.replace("os.read(FILE, 9)", "b''") + slow)
     with ForkServer("child") as server:
         waits = server.start(str(tmp_path / "waits"), "wait", first="x\n")
         forked = psutil.Process(waits.pid)
-        forked.parent().kill()
+        parent = forked.ppid()
+        os.kill(parent, signal.SIGKILL)
+        os.waitid(os.P_PID, parent, os.WEXITED | os.WNOWAIT)
+        ends = server.start(str(tmp_path / "ends"), "0", first="x\n")
         assert waits.why_ended(500.0) == "was killed by SIGKILL"  # nobody knows better
         assert forked.is_running()
-        ends = server.start(str(tmp_path / "ends"), "0", first="x\n")
         assert ends.why_ended(500.0) == "ended with exit code 0"
         for child in (waits, ends):
             child.close(0.1)
