@@ -25,7 +25,8 @@ def program(module: str, python: Path, **options: Any) -> Iterator[Timed]:
     """
     command = [str(python), "-m", f"bench.peers.{module}"]
     for name, value in options.items():
-        command += [f"--{name}"] if value is True else [f"--{name}", str(value)] if value else []
+        if value:
+            command += [f"--{name}"] if value is True else [f"--{name}", str(value)]
     with tempfile.TemporaryFile("w+") as said, _process(command, said) as (asked, told):
 
         def stretch() -> float:

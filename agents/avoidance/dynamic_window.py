@@ -222,9 +222,10 @@ class _DynamicWindow:
 
     def _turning(self, view: View, task: Task) -> Decision:
         """Turn on the spot, always to one side, until there is a way straight ahead."""
-        if not self._side:
-            behind = task.aim if task.aim is not None and task.aim[0] < 0.0 else None
-            self._side = (1 if behind[1] > 0.0 else -1) if behind else view.roomier_side(self._set.lookahead_m)
+        if not self._side and task.aim is not None and task.aim[0] < 0.0:  # the aim is behind
+            self._side = 1 if task.aim[1] > 0.0 else -1
+        elif not self._side:
+            self._side = view.roomier_side(self._set.lookahead_m)
         return Decision((0.0, 0.0), self._side * self._set.turn_rate, "turn")
 
 

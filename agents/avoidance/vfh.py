@@ -227,10 +227,10 @@ class _Vfh:
         if way is not None:
             self._previous = way[0]
             return Decision((0.0, 0.0), self._rate(way[0]), "turn")
-        if not self._side:
-            target = self._target(task)
-            aside = abs(target) > 0.5 * math.pi
-            self._side = (1 if target > 0.0 else -1) if aside else view.roomier_side(self._set.freed_m)
+        if not self._side and abs(target := self._target(task)) > 0.5 * math.pi:  # the target is behind
+            self._side = 1 if target > 0.0 else -1
+        elif not self._side:
+            self._side = view.roomier_side(self._set.freed_m)
         return Decision((0.0, 0.0), self._side * self._set.turn_rate, "turn")
 
 

@@ -39,7 +39,9 @@ class Row(NamedTuple):
     def verdict(self) -> str:
         """Of the difference."""
         excess = abs(self.ours - self.expected) - self.tolerance
-        return "holds" if excess <= 0.0 else "in doubt" if excess <= 2.0 * self.error else "MISSED"
+        if excess <= 0.0:
+            return "holds"
+        return "in doubt" if excess <= 2.0 * self.error else "MISSED"
 
 
 def compare(case: Case, judge: Sequence[Sample], ours: Sequence[Sample], *, paired: bool) -> Iterator[Row]:

@@ -212,7 +212,8 @@ def _without(item: str, words: Callable[[Report], str], later: Sequence[str] = (
 
 def _walls(report: Report) -> str:
     kinds = report["wall_materials"].replace(", ", " and ")
-    return f"the {kinds} {'wall' if report['walls'] == 1 else 'walls'}" if kinds else "the walls"
+    noun = "wall" if report["walls"] == 1 else "walls"
+    return f"the {kinds} {noun}" if kinds else "the walls"
 
 
 def _disturbed(report: Report) -> str:

@@ -160,7 +160,9 @@ def _named(ctx: typer.Context, begun: str) -> Iterator[tuple[str, list[str]]]:
     vehicles = steps[1:2] if len(steps) > 2 else _vehicles(ctx)
     for path, values in _index():
         names = vehicles if ".NAME." in path else [""]
-        own = (steps[3:4] if len(steps) > 4 else [*dict.fromkeys(sensors)]) if ".SENSOR." in path else [""]
+        own = [""]
+        if ".SENSOR." in path:
+            own = steps[3:4] if len(steps) > 4 else [*dict.fromkeys(sensors)]
         for name in names:
             for sensor in own:
                 yield path.replace("NAME", name, 1).replace("SENSOR", sensor, 1), values

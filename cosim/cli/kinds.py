@@ -171,15 +171,12 @@ def parameters_of(group: str, kind: str | None) -> dict[str, Any]:
 def _text(about: dict[str, Any]) -> str:
     from vcmvsp.cosim.reference.describe import toml
 
-    rows = [
-        (
-            name,
-            "required" if each["required"] else "none" if each["default"] is None else toml(each["default"]),
-            each["type"],
-            each["meaning"],
-        )
-        for name, each in about["parameters"].items()
-    ]
+    def default(each: dict[str, Any]) -> str:
+        if each["required"]:
+            return "required"
+        return "none" if each["default"] is None else toml(each["default"])
+
+    rows = [(name, default(each), each["type"], each["meaning"]) for name, each in about["parameters"].items()]
     return "\n".join([f"{about['kind']}: {about['summary']}", "", *aligned(rows), ""])
 
 

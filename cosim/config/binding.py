@@ -20,6 +20,7 @@ import msgspec
 
 from vcmvsp.cosim.config.provenance import NOWHERE, Source
 from vcmvsp.cosim.errors import ScenarioError, place_of, said_by, words_of
+from vcmvsp.cosim.util.documents import parts_of
 
 T = TypeVar("T")
 
@@ -57,8 +58,8 @@ def _parameters(target: Callable[..., object]) -> Mapping[str, Parameter]:
     for name, parameter in inspect.signature(target).parameters.items():
         if parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY):
             required = parameter.default is parameter.empty
-            default = None if required else made[name]() if name in made else parameter.default
-            found[name] = Parameter(hints.get(name, Any), default, required)
+            default = made[name]() if name in made else parameter.default
+            found[name] = Parameter(hints.get(name, Any), None if required else default, required)
         elif parameter.kind is parameter.VAR_KEYWORD and isinstance(target, type):  # passed to the next class of the MRO
             line = [base for base in target.__mro__ if "__init__" in vars(base)]
             found |= {name: each for name, each in _parameters(line[1]).items() if name not in found}
@@ -154,7 +155,8 @@ def _with_files(value: Any, annotation: object, change: Callable[[str], str]) ->
     if isinstance(value, Mapping):
         items = [typing.get_args(each)[1] for each in _alternatives(annotation) if typing.get_origin(each) in (dict, Mapping)]
         known = {} if items else _known(annotation, value)
-        of = {name: known[name].annotation if name in known else items[0] if items else Any for name in value}
+        others = items[0] if items else Any
+        of = {name: known[name].annotation if name in known else others for name in value}
         return {name: _with_files(each, of[name], change) for name, each in value.items()}
     if isinstance(value, list | tuple):
         return [_with_files(each, _item(annotation, number), change) for number, each in enumerate(value)]
@@ -278,10 +280,11 @@ def structs(annotation: object) -> list[type[msgspec.Struct]]:
 
 def unfit_number(value: object) -> float | None:
     """The first NaN, infinity or integer of more than 64 bits in a value, or None."""
-    if isinstance(value, float | int):
-        return None if (-(2**63) <= value < 2**64 if isinstance(value, int) else math.isfinite(value)) else value
-    inside = value.values() if isinstance(value, Mapping) else value if isinstance(value, list | tuple) else ()
-    return next((bad for each in inside if (bad := unfit_number(each)) is not None), None)
+    if isinstance(value, int):
+        return None if -(2**63) <= value < 2**64 else value
+    if isinstance(value, float):
+        return None if math.isfinite(value) else value
+    return next((bad for each in parts_of(value) if (bad := unfit_number(each)) is not None), None)
 
 
 def problem_of(bad: float) -> str:

@@ -235,7 +235,8 @@ def dial(endpoint: str, bundle: "Bundle | None", on_state: Callable[[str], None]
         refusal = None if endpoint.startswith(UNIX) else zenoh_session.diagnose(endpoint, bundle)
         if refusal is not None and refusal.final:
             raise UsageError(f"cannot join the run at {endpoint}: {refusal.why}")
-        why = refusal.why if refusal else "" if bundle else NO_RUN
+        unknown = "" if bundle else NO_RUN
+        why = refusal.why if refusal else unknown
         waits = f"waiting for a run at {endpoint}" + (f": {why}" if why else "")
         if waits != told:
             on_state(waits)

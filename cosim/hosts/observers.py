@@ -233,7 +233,8 @@ def examine(endpoint: str, bundle: "Bundle | None", secret: str | None = None) -
     refusal = zenoh_session.diagnose(endpoint, bundle)
     session = None if refusal else _session(endpoint, bundle, secret)
     if session is None:
-        why = refusal.why if refusal else "it closes every connection" if bundle else NO_RUN
+        unknown = "it closes every connection" if bundle else NO_RUN
+        why = refusal.why if refusal else unknown
         yield ("endpoint", False, f"{endpoint}: {why}")
         return
     with session:

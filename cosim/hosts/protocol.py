@@ -184,7 +184,11 @@ def is_sealed(key: bytes, content: bytes) -> bool:
 
 def encode(value: object) -> bytes:
     """A message as bytes; `ValueError` if it cannot be encoded."""
-    events = value.inbox if isinstance(value, Act) else value.events if isinstance(value, Stepped) else ()
+    events: Sequence[object] = ()
+    if isinstance(value, Act):
+        events = value.inbox
+    elif isinstance(value, Stepped):
+        events = value.events
     return pack(value) if len(events) >= _MANY else codec.encode(value)
 
 

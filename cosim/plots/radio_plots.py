@@ -59,8 +59,7 @@ def _field(
     image = axes.imshow(
         values, origin="lower", extent=extent, cmap=colors, vmin=low, vmax=high, interpolation="nearest", aspect="equal"
     )
-    beyond = "both" if values.max() > high and values.min() < low else "min" if values.min() < low else "neither"
-    figure.colorbar(image, ax=axes, label=label, extend=beyond, pad=0.02)
+    figure.colorbar(image, ax=axes, label=label, extend="min" if values.min() < low else "neither", pad=0.02)
 
 
 def _contours(axes: Axes, found: "Map", values: Array, words: dict[float, str]) -> None:

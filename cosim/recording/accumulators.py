@@ -191,7 +191,8 @@ class Accumulators:
     def _with_radios(self, facts: RunFacts, columns: Collection[str] | None, rows: tuple[int, int]) -> pa.Table:
         """The table of frames of several radios, with a column of their names."""
         is_routed = bool(self._routing) and (columns is None or bool(set(columns) & set(ROUTES)))
-        known = None if columns is None else {*columns, "frame", *(("sent_ns", "sender") if is_routed else ())}
+        needed = {"frame", "sent_ns", "sender"} if is_routed else {"frame"}
+        known = None if columns is None else needed.union(columns)
         table = radio_table(self._frames, facts, known, rows)
         radio_of = np.array(self._radio_of, np.int32)
         if is_routed:

@@ -45,7 +45,9 @@ def scenario_schema() -> Schema:
 
 def _inside(schema: Schema, step: str) -> Schema:
     """The schema of a table inside a table; a step in capitals stands for any name."""
-    return schema["items" if step == "NAME" else "additionalProperties"] if step.isupper() else schema["properties"][step]
+    if not step.isupper():
+        return schema["properties"][step]
+    return schema["items" if step == "NAME" else "additionalProperties"]
 
 
 def _put(schema: Schema, step: str, table: Schema) -> None:

@@ -311,7 +311,9 @@ def _overlap(some: tuple[str, ...], others: tuple[str, ...]) -> bool:
 
 def _part(section: Section, name: tuple[str, ...], place: Place, wanted: tuple[str, ...]) -> Section | None:
     """The wanted part of a section with this name: the whole section, one key, or None."""
-    kinds = [section.kind] if section.kind else place.kinds if section.path == place.path else []
+    kinds = place.kinds if section.path == place.path else []
+    if section.kind:
+        kinds = [section.kind]
     if (name and name[: len(wanted)] == wanted) or wanted in [(*name, kind) for kind in kinds]:
         return section
     named = [name, *((*name, kind) for kind in kinds)]
@@ -371,7 +373,9 @@ def heading(section: Section) -> str:
 
 def default_of(key: Key) -> str:
     """``required``, the default as TOML, or the effect without the key."""
-    return "required" if key.required else key.without or "none" if key.default is None else toml(key.default)
+    if key.required:
+        return "required"
+    return key.without or "none" if key.default is None else toml(key.default)
 
 
 def _wrapped(begun: str, size: int, words: str, width: int | None, *, hanging: int) -> Iterator[str]:

@@ -209,11 +209,12 @@ def radio_sentences(radio: Mapping[str, Any]) -> Iterator[str]:
     elif radio["delivery_ratio"] is None:
         yield f"{radio['frames']} frames were sent, and all were still under way when the run ended."
     else:
-        lost = ", ".join(f"{count} {cause}" for cause, count in sorted(radio["losses"].items(), key=lambda each: -each[1])[:3])
+        losses = sorted(radio["losses"].items(), key=lambda each: -each[1])
+        lost = ", ".join([*(f"{count} {cause}" for cause, count in losses[:3]), *(["..."] if len(losses) > 3 else [])])
         age = radio["age_s"]["mean"]
         yield (
             f"{radio['frames']} frames were sent, and {100.0 * radio['delivery_ratio']:.1f} % arrived"
-            + (f" (lost: {lost}{', ...' if len(radio['losses']) > 3 else ''})" if lost else "")
+            + (f" (lost: {lost})" if lost else "")
             + (f", {under_way} were still under way" if (under_way := radio.get("under_way")) else "")
             + (f"; what was known of others was {age:.3g} s old on average." if age is not None else ".")
         )

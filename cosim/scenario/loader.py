@@ -3,7 +3,7 @@
 import copy
 import itertools
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TypeVar
 
@@ -395,10 +395,15 @@ def _path_of(value: object, wanted: float, key: str = "") -> str:
     """Path of an object, by identity, inside a nested value."""
     if value is wanted:
         return key
-    items = value.items() if isinstance(value, Mapping) else enumerate(value if isinstance(value, list) else ())
+    items: Iterable[tuple[object, object]] = ()
+    if isinstance(value, Mapping):
+        items = value.items()
+    elif isinstance(value, list):
+        items = enumerate(value)
     for name, each in items:
-        is_named = key in (*NAMED, "radio") and isinstance(each, dict) and isinstance(each.get("name"), str)
-        own = f".{each['name']}" if is_named else f"[{name}]" if isinstance(name, int) else f".{name}"
+        own = f"[{name}]" if isinstance(name, int) else f".{name}"
+        if key in (*NAMED, "radio") and isinstance(each, dict) and isinstance(each.get("name"), str):
+            own = f".{each['name']}"
         if found := _path_of(each, wanted, f"{key}{own}".removeprefix(".")):
             return found
     return ""

@@ -87,7 +87,9 @@ def issue(
     _check_days(days)
     entry = Entry(name, "host" if vehicles else "observer", tuple(dict.fromkeys(vehicles)), certificates.now())
     _check_free(keys.index.find(name), entry, force)
-    target = folder / f"{name}{SUFFIX}" if out is None else out / f"{name}{SUFFIX}" if out.is_dir() else out
+    target = out or folder
+    if target.is_dir():
+        target /= f"{name}{SUFFIX}"
     if target.exists() and not force:
         raise UsageError(f"{target}: already exists; add --force to overwrite it")
     says = [f"{ROLE}{entry.role}", *(f"{VEHICLE}{vehicle}" for vehicle in entry.vehicles)]

@@ -316,7 +316,9 @@ def load_bundle(path: Path) -> Bundle:
 def state_of(until: dt.datetime) -> str:
     """State of a certificate by its expiry: ``valid``, ``expires soon`` or ``expired``."""
     left = until - now()
-    return "expired" if left < dt.timedelta(0) else "expires soon" if left < WARN else "valid"
+    if left < dt.timedelta(0):
+        return "expired"
+    return "expires soon" if left < WARN else "valid"
 
 
 def _check(what: str, since: dt.datetime, until: dt.datetime, remedy: str) -> str | None:

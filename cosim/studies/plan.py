@@ -220,12 +220,13 @@ def make(
     """
     parsed, _ = loader.load(base.asked, settings=settings, seed=seed)
     said = parsed.study
-    full = _vary(vary) if vary else stored.vary if stored else _vary(said.vary)
+    full = stored.vary if stored and not vary else _vary(vary or said.vary)
     if not full:
         raise UsageError(f"nothing is varied: the scenario has no [study] table; add e.g. {EXAMPLE}")
     for key, values in full.items():
         _check_values(key, values, settings)
-    count = seeds if seeds is not None else len(stored.seeds) if stored else said.seeds
+    usual_count, usual_metrics = (len(stored.seeds), stored.metrics) if stored else (said.seeds, said.metrics)
+    count = usual_count if seeds is None else seeds
     if count < 1:
         raise UsageError(f"--seeds {count}: must be at least 1")
     first = parsed.seed if seed is not None or not stored else stored.seeds[0]
@@ -237,7 +238,7 @@ def make(
         scenario_toml=base.text,
         vary=full,
         seeds=list(range(first, first + count)),
-        metrics=[metrics] if isinstance(metrics, str) else list(metrics or (stored.metrics if stored else said.metrics)),
+        metrics=[metrics] if isinstance(metrics, str) else list(metrics or usual_metrics),
         set={key: binding.plain(value) for key, value in settings.items()},
     )
 

@@ -214,12 +214,10 @@ class Frames:
         for name, dtype in PER_ROW.items():
             packed[name] = joined(list(told[name]), (0,), dtype)
         for name, dtype in BUDGET.items():
-            parts = zip(told[name], counts, strict=True)
-            packed[name] = (
-                joined([np.zeros(n, dtype) if part is None else part for part, n in parts], (0,), dtype)
-                if any(part is not None for part in told[name])
-                else np.zeros(sum(counts), dtype)
-            )
+            packed[name] = np.zeros(sum(counts), dtype)
+            if any(part is not None for part in told[name]):
+                parts = zip(told[name], counts, strict=True)
+                packed[name] = joined([np.zeros(n, dtype) if part is None else part for part, n in parts], (0,), dtype)
         for name, dtype in PATHS.items():
             parts = zip(told[name], counts, strict=True)
             known = [np.full(n, np.nan) if part is UNSET else part for part, n in parts]

@@ -152,7 +152,9 @@ def _rank(vehicle: _Vehicle, now_ns: int) -> tuple[Any, ...]:
 
 
 def _kind(vehicle: _Vehicle) -> str:
-    return "bad" if vehicle.state else "halted" if vehicle.halted else ""
+    if vehicle.state:
+        return "bad"
+    return "halted" if vehicle.halted else ""
 
 
 def _age(vehicle: _Vehicle, now_ns: int) -> str:

@@ -5,7 +5,7 @@ The parsers themselves fail in several ways: on depth, on long numbers, and slow
 
 import re
 import tomllib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any, TypeVar
 
 import msgspec
@@ -104,15 +104,24 @@ def toml_tokens(text: str) -> Iterator[tuple[str, int]]:
 _TOO_DEEP = f"tables and lists are nested more than {DEEPEST} deep"
 
 
+def parts_of(value: object) -> Collection[object]:
+    """The values of a table, or the items of a list; none of any other value."""
+    if isinstance(value, Mapping):
+        return value.values()
+    return value if isinstance(value, list | tuple) else ()
+
+
 def _inside(value: object) -> list[object]:
-    inside = value.values() if isinstance(value, Mapping) else value if isinstance(value, list | tuple) else ()
-    return [each for each in inside if isinstance(each, Mapping | list | tuple)]
+    return [each for each in parts_of(value) if isinstance(each, Mapping | list | tuple)]
 
 
 def _check_keys(text: str) -> None:
     """Refuse keys of very many parts: `tomllib` takes quadratic time for them."""
     dots = 0
     for word, line in toml_tokens(text):
-        dots = dots + 1 if word == "." else 0 if word in "\n[]{}=," else dots
+        if word == ".":
+            dots += 1
+        elif word in "\n[]{}=,":
+            dots = 0
         if dots > DEEPEST:
             raise ValueError(f"the key in line {line} has more than {DEEPEST} parts")

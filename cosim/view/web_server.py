@@ -77,8 +77,11 @@ def new_token() -> str:
 
 def url_of(host: str, port: int, token: str) -> str:
     """URL of the page, for a browser."""
-    name = "localhost" if host in ANYWHERE else f"[{host}]" if ":" in host else host
-    return f"http://{name}:{port}/?token={token}"
+    if host in ANYWHERE:
+        host = "localhost"
+    elif ":" in host:  # IPv6
+        host = f"[{host}]"
+    return f"http://{host}:{port}/?token={token}"
 
 
 def is_fit(message: object) -> bool:

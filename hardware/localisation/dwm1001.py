@@ -43,7 +43,8 @@ def decode(line: str) -> Located | None:
 def encode(located: Located, index: int | None = None) -> bytes:
     """Line of a position, of a tag or, with an index, of a listener; for emulation."""
     x, y, z = located.position or (math.nan, math.nan, math.nan)
-    percent = 0 if located.position is None else round(100.0 * (1.0 if located.quality is None else located.quality))
+    quality = 1.0 if located.quality is None else located.quality
+    percent = 0 if located.position is None else round(100.0 * quality)
     body = f"{x:.2f},{y:.2f},{z:.2f},{percent}"
     who = "" if index is None else f"{index},{located.tag},"
     return f"POS,{who}{body}{'' if index is None else ',x00'}\r\n".encode()

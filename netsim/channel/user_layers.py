@@ -42,7 +42,8 @@ def is_own(kind: object) -> bool:
 
 def guarded(layer: str, kind: Any) -> Any:
     """The class; if user-defined, a subclass that checks return values. ``layer``: its name in messages."""
-    return _guarded(layer, kind, _CHECKS | {"open": _medium if layer == "mac" else _anything}) if is_own(kind) else kind
+    opened = _medium if layer == "mac" else _anything
+    return _guarded(layer, kind, _CHECKS | {"open": opened}) if is_own(kind) else kind
 
 
 def check_attributes(layer: str, built: Any) -> None:

@@ -253,7 +253,9 @@ def _names(file: str, table: pa.Table) -> tuple[list[str], tuple[Ints, Ints]]:
 
 def _refuse(file: str | Path, problem: str, row: int | None = None) -> NoReturn:
     path = Path(file)
-    where = "" if row is None else f" row {row + 1}:" if path.suffix == ".parquet" else f" line {_line(path, row)}:"
+    where = ""
+    if row is not None:
+        where = f" row {row + 1}:" if path.suffix == ".parquet" else f" line {_line(path, row)}:"
     raise ScenarioError(f"{path.name}{where} {problem}", key="file")
 
 

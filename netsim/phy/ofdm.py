@@ -14,9 +14,10 @@ All send the code's bits over an additive white Gaussian channel of 20 MHz, x = 
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -65,6 +66,17 @@ HE_MODES = {
 }
 HE_SUBCARRIERS = 234  # with data, in 20 MHz
 RATES_BPS = tuple(MODES)
+
+
+class Standard(NamedTuple):
+    """What all rates of one standard have in common."""
+
+    modes: Mapping[float, tuple[int, str]]  # points of the constellation and code rate, by bit rate in bit/s
+    headers_bytes: int  # of a PSDU besides the payload
+    head_us: int  # preamble and header
+
+
+LEGACY, HT, HE = Standard(MODES, 36, 20), Standard(HT_MODES, 38, 36), Standard(HE_MODES, 42, 44)
 ALL_MODES = MODES | HT_MODES | HE_MODES
 CODE_RATES = {"1/2": 1.0 / 2.0, "2/3": 2.0 / 3.0, "3/4": 3.0 / 4.0, "5/6": 5.0 / 6.0}
 
@@ -165,26 +177,26 @@ class Ofdm:
 
     def __post_init__(self) -> None:
         if self.rate_bps not in ALL_MODES:
-            legacy, ht, he = (", ".join(f"{rate / 1e6:g}e6" for rate in modes) for modes in (MODES, HT_MODES, HE_MODES))
+            legacy, ht, he = (", ".join(f"{rate / 1e6:g}e6" for rate in each.modes) for each in (LEGACY, HT, HE))
             problem = f"must be {legacy} bit/s (802.11a/g), {ht} (n) or {he} (ax), not {self.rate_bps:g}"
             raise ScenarioError(problem, key="rate_bps")
         if self.is_ht and self.error_model == "nist":
             raise ScenarioError("nist has no errors of 802.11n and ax: use table or yans", key="error_model")
 
     @property
-    def is_he(self) -> bool:
-        """Whether it is 802.11ax (high efficiency)."""
-        return self.rate_bps in HE_MODES
+    def standard(self) -> Standard:
+        """`LEGACY` (802.11a or g), `HT` (n) or `HE` (ax)."""
+        return next(each for each in (LEGACY, HT, HE) if self.rate_bps in each.modes)
 
     @property
     def is_ht(self) -> bool:
         """Whether it is 802.11n (high throughput) or ax, which build on it."""
-        return self.rate_bps in HT_MODES or self.is_he
+        return self.standard is not LEGACY
 
     @property
     def rates_bps(self) -> tuple[float, ...]:
         """The rates of its standard, rising."""
-        return tuple(HE_MODES if self.is_he else HT_MODES if self.is_ht else MODES)
+        return tuple(self.standard.modes)
 
     @property
     def least_snr_db(self) -> float:
@@ -194,7 +206,7 @@ class Ofdm:
     @property
     def headers_bytes(self) -> int:
         """Bytes of a PSDU besides the payload."""
-        return 42 if self.is_he else 38 if self.is_ht else 36
+        return self.standard.headers_bytes
 
     @property
     def noise_dbm(self) -> float:
@@ -209,8 +221,8 @@ class Ofdm:
     def air_time_ns(self, size_bytes: int) -> int:
         """Preamble, headers, and the symbols of the PSDU, + 6 us at 2.4 GHz; of all frames, with the spaces between."""
         sifs_us = 10 if self.band == "2.4GHz" else 16
-        head_us = 44 if self.is_he else 36 if self.is_ht else 20
-        return over_frames(size_bytes, LARGEST_MSDU_BYTES, lambda size: head_us * US + self._payload_ns(size), sifs_us * US)
+        head_ns = self.standard.head_us * US
+        return over_frames(size_bytes, LARGEST_MSDU_BYTES, lambda size: head_ns + self._payload_ns(size), sifs_us * US)
 
     def payload_bits(self, size_bytes: int) -> int:
         """Bits for the error rate: rate x time after preamble and header, padding and extension included."""
@@ -220,7 +232,7 @@ class Ofdm:
     @property
     def _symbol(self) -> tuple[int, int]:
         """Data bits of a symbol, and its length in ns."""
-        if not self.is_he:
+        if self.standard is not HE:
             return 4 * int(self.rate_bps) // 1_000_000, 4_000
         points, code = HE_MODES[self.rate_bps]
         return round(HE_SUBCARRIERS * math.log2(points) * CODE_RATES[code]), 13_600

@@ -1,7 +1,7 @@
 """Vehicles without bodies, all at once: on the ground, in the air, external ones; firmware of robots with wheels."""
 
 from collections.abc import Sequence
-from math import inf
+from math import copysign, inf
 from typing import Any
 
 import numpy as np
@@ -379,4 +379,4 @@ def _towards(speed: float, target: float, up: float, down: float) -> float:
         target = 0.0
     change = target - speed
     most = down if abs(target) < abs(speed) else up
-    return target if abs(change) <= most else speed + (most if change > 0.0 else -most)
+    return target if abs(change) <= most else speed + copysign(most, change)

@@ -195,8 +195,9 @@ def _add_mesh(mesh: Mesh, number: int, thickness_m: float, facets: list[_Facet],
     area = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     triangles = triangles[(area * area).sum(axis=1) > 0.0]
     closed = is_closed(mesh.triangles)
-    passage = (SKIN if thin else OPAQUE) if closed else SHEET
-    size_m = (thickness_m if thin else math.inf) if closed else SHEET_M
+    passage, size_m = SHEET, SHEET_M
+    if closed:
+        passage, size_m = (SKIN, thickness_m) if thin else (OPAQUE, math.inf)
     first = len(facets)
     facets += [_Facet(triangle, passage, number, size_m) for triangle in triangles]
     meeting: dict[tuple[tuple[float, ...], ...], list[int]] = {}

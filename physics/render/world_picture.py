@@ -263,7 +263,10 @@ def round_step(metres: float) -> float:
 def text(picture: Array, words: str, column: int, row: int, size: float, *, middle: bool = False, end: bool = False) -> None:
     """Write text into a picture: dark with a light edge, for any background."""
     (width, _), _ = cv2.getTextSize(words, _FONT, size, 1)
-    column -= width // 2 if middle else width if end else 0
+    if middle:
+        column -= width // 2
+    elif end:
+        column -= width
     for right, down in ((-1, 0), (1, 0), (0, -1), (0, 1)):
         cv2.putText(picture, words, (column + right, row + down), _FONT, size, _PAPER, 1, cv2.LINE_AA)
     cv2.putText(picture, words, (column, row), _FONT, size, _INK, 1, cv2.LINE_AA)

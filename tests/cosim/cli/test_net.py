@@ -23,7 +23,7 @@ from vcmvsp.netsim.bridge.gateways.ip import run_networks as networks
 NAME = f"net{os.getpid()}"
 SCENARIO = """
 name = "{name}"
-duration_s = 100
+duration_s = 3600
 physics.kind = "kinematic"
 radio.preset = "ideal"
 radio.delay.seconds = 0.02

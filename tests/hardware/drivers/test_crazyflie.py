@@ -56,7 +56,7 @@ def newest(driver: Driver) -> Any:
 def test_it_takes_off_flies_and_lands(run: subprocess.Popen[str], port: int) -> None:
     with connected(CrazyflieDriver(uri=f"udp://127.0.0.1:{port}", takeoff_m=0.5, origin=(1.0, 2.0, 0.0))) as driver:
         assert isinstance(driver, Driver)
-        assert newest(driver).position == pytest.approx((1.0, 2.0, 0.5), abs=0.05)
+        eventually(lambda: newest(driver).position == pytest.approx((1.0, 2.0, 0.5), abs=0.05))
         samples = fly(driver, 2.0, 0.3, 0.1, 0.0)
         assert samples[-1].state is not None
         x, y, z = samples[-1].state.position

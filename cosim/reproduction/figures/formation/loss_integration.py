@@ -119,7 +119,7 @@ def _predictions(lead: LeaderTrack, estimator: str, oldest: int) -> Array:
 
 def _left(estimator: str, age: float) -> float:
     """Remaining share of the speeds that an estimator uses after ``age`` ticks."""
-    ends = math.inf if estimator == "hold" else AFTER if estimator == "plan" else HORIZON
+    ends = {"hold": math.inf, "plan": AFTER}.get(estimator, HORIZON)
     return min(1.0, max(0.0, 1.0 - (age - ends) / FADE))
 
 
