@@ -4,6 +4,7 @@ Each module of this package holds the commands of one subject and loads heavy mo
 """
 
 import atexit
+import contextlib
 import functools
 import gc
 import itertools
@@ -11,7 +12,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 import typer.core
@@ -45,6 +46,9 @@ from vcmvsp.cosim.cli.run import (
 from vcmvsp.cosim.config.binding import show
 from vcmvsp.cosim.errors import Interrupted, UsageError, VcmvspError
 from vcmvsp.cosim.view import FOXGLOVE_PORT
+
+if TYPE_CHECKING:
+    from vcmvsp.cosim.runs.figures import Drawer
 
 HANGS_UP = () if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else (signal.SIGHUP,)
 """Signals of a closed terminal, handled like Ctrl-C unless ignored, as under nohup."""
@@ -159,8 +163,10 @@ def main(arguments: list[str] | None = None) -> None:
     gc.set_threshold(50_000, 20)  # of the many objects of imports, none is in a cycle that ends
     atexit.register(gc.freeze)  # nor does the end of the process look for cycles among them, a tenth of a short run
     _handle_ends(signal.default_int_handler)  # `kill` ends a run as Ctrl-C does, also one in the background
+    given = sys.argv[1:] if arguments is None else arguments
     try:
-        command()(_with_values(sys.argv[1:] if arguments is None else arguments), standalone_mode=True)
+        with drawer_of(given) as drawer:
+            command()(_with_values(given), obj=drawer, standalone_mode=True)
     except VcmvspError as error:
         say(f"vcmvsp: {' '.join(str(error).splitlines())}")
         if error.result is not None:
@@ -182,6 +188,15 @@ def main(arguments: list[str] | None = None) -> None:
             _handle_ends(signal.SIG_DFL)
 
 
+def drawer_of(arguments: list[str]) -> contextlib.AbstractContextManager["Drawer | None"]:
+    """The drawer of a run at its own pace, which imports Matplotlib while this process still parses the command line."""
+    if arguments[:1] != ["run"] or {each.partition("=")[0] for each in arguments} & LIVE:
+        return contextlib.nullcontext()
+    from vcmvsp.cosim.runs.figures import Drawer
+
+    return Drawer()
+
+
 def _handle_ends(handler: Any) -> None:
     for number in (signal.SIGINT, signal.SIGTERM, *HANGS_UP):
         signal.signal(number, handler)
@@ -189,6 +204,8 @@ def _handle_ends(handler: Any) -> None:
 
 ALONE = {"--realtime": "1", "--foxglove": str(FOXGLOVE_PORT)}
 """Values of options whose value can be left out."""
+LIVE = {*ALONE, "--view"}
+"""Options of runs that follow the wall clock."""
 
 
 def _with_values(arguments: list[str]) -> list[str]:

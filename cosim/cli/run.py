@@ -50,6 +50,7 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")
 
 
 def run_command(
+    context: typer.Context,
     scenario: ScenarioName,
     seed: Seed = None,
     set_: Sets = None,
@@ -73,13 +74,10 @@ def run_command(
 
     Example: vcmvsp run formation-circle --set radio.loss.probability=0.5 --seed 7 --out lossy
     """
-    from vcmvsp.cosim.runs.figures import Drawer
-
     page = (view_host, view_port) if view else None
     options: dict[str, Any] = {"agents": agents, "listen": listen, "keys": keys, "insecure": insecure, "force": force}
-    at_own_pace = realtime is None and page is None and foxglove is None
+    options["drawer"] = context.obj
     with contextlib.ExitStack() as stack:
-        options["drawer"] = stack.enter_context(Drawer(apart=at_own_pace))  # it starts while this process imports the rest
         sets = simulated(scenario, set_ or []) if twin else set_ or []
         if foxglove is not None:
             options["sink"] = stack.enter_context(foxglove_stream(foxglove_host, foxglove))

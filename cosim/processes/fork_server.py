@@ -23,8 +23,6 @@ import weakref
 from collections.abc import Sequence
 from typing import IO, cast
 
-import numpy as np
-
 from vcmvsp.cosim.processes.child_process import ChildProcess
 from vcmvsp.cosim.util.polling import readable
 
@@ -161,10 +159,12 @@ def main() -> int:
     """Entry point of a fork server, which returns in its forks only."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the run to handle, which ends its children
     requests = socket.socket(fileno=os.dup(0))
+    gc.disable()  # of the many objects of imports, none is in a cycle that ends
     module = importlib.import_module(sys.argv[1])
     for name in sys.argv[2:]:
         importlib.import_module(name)
     gc.freeze()  # a collection in a fork would copy the memory that it shares
+    gc.enable()
     reports: dict[int, int] = {}  # by the process id of a fork that runs
     ends, wakes = os.pipe()
     os.set_blocking(wakes, False)
@@ -192,7 +192,8 @@ def main() -> int:
     for descriptor in (stdin, report, ends, wakes, *reports.values()):
         os.close(descriptor)
     requests.close()
-    np.random.seed()  # noqa: NPY002  as in a process that is started afresh
+    if "numpy.random" in sys.modules:
+        sys.modules["numpy.random"].seed()  # as in a process that is started afresh
     os.setpgid(0, 0)
     sys.argv[1:] = json.loads(arguments)
     code: int = module.main()

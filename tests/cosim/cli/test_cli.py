@@ -11,7 +11,8 @@ import pytest
 
 from tests.support.cosim.command_line import contents, two_cars, vcmvsp_command
 from tests.support.cosim.run_processes import VCMVSP
-from vcmvsp.cosim.cli.app import PANELS, command
+from vcmvsp.cosim.cli.app import PANELS, command, drawer_of
+from vcmvsp.cosim.runs.figures import Drawer
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.terminal import progress
 
@@ -217,6 +218,21 @@ def test_ctrl_c_while_a_process_ends_leaves_no_traceback() -> None:
     code = f"{late}from vcmvsp.cosim.cli.app import main; main()"
     done = subprocess.run([sys.executable, "-c", code, "list"], capture_output=True, text=True, timeout=500, check=False)
     assert (done.returncode, done.stderr) == (-signal.SIGINT, "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "early"),
+    [
+        ("run s.toml --seed 2", True),
+        ("run s.toml --realtime", False),
+        ("run s.toml --foxglove=0", False),
+        ("run --view s.toml", False),
+        ("check s.toml", False),
+        ("", False),
+    ],
+)
+def test_a_process_for_figures_starts_early_where_a_run_keeps_its_own_pace(arguments: str, early: bool) -> None:
+    assert isinstance(drawer_of(arguments.split()), Drawer) is early
 
 
 def test_progress_is_lines_on_stderr_in_a_log(monkeypatch: pytest.MonkeyPatch) -> None:
