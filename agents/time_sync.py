@@ -122,11 +122,11 @@ class TimeSync(Agent):
         offset_ns = 0 if best is None else best.offset_ns
         if not own and not offset_ns:
             return obs
-        own_ns, heard = obs.clock_ns - offset_ns, obs.heard
-        if len(heard):
-            others = [each for each in heard if each not in own]
+        own_ns, messages = obs.clock_ns - offset_ns, obs.heard
+        if len(messages):
+            others = [each for each in messages if each not in own]
             moved = [msgspec.structs.replace(each, received_ns=each.received_ns - offset_ns) for each in others]
-            heard = ReceivedMessages.of(moved, own_ns)
+            messages = ReceivedMessages.of(moved, own_ns)
         newest = dict.items(obs.readings)  # without computing those on demand
         readings = {name: timed(reading, lambda time_ns: time_ns - offset_ns) for name, reading in newest}
-        return msgspec.structs.replace(obs, own_time_ns=own_ns, heard=heard, readings=type(obs.readings)(readings))
+        return msgspec.structs.replace(obs, own_time_ns=own_ns, heard=messages, readings=type(obs.readings)(readings))

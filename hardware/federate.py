@@ -198,7 +198,7 @@ class VehicleProxy:
         self._fresh: list[StationReport] = []  # since the last publication
         self._command: tuple[Velocity | None, int, int] = (None, 0, 0)  # command, its monotonic time, its logical time
         self._orders, self._shown = 0, (0, self._still)
-        self._asked = (-1, self._still)
+        self._latest = (-1, self._still)
 
     def command(self, event: Event) -> None:
         """Store a command of the agent."""
@@ -267,15 +267,15 @@ class VehicleProxy:
         notice = Notice(time_ns=now_ns, what="lost", cause=str(error))
         last = self._history[-1] if self._history else StationReport(number=0, time_ns=now_ns)
         rested = msgspec.structs.replace(self._state(now_ns), velocity=ORIGIN, angular_velocity=ORIGIN)
-        told = StationReport(number=last.number, time_ns=now_ns, state=rested, causes=(LOST,), notices=(notice,))
-        self._fresh.append(told)
-        self._history.append(told)
+        report = StationReport(number=last.number, time_ns=now_ns, state=rested, causes=(LOST,), notices=(notice,))
+        self._fresh.append(report)
+        self._history.append(report)
 
     def state(self, now_ns: int) -> VehicleState:
         """State at a logical time, extrapolated from the newest earlier report."""
-        if self._asked[0] != now_ns:
-            self._asked = now_ns, self._state(self._clock.monotonic_ns(now_ns))
-        return self._asked[1]
+        if self._latest[0] != now_ns:
+            self._latest = now_ns, self._state(self._clock.monotonic_ns(now_ns))
+        return self._latest[1]
 
     def _state(self, at_ns: int) -> VehicleState:
         reports = [each for each in self._history if each.state is not None]
@@ -315,11 +315,11 @@ class VehicleProxy:
             yield Event(f"{self.vehicle.name}/incident", now_ns, incident)
 
     def _odometry(self, report: StationReport, now_ns: int) -> Odometry:
-        told = report.odometry
-        assert told is not None  # noqa: S101  checked by the caller
+        odometry = report.odometry
+        assert odometry is not None  # noqa: S101  checked by the caller
         since_ns = self._clock.monotonic_ns(now_ns) - report.measured_ns
         seconds = max(0, min(since_ns, LONGEST_NS)) / SECOND_NS
-        return Odometry(pose=arc(told.pose, told.v, told.w, seconds), v=told.v, w=told.w)
+        return Odometry(pose=arc(odometry.pose, odometry.v, odometry.w, seconds), v=odometry.v, w=odometry.w)
 
     def _readings(self, now_ns: int, fresh: Sequence[StationReport]) -> Iterator[Event]:
         """New positions and ranges; measurements from before the start of the run are dropped."""

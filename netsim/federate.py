@@ -336,8 +336,8 @@ class RadioFederate:
     def _named_one(self, report: FrameReport) -> FrameReport:
         name = self._network_of[report.sender]
         if len(self._networks) > 1:
-            kept = np.array([each in self._networks[name] for each in report.receivers], np.bool_)
-            report = only(report, kept) if not kept.all() else report
+            is_member = np.array([each in self._networks[name] for each in report.receivers], np.bool_)
+            report = only(report, is_member) if not is_member.all() else report
         return msgspec.structs.replace(report, frame=self._numbered.pop(report.frame), radio=name)
 
     def _addressed(self, message: Message) -> Message:

@@ -344,7 +344,7 @@ class RigidBodyPhysics(Physics):
             )
         return [(engine, bodies), *self._bodiless([n for n in range(len(self.vehicles)) if n not in bodies])]
 
-    def _engine(self, **given: Any) -> FleetEngine:
+    def _engine(self, **arguments: Any) -> FleetEngine:
         """The engine with bodies."""
         raise NotImplementedError
 
@@ -352,20 +352,20 @@ class RigidBodyPhysics(Physics):
 class BulletPhysics(RigidBodyPhysics):
     """Differential drives and quadrotors are bodies in Bullet; vehicles of other kinds move without bodies."""
 
-    def _engine(self, **given: Any) -> FleetEngine:
+    def _engine(self, **arguments: Any) -> FleetEngine:
         try:
             from vcmvsp.physics.dynamics.bullet.engine import BulletEngine  # loads PyBullet, 0.4 s
         except ModuleNotFoundError as error:  # Python 3.14
             raise ScenarioError('needs PyBullet, which is not installed: use "mujoco"', key="physics.kind") from error
-        return BulletEngine(**given, iterations=self.iterations)
+        return BulletEngine(**arguments, iterations=self.iterations)
 
 
 class MujocoPhysics(RigidBodyPhysics):
     """Differential drives and quadrotors are bodies in MuJoCo; vehicles of other kinds move without bodies."""
 
-    def _engine(self, **given: Any) -> FleetEngine:
+    def _engine(self, **arguments: Any) -> FleetEngine:
         try:
             from vcmvsp.physics.dynamics.mujoco.engine import MujocoEngine
         except ModuleNotFoundError as error:
             raise ScenarioError("needs MuJoCo: pip install 'vcmvsp[mujoco]'", key="physics.kind") from error
-        return MujocoEngine(**given)
+        return MujocoEngine(**arguments)

@@ -51,8 +51,8 @@ class SceneBuilder:
                 each.flags.writeable = False
         arrays: dict[str, Any] = dict(zip(("position", "velocity", "attitude", "angular_velocity"), bodies, strict=True))
         arrays |= {"acceleration": motion.acceleration, "wheels": motion.wheels}
-        given: dict[str, Any] = {"world": self._world, "vehicles": self._vehicles, "hulls": self._hulls}
-        return Scene(now_ns=now_ns, touching=touches, gravity=self._gravity, **given, **arrays)
+        arguments: dict[str, Any] = {"world": self._world, "vehicles": self._vehicles, "hulls": self._hulls}
+        return Scene(now_ns=now_ns, touching=touches, gravity=self._gravity, **arguments, **arrays)
 
 
 TOUCHES_M = 1e-9  # bodies that only touch do not overlap

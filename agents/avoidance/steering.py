@@ -170,7 +170,7 @@ class AvoidanceSteering:
         self._was_near = False  # whether the last valid scan with returns had something near
         self._empty_ns: int | None = None  # since when all returns are gone
         self._speed, self._now = 0.0, (0.0, 0.0)  # m/s; m/s ahead and rad/s: as last commanded
-        self._told: dict[str, float | str | bool] = {}
+        self._note: dict[str, float | str | bool] = {}
         self.notes, self.level = {}, 0
 
     def steer(self, obs: Observation, task: Task) -> Decision:
@@ -197,8 +197,8 @@ class AvoidanceSteering:
             decision = self._limited(obs, view, decide(view), math.hypot(*task.velocity))
         self._speed, self._now = math.hypot(*decision.velocity), (decision.velocity[0], decision.yaw_rate)
         now: dict[str, float | str | bool] = {"mode": decision.mode, "level": self.level}
-        self.notes = {name: value for name, value in now.items() if value != self._told.get(name)}
-        self._told = now
+        self.notes = {name: value for name, value in now.items() if value != self._note.get(name)}
+        self._note = now
         return decision
 
     def _limited(self, obs: Observation, view: View, decision: Decision, requested: float) -> Decision:

@@ -152,7 +152,7 @@ class AerialRoute(Leader):
         self.course_deg, self.heading, self.yaw_rate = course_deg, heading, yaw_rate
         self._next = 0
         self._from: Vec3 | None = None  # where the line to the next point begins
-        self._kept: tuple[float, float] | None = None  # height of the start, m, and the heading to keep, rad
+        self._hold: tuple[float, float] | None = None  # height of the start, m, and the heading to keep, rad
 
     def start(self, info: VehicleInfo) -> None:
         """Reject a ground vehicle; find the team."""
@@ -161,14 +161,14 @@ class AerialRoute(Leader):
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
         """Fly on and report the motion from now on."""
-        before = None if self._kept is None else self._next
+        before = None if self._hold is None else self._next
         self._from = self._from or obs.state.position
-        height, yaw = self._kept or (obs.state.position[2], obs.state.yaw)
+        height, yaw = self._hold or (obs.state.position[2], obs.state.yaw)
         target = self._along_the_way(obs) if self.way else self._on(obs, height)
         arrived = self.way and self._next == len(self.way)
         if self.heading == "course" and not arrived:
             yaw = self._course(self._from, yaw)
-        self._kept = height, yaw
+        self._hold = height, yaw
         w = max(-self.yaw_rate, min(YAW_GAIN * wrap(yaw - obs.state.yaw), self.yaw_rate))
         velocity, w, _ = around(self._steering, obs, target, w, self.aim(obs))
         if self._steering is not None:

@@ -86,11 +86,11 @@ class Roster:
         self._alive_ns, self._report_ns = seconds_to_ns(alive_s), seconds_to_ns(report_s)
         self._claim_ns = max(self._alive_ns, seconds_to_ns(claim_s))
         self.clock_bound_s, self._clock_bound_ns = clock_bound_s, seconds_to_ns(clock_bound_s)
-        self._heard: dict[str, MemberStatus] = {}
+        self._status_of: dict[str, MemberStatus] = {}
         self._there_ns: dict[str, int] = {}  # time of the newest message of its agent
         self._start_ns: int | None = None
-        self._told: tuple[Task, str | None] | None = None
-        self._told_ns = 0
+        self._note: tuple[Task, str | None] | None = None
+        self._note_ns = 0
 
     def hear(self, obs: Observation) -> None:
         """Process received statuses, once a tick. Any message of a member is a sign of life, except one of bytes."""
@@ -100,16 +100,16 @@ class Roster:
                 continue
             self._there_ns[sender] = obs.clock_ns
             status = _parsed(body, (obs.clock_ns + self._clock_bound_ns) // 1_000_000)
-            before = self._heard.get(sender)
+            before = self._status_of.get(sender)
             if status is not None and (before is None or status.ms > before.ms):
-                self._heard[sender] = status
+                self._status_of[sender] = status
 
     def tell(self, obs: Observation, radio: Radio, task: Task, claim: Claim | None) -> None:
         """Send the own status if it is due, once a tick."""
         now = task, None if claim is None else claim.target
-        if now == self._told and obs.clock_ns - self._told_ns < self._report_ns:
+        if now == self._note and obs.clock_ns - self._note_ns < self._report_ns:
             return
-        self._told, self._told_ns = now, obs.clock_ns
+        self._note, self._note_ns = now, obs.clock_ns
         body: dict[str, Any] = {"do": task, "ms": obs.clock_ns // 1_000_000}
         if claim is not None:
             body |= {"tg": claim.target, "at": list(claim.place), "since": claim.since_ns // 1_000_000}
@@ -121,7 +121,7 @@ class Roster:
 
     def searchers(self, now_ns: int) -> tuple[str, ...]:
         """Living members that search, alone or in formation, with this one; members of unknown task count as searching."""
-        tracking = {name for name, status in self._heard.items() if status.task == "track"}
+        tracking = {name for name, status in self._status_of.items() if status.task == "track"}
         return tuple(name for name in self.alive(now_ns) if name == self.me or name not in tracking)
 
     def shared(self, now_ns: int) -> bool:
@@ -137,7 +137,7 @@ class Roster:
         """Claims of other members, by vehicle."""
         return {
             name: each.claim
-            for name, each in sorted(self._heard.items())
+            for name, each in sorted(self._status_of.items())
             if each.claim is not None and self._silent_ns(name, now_ns) < self._claim_ns
         }
 

@@ -149,7 +149,7 @@ class Search(Agent):
             self.grid, exchange(**self._exchange, me=info.name, members=roster.members, clock_bound_s=roster.clock_bound_s)
         )
         self._way: LaneFollower | None = None
-        self._kept: tuple[float, float] | None = None  # height and heading to fly at, m and rad
+        self._hold: tuple[float, float] | None = None  # height and heading to fly at, m and rad
         self._now_ns: int | None = None  # of the last tick
         self._looked_ns: int | None = None  # time of the last picture that counted as a look
         self._agreed = False  # whether there was a look since the last messages
@@ -185,8 +185,8 @@ class Search(Agent):
         if obs.clock_ns == self._now_ns:
             return self.roster
         self._now_ns = obs.clock_ns
-        if self._kept is None:
-            self._kept = self.height if self.height is not None else obs.state.position[2], obs.state.yaw
+        if self._hold is None:
+            self._hold = self.height if self.height is not None else obs.state.position[2], obs.state.yaw
             if self.swath_m is not None:
                 self._lay((self.swath_m, self.swath_m))
         if self._own_roster:
@@ -208,7 +208,7 @@ class Search(Agent):
         frame = None if self.watch is None else self.watch.look(obs)
         if frame is None or not frame.whole or frame.footprint is None:
             return None
-        if self._way is None and self._kept is not None and (swaths := swaths_m(frame, self._kept[0])) is not None:
+        if self._way is None and self._hold is not None and (swaths := swaths_m(frame, self._hold[0])) is not None:
             self._lay(swaths)
         if self._looked_ns is not None and frame.time_ns - self._looked_ns < self._look_ns:
             return None
@@ -251,7 +251,7 @@ class Search(Agent):
 
     def _fly(self, obs: Observation, roster: Roster) -> Velocity:
         """The command along the lanes, at the height and the heading to keep."""
-        (x, y, z), (height, yaw) = obs.state.position, self._kept or (obs.state.position[2], obs.state.yaw)
+        (x, y, z), (height, yaw) = obs.state.position, self._hold or (obs.state.position[2], obs.state.yaw)
         climb = max(-self.speed, min(GAIN * (height - z), self.speed))
         turn = max(-YAW_RATE, min(YAW_GAIN * wrap(yaw - obs.state.yaw), YAW_RATE))
         if self._way is None or abs(height - z) > CLIMB_M:

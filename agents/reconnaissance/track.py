@@ -113,7 +113,7 @@ class TrackTarget(Agent):
         self._sheet = None if self._mosaic is None else _sheet(self._mosaic)
         self._candidate: Claim | None = None  # confirmed by the newest picture, and unclaimed
         self._found: set[str] = set()
-        self._told = ""  # the target in the last note
+        self._note = ""  # the target in the last note
         self._asked_ns: int | None = None
         self._forget()
         self._home: Waypoint | None = None
@@ -263,8 +263,8 @@ class TrackTarget(Agent):
         watch.region = GroundDisc(self._tracker.predicted(now_ns), self._tracker.reach_m(now_ns)) if sees else None
 
     def _note_target(self) -> None:
-        if self._target != self._told:
-            self._told = self._target
+        if self._target != self._note:
+            self._note = self._target
             self.note(target=self._target)
 
 

@@ -76,16 +76,16 @@ def start_up(
     It starts ``behind`` (m) its slot, with k1 = ``gain`` (1/s), a servo of ``lag_s``, acceleration at most ``accel`` (m/s2),
     braking at most 0.75 m/s2, speed at most 0.75 m/s; reports of its leader, one tick old, arrive from ``first_tick`` on.
     """
-    z, own, command, seen = behind, 0.0, 0.0, []
+    z, own, command, z_by_period = behind, 0.0, 0.0, []
     each = round(period_s * 1000.0)
     for step in range(20_000):
         if step % each == 0:
-            seen.append(z)
+            z_by_period.append(z)
             if step // each >= first_tick:
                 command = min(speed + gain * z, 0.75)
         own = command if lag_s == 0.0 else own + 1e-3 * max(-0.75, min((command - own) / lag_s, accel))
         z += 1e-3 * (speed - own)
-    return np.array(seen)
+    return np.array(z_by_period)
 
 
 def lag_behind(speed: float, gain: float, period_s: float, age_s: float, probability: float) -> tuple[float, float]:

@@ -74,11 +74,11 @@ class Log:
             if not any(fnmatchcase(each, name) for each in self.vehicles):
                 raise UsageError(f"--link {link}: {binding.unknown('vehicle', name, self.vehicles)}")
         senders, receivers = ([name for name in self.vehicles if fnmatchcase(name, part)] for part in (sender, receiver))
-        meant = [(a, b) for a in senders for b in receivers if a != b]
-        if not meant:
+        pairs = [(a, b) for a in senders for b in receivers if a != b]
+        if not pairs:
             alone = f"{self.folder}: a run with one vehicle, {self.vehicles[0]}, has no links"
             raise UsageError(alone if len(self.vehicles) == 1 else f"--link {link}: a vehicle has no link to itself")
-        return meant
+        return pairs
 
     def frames(self, pair: Pair) -> "LinkFrames":
         """The frames of a link, in order of sending."""

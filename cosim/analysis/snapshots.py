@@ -94,10 +94,10 @@ class Snapshots:
         self.area = self._area(search)
         self.cell_m = float(self._said(search, "cell_m", Positive, CELL_M)) if cell_m is None else cell_m
         self._grid = self._cells()
-        wanted = self._watch.names
-        self._targets = [each for each in self.world.targets if each.name in wanted]
+        names = self._watch.names
+        self._targets = [each for each in self.world.targets if each.name in names]
         if not self._targets:
-            problem = f"no target of {self.vehicle} ({', '.join(wanted)}) is in this world: add one"
+            problem = f"no target of {self.vehicle} ({', '.join(names)}) is in this world: add one"
             raise ScenarioError(problem, key="world.targets", source=self._source.of("world"))
 
     def take(self, number: int, of: int) -> Snapshot:
@@ -376,10 +376,10 @@ class Rates:
     def plain(self) -> Mapping[str, Any]:
         """The rates as numbers by name."""
         shares = {name: getattr(self, name) for name in ("p", "q", "precision", "recall", "unoccluded")}
-        told = {name: _plain(each) for name, each in shares.items()}
+        by_name = {name: _plain(each) for name, each in shares.items()}
         for name in ("p", "q"):
-            told[name]["value"] = shares[name].mean
-        return {**told, "by_ring": {name: _plain(each) for name, each in self.by_ring.items()}}
+            by_name[name]["value"] = shares[name].mean
+        return {**by_name, "by_ring": {name: _plain(each) for name, each in self.by_ring.items()}}
 
 
 def _plain(share: Share) -> dict[str, Any]:

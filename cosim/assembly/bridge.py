@@ -129,21 +129,21 @@ def _radio_of(scenario: Scenario, source: Source, key: str, content: Mapping[str
 
 def programs_of(scenario: Scenario, source: Source, resolution: Resolution, *, tell: Tell, connect: bool) -> "Programs | None":
     """The federate of programs in simulated time, or None if no vehicle has such a program."""
-    wanted, names, key = scenario.sockets, [each.name for each in scenario.vehicle], "sockets.vehicles"
-    for name in wanted.vehicles:
+    table, names, key = scenario.sockets, [each.name for each in scenario.vehicle], "sockets.vehicles"
+    for name in table.vehicles:
         if name not in names:
             raise source.error(binding.unknown("vehicle", name, names), key)
-        if wanted.vehicles.count(name) > 1:
+        if table.vehicles.count(name) > 1:
             raise source.error(f"contains {name} twice; a vehicle has one program", key)
         for radio, members in list(scenario.radio_members.items())[:1]:
             if name not in members:
                 raise source.error(f"{name} has no radio {radio}: programs use the first one; put its table first", key)
-    if not wanted.vehicles:
+    if not table.vehicles:
         return None
     from vcmvsp.netsim.sockets.federate import Programs
 
-    resolution.tables["sockets"] = binding.plain(wanted)
+    resolution.tables["sockets"] = binding.plain(table)
     try:
-        return Programs(wanted, names, tell=tell, connect=connect)
+        return Programs(table, names, tell=tell, connect=connect)
     except ValueError as error:
         raise source.error(str(error), "sockets.listen") from error

@@ -43,7 +43,7 @@ class Operator:
     def __init__(self, planned: Sequence[InterventionTable], vehicles: Sequence[str], check: Check) -> None:
         self._vehicles, self._check = tuple(vehicles), check
         self._planned = sorted(planned, key=attrgetter("at_s"))
-        self._asked: list[InterventionTable] = []
+        self._requests: list[InterventionTable] = []
         self.done: list[InterventionTable] = []  # in order of application
 
     def start(self, run: RunInfo) -> int | None:
@@ -60,24 +60,24 @@ class Operator:
         if (bad := unfit_number(raw)) is not None:
             raise ValueError(f"all numbers: {problem_of(bad)}")
         checked = msgspec.convert(raw, type(intervention))  # checks ranges; the constructor does not
-        self._check(checked, self._asked)
+        self._check(checked, self._requests)
         match checked:
             case MoveTable():
                 self._check_alone(checked)
             case SetTable():
                 self._check_planned(checked)
-        self._asked.append(checked)
+        self._requests.append(checked)
 
     def poll(self, now_ns: int) -> bool:
         """Whether an intervention is to be applied at the instant that begins."""
-        return bool(self._asked)
+        return bool(self._requests)
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
         """Apply the planned interventions that are due, then the requested ones."""
         due = [each for each in self._planned if seconds_to_ns(each.at_s) <= now_ns]
         self._planned = self._planned[len(due) :]
-        asked, self._asked = self._asked, []
-        doing = due + [_at(each, now_ns) for each in asked]
+        requests, self._requests = self._requests, []
+        doing = due + [_at(each, now_ns) for each in requests]
         self.done += doing
         return Step([self._event(each, now_ns) for each in doing], self._next())
 
@@ -91,12 +91,12 @@ class Operator:
 
     def _check_alone(self, move: MoveTable) -> None:
         """Reject a second move at one instant: checks use current positions, so both might claim one place."""
-        if any(isinstance(each, MoveTable) and each.obstacle != move.obstacle for each in self._asked):
+        if any(isinstance(each, MoveTable) and each.obstacle != move.obstacle for each in self._requests):
             raise ValueError(f"{move.obstacle} was not moved: another obstacle moves at this instant; move one at a time")
 
     def _check_planned(self, change: SetTable) -> None:
         """Reject a change that would make a planned change impossible."""
-        before = [*self._asked, change]
+        before = [*self._requests, change]
         for each in self._planned:
             if isinstance(each, SetTable):
                 try:

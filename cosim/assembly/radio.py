@@ -148,7 +148,7 @@ def _federate(
             resolution.tables["routing"] = {"radio": networks[0].name, **resolution.tables["routing"]}
     keys = _federate_keys()
     own = {name: value for name, value in scenario.first_radio.items() if name in keys}
-    given = {
+    arguments = {
         "channel": channel,
         "router": router,
         "programs": programs,
@@ -158,8 +158,8 @@ def _federate(
         "numbers": numbers,
         "notify": tell,
     }
-    federate: RadioFederate = binding.call(RadioFederate, own, key=key, origin=source, given=given)
-    resolution.tables["radio"] = {**binding.complete(RadioFederate, own, without=given), **resolved}
+    federate: RadioFederate = binding.call(RadioFederate, own, key=key, origin=source, given=arguments)
+    resolution.tables["radio"] = {**binding.complete(RadioFederate, own, without=arguments), **resolved}
     return federate
 
 

@@ -143,7 +143,7 @@ def _safety(shared: SafetyTable, vehicle: VehicleTable, model: "Vehicle", source
     """``[safety]`` of a vehicle: the shared table, the vehicle's own keys, the limits of its kind."""
     key = f"vehicle.{vehicle.name}.safety"
     own = binding.call(SafetyTable, vehicle.safety, key=key, origin=source)
-    given = {name: getattr(own if name in vehicle.safety else shared, name) for name in SafetyTable.__struct_fields__}
+    values = {name: getattr(own if name in vehicle.safety else shared, name) for name in SafetyTable.__struct_fields__}
     length, width, _ = model.hull.size
     ahead, aside, _ = model.hull.offset
     at_most = {
@@ -154,7 +154,7 @@ def _safety(shared: SafetyTable, vehicle: VehicleTable, model: "Vehicle", source
         "yaw_accel": getattr(model, "yaw_accel", YAW_ACCEL),
         "radius_m": math.hypot(0.5 * length + abs(ahead), 0.5 * width + abs(aside)),
     }
-    full = {name: at_most.get(name) if value is None else value for name, value in given.items()}
+    full = {name: at_most.get(name) if value is None else value for name, value in values.items()}
     return msgspec.convert(binding.plain(full), SafetyTable)
 
 

@@ -106,15 +106,15 @@ def _obstacle(entity: SceneEntity, center: tuple[float, float, float], yaw: floa
 
 
 def _targets(recording: Path) -> tuple[PlacedTarget, ...]:
-    seen: dict[str, list[tuple[float, SceneEntity]]] = {}
+    history: dict[str, list[tuple[float, SceneEntity]]] = {}
     for time_ns, scene in _read(recording, SCENE, SceneUpdate):
         found = [each for each in scene.entities if each.id.startswith(TARGET_ID)]
         if not found:  # no later frame will have one
             break
         for each in found:
-            seen.setdefault(each.id.removeprefix(TARGET_ID), []).append((time_ns / SECOND_NS, each))
+            history.setdefault(each.id.removeprefix(TARGET_ID), []).append((time_ns / SECOND_NS, each))
     targets = []
-    for name, entities in seen.items():
+    for name, entities in history.items():
         sheets = [entity.cubes[0] for _, entity in entities]
         way = tuple((each.pose.position.x, each.pose.position.y) for each in sheets)
         targets.append(

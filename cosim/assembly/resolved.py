@@ -107,10 +107,10 @@ class Resolution:
             foreign: vehicles with remote hosts.
         """
         scenario, agents = self._scenario, self._scenario.agents
-        told, files = {info.vehicle: info for info in infos}, {name for info in infos for name in info.files}
+        info_of, files = {info.vehicle: info for info in infos}, {name for info in infos for name in info.files}
         shared, of_agents = self._shared_by_vehicles(), self._shared_by_agents(infos)
         agent_of = {
-            each.name: self._agent(each, told.get(each.name), of_agents, brought, each.name in foreign)
+            each.name: self._agent(each, info_of.get(each.name), of_agents, brought, each.name in foreign)
             for each in scenario.vehicle
         }
         placed = [each for each in scenario.vehicle if each.name in self._source.stations]

@@ -219,10 +219,10 @@ def assemble(
         scenario, source, resolution, airs=airs, clock=wall, bridged=bridged, tell=tell, log=inputs.on, connect=connect
     )
     flown = firmware.of_scenario(scenario, source, resolution, fleet.models, tell=tell)
-    given: dict[str, Any] = {"world": world, "vehicles": fleet.specs(), "outside": outside}
+    arguments: dict[str, Any] = {"world": world, "vehicles": fleet.specs(), "outside": outside}
     if flown is not None:  # a kind of the user's own need not know it
-        given["firmware"] = flown
-    physics = _physics(scenario, resolution, tell, **given)
+        arguments["firmware"] = flown
+    physics = _physics(scenario, resolution, tell, **arguments)
     operator = _operator(scenario, source, physics, airs)
     energy = _energy(scenario, source, fleet, getattr(physics, "gravity", GRAVITY))
     metrics = _own_metrics(scenario, source, resolution)
@@ -333,12 +333,12 @@ def default_engine() -> str:
     return "mujoco" if find_spec("pybullet") is None and find_spec("mujoco") is not None else "bullet"
 
 
-def _physics(scenario: Scenario, resolution: Resolution, tell: Tell, **given: object) -> Federate:
+def _physics(scenario: Scenario, resolution: Resolution, tell: Tell, **arguments: object) -> Federate:
     content = {"kind": default_engine(), **scenario.physics}
     if "kind" not in scenario.physics and content["kind"] != "bullet":
         tell(f'PyBullet is not installed: physics.kind is "{content["kind"]}"')
     physics: Federate
-    physics, resolution.tables["physics"] = resolution.component("physics", content, "physics", given=given)
+    physics, resolution.tables["physics"] = resolution.component("physics", content, "physics", given=arguments)
     return physics
 
 

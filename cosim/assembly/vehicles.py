@@ -55,8 +55,8 @@ class Fleet:
 
     def recorded(self) -> set[str]:
         """Keys of the recorded readings, ``vehicle/sensor``."""
-        kept = self._scenario.record.sensors
-        return {f"{v}/{s}" for v, fitted in self.sensors.items() for s in fitted if s in kept or "*" in kept}
+        selection = self._scenario.record.sensors
+        return {f"{v}/{s}" for v, fitted in self.sensors.items() for s in fitted if s in selection or "*" in selection}
 
     def _class(self, vehicle: VehicleTable) -> "type[Vehicle]":
         """The class of a vehicle's kind, cached so that a file is executed once."""
@@ -119,7 +119,7 @@ class Fleet:
         simulated = self.sensors[vehicle.name]
         if vehicle.is_real:  # a real robot carries its own sensors
             simulated = {name: each for name, each in simulated.items() if name != "sonar"}
-        given = {
+        arguments = {
             "name": vehicle.name,
             "model": self.models[vehicle.name],
             "position": position,
@@ -129,7 +129,7 @@ class Fleet:
             "fusion": fusion,
             "sensors": simulated,
         }
-        return binding.call(VehicleSpec, {}, key=key, origin=self._source, given=given)
+        return binding.call(VehicleSpec, {}, key=key, origin=self._source, given=arguments)
 
     def _check_defaults_taken(self) -> None:
         known = {key for each in self._scenario.vehicle for key in binding.parameters(self._class(each))}
@@ -232,8 +232,8 @@ class Placement:
         if vehicle.name in self.objects:
             made = type(self.objects[vehicle.name])
             key = f"vehicle.{vehicle.name}.agent.kind"
-            meant = registry.target("agent", kind, key=key, origin=self._source) if kind else ""
-            if meant.rpartition(":")[2] != made.__qualname__:
+            target = registry.target("agent", kind, key=key, origin=self._source) if kind else ""
+            if target.rpartition(":")[2] != made.__qualname__:
                 self.kinds[vehicle.name] = kind = f"{made.__module__}:{made.__qualname__}"
                 own = None  # the scenario's table belongs to another class
         if not kind and where != "zenoh":
@@ -243,8 +243,8 @@ class Placement:
         params = self._source.kept(own.params, f"vehicle.{vehicle.name}.agent", ()) if own else {}
         if own and len(params) < len(own.params):  # not the file's class: only parameters that it takes
             defaults |= {name: value for name, value in own.params.items() if name not in params}
-        given = ((f"agents.{n}", n) for n in defaults), ((f"vehicle.{vehicle.name}.agent.{n}", n) for n in params)
-        replaced = {n: names for each in given for key, n in each if (names := self._source.replaced(key)) is not None}
+        parameters = ((f"agents.{n}", n) for n in defaults), ((f"vehicle.{vehicle.name}.agent.{n}", n) for n in params)
+        replaced = {n: names for each in parameters for key, n in each if (names := self._source.replaced(key)) is not None}
         latency = agents.latency_s if fate.latency_s is None else fate.latency_s
         sensors = self._fleet.sensors[vehicle.name]
         battery = () if vehicle.battery is None else (BATTERY,)

@@ -131,9 +131,9 @@ def _interruptible(command: Callable[..., None]) -> Callable[..., None]:
     """The command; Ctrl-C is an error of vcmvsp, with its message and exit code."""
 
     @functools.wraps(command)
-    def call(*given: object, **named: object) -> None:
+    def call(*positional: object, **named: object) -> None:
         try:
-            command(*given, **named)
+            command(*positional, **named)
         except KeyboardInterrupt:
             raise Interrupted("interrupted") from None
 
@@ -163,10 +163,10 @@ def main(arguments: list[str] | None = None) -> None:
     gc.set_threshold(50_000, 20)  # of the many objects of imports, none is in a cycle that ends
     atexit.register(gc.freeze)  # nor does the end of the process look for cycles among them, a tenth of a short run
     _handle_ends(signal.default_int_handler)  # `kill` ends a run as Ctrl-C does, also one in the background
-    given = sys.argv[1:] if arguments is None else arguments
+    words = sys.argv[1:] if arguments is None else arguments
     try:
-        with drawer_of(given) as drawer:
-            command()(_with_values(given), obj=drawer, standalone_mode=True)
+        with drawer_of(words) as drawer:
+            command()(_with_values(words), obj=drawer, standalone_mode=True)
     except VcmvspError as error:
         say(f"vcmvsp: {' '.join(str(error).splitlines())}")
         if error.result is not None:

@@ -36,14 +36,14 @@ def answer(app: typer.Typer) -> None:
     for group in app.registered_groups:
         _attach(group.typer_instance.registered_commands if group.typer_instance else ())
     typed = _join_words() if os.environ[VARIABLE] == "complete_bash" else ""
-    said, code = io.StringIO(), 1
-    with contextlib.suppress(Exception), contextlib.redirect_stdout(said), contextlib.redirect_stderr(io.StringIO()):
+    output, code = io.StringIO(), 1
+    with contextlib.suppress(Exception), contextlib.redirect_stdout(output), contextlib.redirect_stderr(io.StringIO()):
         try:
             app(args=[], prog_name="vcmvsp")
         except SystemExit as end:
             code = int(end.code or 0)
     if code == 0 or os.environ[VARIABLE] == "complete_fish":
-        sys.stdout.writelines(f"{line.removeprefix(typed)}\n" for line in said.getvalue().splitlines() if line)
+        sys.stdout.writelines(f"{line.removeprefix(typed)}\n" for line in output.getvalue().splitlines() if line)
     raise SystemExit(code)
 
 

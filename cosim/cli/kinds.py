@@ -134,8 +134,8 @@ def world_command(
     about = worlds.describe(built, name)
     if mitsuba is not None:
         meshes = worlds.write_mitsuba(built, mitsuba, **worlds.ground_of(world))
-        told = {**about, "meshes": meshes, "scene": str(mitsuba / "scene.xml")}
-        sys.stdout.write(to_json(told) if json else "".join(f"{key:<10} {value}\n" for key, value in told.items()))
+        facts = {**about, "meshes": meshes, "scene": str(mitsuba / "scene.xml")}
+        sys.stdout.write(to_json(facts) if json else "".join(f"{key:<10} {value}\n" for key, value in facts.items()))
         return
     target = png or Path(f"{name}.png")
     worlds.draw(built, target)

@@ -35,7 +35,7 @@ def plot_command(
     """
     from vcmvsp.cosim.runs import api
 
-    kinds = [kind for kind, wanted in (("svg", svg), ("pdf", pdf)) if wanted] or ["png"]
+    kinds = [kind for kind, is_on in (("svg", svg), ("pdf", pdf)) if is_on] or ["png"]
     for path in api.plot(run_dirs, out or run_dirs[0], kinds=kinds, tell=say, trust=trust):
         sys.stdout.write(f"{path}\n")
 
@@ -84,8 +84,8 @@ def export_command(
     """
     from vcmvsp.cosim.export.formats import NAMES, export
 
-    wanted = {"rosbag2": rosbag2, "csv": csv, "mp4": mp4, "layout": layout}
-    paths = {name: (out or run_dir) / NAMES[name] for name, is_wanted in wanted.items() if is_wanted}
+    formats = {"rosbag2": rosbag2, "csv": csv, "mp4": mp4, "layout": layout}
+    paths = {name: (out or run_dir) / NAMES[name] for name, is_wanted in formats.items() if is_wanted}
     with StatusDisplay(quiet=quiet) as shown:
 
         def on_part(name: str, part: float) -> None:

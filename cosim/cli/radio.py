@@ -66,26 +66,26 @@ def radio_command(
     vcmvsp radio town.toml --paths points.csv --out paths.parquet
     """
     of_map = {"at": at, "size": size, "height": height, "resolution": resolution, "out": out, "seed": seed, "set": set_ or None}
-    given: dict[str, Any] = {name: value for name, value in of_map.items() if value is not None}
+    options: dict[str, Any] = {name: value for name, value in of_map.items() if value is not None}
     if positions is not None:
-        answer, text = _places(Path(what), positions, beside=(given or None, link, frame, coverage, paths))
+        answer, text = _places(Path(what), positions, beside=(options or None, link, frame, coverage, paths))
     elif paths is not None:
-        others = {"link": link, "frame": frame, "coverage": coverage, **given}
+        others = {"link": link, "frame": frame, "coverage": coverage, **options}
         for name, value in others.items():
             if value is not None and name not in ("out", "seed", "set"):
                 raise UsageError(f"--paths and --{name} exclude each other: leave one out")
-        answer, text = _traced(what, paths, given, json=json, trust=trust)
+        answer, text = _traced(what, paths, options, json=json, trust=trust)
     elif coverage is None:
-        if given:
-            raise UsageError(f"--{next(iter(given))} needs --coverage VEHICLE")
+        if options:
+            raise UsageError(f"--{next(iter(options))} needs --coverage VEHICLE")
         answer, text = _explained(Path(what), link, frame, trust=trust)
     else:
         if link is not None or frame is not None:
             raise UsageError("--coverage draws a map; --link and --frame query a run: use either the one or the others")
-        for name, value in given.items():
+        for name, value in options.items():
             if isinstance(value, float) and not (math.isfinite(value) and (name != "resolution" or value > 0.0)):
                 raise UsageError(f"--{name} {value}: must be a {'positive' if name == 'resolution' else 'finite'} number")
-        answer, text = _drawn(what, coverage, given, json=json, trust=trust)
+        answer, text = _drawn(what, coverage, options, json=json, trust=trust)
     sys.stdout.write(to_json(finite(answer)) if json else text)
 
 
@@ -253,13 +253,13 @@ def _places(folder: Path, target: Path, *, beside: tuple[object, ...]) -> tuple[
     return {"file": str(target), "positions": lines}, f"{lines} positions of antennas: {target}\n"
 
 
-def _traced(what: str, points: Path, given: dict[str, Any], *, json: bool, trust: bool) -> tuple[dict[str, Any], str]:
+def _traced(what: str, points: Path, options: dict[str, Any], *, json: bool, trust: bool) -> tuple[dict[str, Any], str]:
     from vcmvsp.cosim.analysis import ray_paths
     from vcmvsp.cosim.scenario import loader
 
-    settings = loader.settings_of(given.get("set", []))
-    table = ray_paths.ray_paths(what, points, seed=given.get("seed"), set=settings, trust=trust)
-    out = given.get("out")
+    settings = loader.settings_of(options.get("set", []))
+    table = ray_paths.ray_paths(what, points, seed=options.get("seed"), set=settings, trust=trust)
+    out = options.get("out")
     if json and out is None:
         return {"paths": table.to_pylist()}, ""
     out = out or Path("paths.parquet")
@@ -267,16 +267,16 @@ def _traced(what: str, points: Path, given: dict[str, Any], *, json: bool, trust
     return {"file": str(out), "paths": table.num_rows}, ray_paths.summary(table, out)
 
 
-def _drawn(what: str, vehicle: str, given: dict[str, Any], *, json: bool, trust: bool) -> tuple[dict[str, Any], str]:
+def _drawn(what: str, vehicle: str, arguments: dict[str, Any], *, json: bool, trust: bool) -> tuple[dict[str, Any], str]:
     from vcmvsp.cosim.analysis import coverage as maps
     from vcmvsp.cosim.scenario import loader
 
     names = {"at": "at_s", "size": "size_bytes", "height": "height_m", "resolution": "resolution_m", "seed": "seed"}
-    settings = loader.settings_of(given.get("set", []))
-    options = {names[name]: given[name] for name in given if name in names}
+    settings = loader.settings_of(arguments.get("set", []))
+    options = {names[name]: arguments[name] for name in arguments if name in names}
     found = maps.coverage(what, vehicle, set=settings, trust=trust, **options)
     answer = maps.to_table(found)
-    out = given.get("out")
+    out = arguments.get("out")
     if json and out is None:
         return answer, ""
     out = out or Path(f"coverage-{vehicle}.png")

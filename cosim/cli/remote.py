@@ -133,18 +133,18 @@ def _watch_page(endpoint: str, page: tuple[str, int], connection: dict[str, Any]
             station.stay()
 
 
-def line(seen: "Seen") -> str:
+def line(sample: "Seen") -> str:
     """An event as a line of text."""
-    return plain(f"{seen.time_ns / 1e9:9.3f} s  {seen.topic:<16}  {words(seen.type, seen.value)}") + "\n"
+    return plain(f"{sample.time_ns / 1e9:9.3f} s  {sample.topic:<16}  {words(sample.type, sample.value)}") + "\n"
 
 
 def words(kind: str, value: object) -> str:
     """A value as text; JSON if its kind is unknown."""
     try:
-        said = _WORDS[kind](value)
+        text = _WORDS[kind](value)
     except Exception:  # a kind of another version or of a user, with any content
-        said = _json_or(value)
-    return said if len(said) <= WIDTH else f"{said[: WIDTH - 3]}..."
+        text = _json_or(value)
+    return text if len(text) <= WIDTH else f"{text[: WIDTH - 3]}..."
 
 
 def _json_or(value: object) -> str:
@@ -155,12 +155,12 @@ def _json_or(value: object) -> str:
 
 
 def _newest(batch: Iterable["Seen"]) -> list["Seen"]:
-    newest = {seen.topic: seen for seen in batch}
+    newest = {sample.topic: sample for sample in batch}
     return [newest[topic] for topic in sorted(newest)]
 
 
-def _as_json(seen: "Seen") -> str:
-    about = {"time_ns": seen.time_ns, "topic": seen.topic, "type": seen.type, "value": seen.value}
+def _as_json(sample: "Seen") -> str:
+    about = {"time_ns": sample.time_ns, "topic": sample.topic, "type": sample.type, "value": sample.value}
     return msgspec.json.encode(about).decode() + "\n"
 
 

@@ -110,11 +110,11 @@ def stopped(vehicles: Sequence[str]) -> "tuple[list[StationAnswer], list[str]]":
     from vcmvsp.cosim.assembly.parts.stations import LONGEST_NAME, StopCaller
 
     with StopCaller() as caller:
-        asked = caller.say("stop", vehicles)
-        answers = caller.answers(asked)
-    there = {each.vehicle for each in asked}
+        stations = caller.say("stop", vehicles)
+        answers = caller.answers(stations)
+    there = {each.vehicle for each in stations}
     missing = [each for each in vehicles if each[:LONGEST_NAME] not in there]
-    return answers, missing if vehicles or asked else ["any"]
+    return answers, missing if vehicles or stations else ["any"]
 
 
 def line(answer: "StationAnswer") -> str:

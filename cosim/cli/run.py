@@ -141,8 +141,8 @@ def replay_command(
 
     check(run_dir, out, radio)
 
-    def again(_: str, **given: Any) -> "Result":
-        return replay(run_dir, **{**given, "numbered": out is None}, twin=twin, radio=radio)
+    def again(_: str, **options: Any) -> "Result":
+        return replay(run_dir, **{**options, "numbered": out is None}, twin=twin, radio=radio)
 
     scenario, folder = str(run_dir / "scenario.toml"), beside(run_dir) if out is None else out
     options: dict[str, Any] = {"agents": agents, "listen": listen, "keys": keys, "insecure": insecure, "force": force}

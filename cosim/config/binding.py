@@ -123,12 +123,12 @@ def _is_named(name: str, problem: str) -> bool:
     return "_" in name or re.search(rf"^{name}\b|['\"`]{name}['\"`]|\b{name} ?[=:'\"]", problem) is not None
 
 
-def fitted(value: object, annotation: object, kept: Collection[str]) -> object:
-    """A table whose kind was replaced, without keys unknown to the new kind; keys in ``kept`` stay."""
+def fitted(value: object, annotation: object, keys: Collection[str]) -> object:
+    """A table whose kind was replaced, without keys unknown to the new kind; keys in ``keys`` stay."""
     tables = [each for each in structs(annotation) if each.__struct_config__.tag_field and _may_be(each, value)]
     if len(tables) != 1 or not isinstance(value, Mapping):
         return value
-    known = {*_known(tables[0], value), *kept}
+    known = {*_known(tables[0], value), *keys}
     return {name: each for name, each in value.items() if name in known}
 
 

@@ -134,7 +134,7 @@ class EchoClock:
 
     def __init__(self, *, window: int = 8, drift_ppm: NonNegative = 100.0) -> None:
         self._drift = round(drift_ppm * 1000.0)
-        self._kept: deque[OffsetEstimate] = deque(maxlen=window)
+        self._offsets: deque[OffsetEstimate] = deque(maxlen=window)
         self.jumps = self.refused = 0
 
     def add(self, request_ns: int, remote_arrival_ns: int, remote_reply_ns: int, reply_ns: int) -> None:
@@ -146,14 +146,14 @@ class EchoClock:
             return
         offset = (request_ns - remote_arrival_ns + reply_ns - remote_reply_ns) // 2
         new = OffsetEstimate(offset, (max(round_trip, 0) + 1) // 2 + 1 + drifted, reply_ns)  # both divisions round
-        if self._kept and self._contradicts(new):
+        if self._offsets and self._contradicts(new):
             self.jumps += 1
-            self._kept.clear()
-        self._kept.append(new)
+            self._offsets.clear()
+        self._offsets.append(new)
 
     def best(self, now_ns: int) -> OffsetEstimate | None:
         """Estimate with the least maximum error now; None: there was no exchange yet."""
-        aged = (each._replace(error_ns=each.error_ns + self._drifted(now_ns - each.at_ns)) for each in self._kept)
+        aged = (each._replace(error_ns=each.error_ns + self._drifted(now_ns - each.at_ns)) for each in self._offsets)
         return min(aged, key=lambda each: each.error_ns, default=None)
 
     def _contradicts(self, new: OffsetEstimate) -> bool:

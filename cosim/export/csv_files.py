@@ -67,18 +67,18 @@ def write_csv(source: Source, folder: Path) -> None:
             stream = stack.enter_context((folder / f"{name}.csv").open("w", encoding="utf-8", newline=""))
             writers[name] = csv.writer(stream)
             writers[name].writerow(("time_s", "vehicle", *header))
-        for said, value in islice(_read(source), count):  # a current run may have grown since the first pass
+        for record, value in islice(_read(source), count):  # a current run may have grown since the first pass
             if (row := _row(value)) is not None:
-                vehicle, name = _place(said.topic)
-                writers[name].writerow((said.time_ns / SECOND_NS, vehicle, *(row.get(each) for each in headers[name])))
+                vehicle, name = _place(record.topic)
+                writers[name].writerow((record.time_ns / SECOND_NS, vehicle, *(row.get(each) for each in headers[name])))
     _write_radio(source, folder / f"{RADIO}.csv", *until)
     _write_errors(source, folder / f"{ERRORS}.csv", until[1])
 
 
 def _read(source: Source) -> Iterator[tuple[Recorded, Any]]:
     values = Values()
-    for said in source.only(lambda _, schema: is_known(schema)):
-        yield said, None if said.topic == FRAMES else values.of(said)
+    for record in source.only(lambda _, schema: is_known(schema)):
+        yield record, None if record.topic == FRAMES else values.of(record)
 
 
 def _headers(source: Source) -> tuple[dict[str, list[str]], int, tuple[int, int]]:
@@ -86,10 +86,10 @@ def _headers(source: Source) -> tuple[dict[str, list[str]], int, tuple[int, int]
     found: dict[str, dict[str, None]] = {}
     rows = Counter[str]()
     count = frames = end_ns = 0
-    for said, value in _read(source):
-        count, frames, end_ns = count + 1, frames + (said.topic == FRAMES), max(end_ns, said.time_ns)
+    for record, value in _read(source):
+        count, frames, end_ns = count + 1, frames + (record.topic == FRAMES), max(end_ns, record.time_ns)
         if (row := _row(value)) is not None:
-            name = _place(said.topic)[1]
+            name = _place(record.topic)[1]
             rows[name] += 1
             found.setdefault(name, {}).update(dict.fromkeys(row))
     most = max(limits.CELLS, (source.folder / FILE).stat().st_size)
@@ -123,8 +123,8 @@ def _of_real_vehicle(value: RealStatus | Incident) -> Mapping[str, object]:
         return {"what": value.what, "cause": value.cause, "happened_s": value.happened_ns / SECOND_NS}
     cells = {name: _said(cell) for name, cell in msgspec.structs.asdict(value).items() if name != "sent"}
     sent = [None] * 4 if value.sent is None else _cells(value.sent)
-    told = {f"sent_{name}": cell for name, cell in zip(COLUMNS[Velocity], sent, strict=True)}
-    return {**cells, "causes": "; ".join(value.causes), **told}
+    row = {f"sent_{name}": cell for name, cell in zip(COLUMNS[Velocity], sent, strict=True)}
+    return {**cells, "causes": "; ".join(value.causes), **row}
 
 
 def _said(cell: object) -> object:
@@ -174,8 +174,8 @@ def _write_errors(source: Source, path: Path, end_ns: int) -> None:
 def _write_recorded(source: Source, path: Path, count: int, end_ns: int, why: str) -> None:
     source.tell(f"{source.folder}: {why}: {RADIO}.csv lacks frames of programs, and routes")
     frames, values = Frames(source.vehicles), Values()
-    said = (each for each in source.only(lambda topic, _: topic == FRAMES) if each.topic)
-    frames.extend(map(values.of, islice(said, count)))
+    records = (each for each in source.only(lambda topic, _: topic == FRAMES) if each.topic)
+    frames.extend(map(values.of, islice(records, count)))
     facts = RunFacts(scenario=source.scenario, seed=source.seed, end_ns=end_ns, vehicles=source.vehicles)
     table = radio_table(frames, facts)
     _write_parts((table.slice(row, PART_ROWS) for row in range(0, max(1, table.num_rows), PART_ROWS)), path)

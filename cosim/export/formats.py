@@ -45,8 +45,8 @@ def export(
     Raises:
         UsageError: no output is requested, there is no recording, or an output cannot be written.
     """
-    wanted = {"rosbag2": rosbag2, "csv": csv, "mp4": mp4, "layout": layout}
-    paths = {name: Path(path) for name, path in wanted.items() if path is not None}
+    formats = {"rosbag2": rosbag2, "csv": csv, "mp4": mp4, "layout": layout}
+    paths = {name: Path(path) for name, path in formats.items() if path is not None}
     if not paths:
         raise UsageError("nothing to export: add at least one of --rosbag2, --csv, --mp4 and --layout")
     folder = Path(run_dir)

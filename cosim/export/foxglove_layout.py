@@ -34,16 +34,18 @@ def write_layout(source: Source, path: Path) -> None:
 
 def layout_of(source: Source) -> dict[str, Any]:
     """The layout: its panels and their arrangement."""
-    seen = _Seen(source)
-    panels: dict[str, dict[str, Any]] = {"3D!scene": _scene(seen)}
-    pictures = [topic for topic, schema in seen.topics.items() if schema in PICTURES][:MOST_PICTURES]
-    images = {f"Image!{number}": _image(topic, seen) for number, topic in enumerate(pictures, 1)}
+    content = _Content(source)
+    panels: dict[str, dict[str, Any]] = {"3D!scene": _scene(content)}
+    pictures = [topic for topic, schema in content.topics.items() if schema in PICTURES][:MOST_PICTURES]
+    images = {f"Image!{number}": _image(topic, content) for number, topic in enumerate(pictures, 1)}
     panels |= images
-    for name, (title, curves) in _plots(seen).items():
+    for name, (title, curves) in _plots(content).items():
         if curves:
             panels[f"Plot!{name}"] = _plot(title, curves)
-    if seen.words:
-        paths = [{"value": f"{vehicle}/note.values.{name}", "timestampMethod": "receiveTime"} for vehicle, name in seen.words]
+    if content.words:
+        paths = [
+            {"value": f"{vehicle}/note.values.{name}", "timestampMethod": "receiveTime"} for vehicle, name in content.words
+        ]
         panels["StateTransitions!tasks"] = {"paths": paths, "isSynced": True}
     panels["RosOut!log"] = {"topicToRender": "log", "minLogLevel": 1, "searchTerms": []}
     left = _stacked(["3D!scene", *(name for name in panels if name.startswith("StateTransitions!"))], "column", 78)
@@ -54,7 +56,7 @@ def layout_of(source: Source) -> dict[str, Any]:
     return {"configById": panels, **fixed, "layout": layout}
 
 
-class _Seen:
+class _Content:
     def __init__(self, source: Source) -> None:
         values, low, high = Values(), np.full(2, np.inf), np.full(2, -np.inf)
         self.vehicles = source.vehicles
@@ -65,18 +67,18 @@ class _Seen:
             self.topics[topic] = schema
             return topic.endswith(("/note", "/state"))
 
-        for said in source.only(is_wanted):
-            vehicle, _, what = said.topic.partition("/")
+        for record in source.only(is_wanted):
+            vehicle, _, what = record.topic.partition("/")
             if what == "note":
-                noted.setdefault(vehicle, {}).update(values.of(said).values)
-            elif what == "state" and isinstance(state := values.of(said), VehicleState):
+                noted.setdefault(vehicle, {}).update(values.of(record).values)
+            elif what == "state" and isinstance(state := values.of(record), VehicleState):
                 low, high = np.fmin(low, state.position[:2]), np.fmax(high, state.position[:2])
         self.noted: Mapping[str, Mapping[str, Any]] = noted
         known = (np.abs([low, high]) < FARTHEST_M).all()
         self.middle: list[float] = (0.5 * (low + high)).tolist() if known else [0.0, 0.0]
         self.size_m = max(LEAST_VIEW_M, float((high - low).max())) if known else LEAST_VIEW_M
-        told = [name for name in WORDS if any(isinstance(values.get(name), str) for values in noted.values())][:1]
-        self.words = [(vehicle, name) for name in told for vehicle in self.vehicles if name in noted.get(vehicle, {})]
+        word = [name for name in WORDS if any(isinstance(values.get(name), str) for values in noted.values())][:1]
+        self.words = [(vehicle, name) for name in word for vehicle in self.vehicles if name in noted.get(vehicle, {})]
 
     def curves(self, paths: Sequence[tuple[str, str]]) -> list[dict[str, Any]]:
         """Curves of vehicles, given vehicle and path of the number after its name."""
@@ -103,41 +105,41 @@ class _Seen:
         return list(found.items())
 
 
-def _plots(seen: _Seen) -> dict[str, tuple[str, list[dict[str, Any]]]]:
-    wheels = [(vehicle, f"{what}.v") for vehicle, what in seen.of("vcmvsp.Odometry")]
+def _plots(content: _Content) -> dict[str, tuple[str, list[dict[str, Any]]]]:
+    wheels = [(vehicle, f"{what}.v") for vehicle, what in content.of("vcmvsp.Odometry")]
     known = {vehicle for vehicle, _ in wheels}
-    flown = [(name, f"state.velocity[{axis}]") for name in seen.vehicles if name not in known for axis in range(2)]
+    flown = [(name, f"state.velocity[{axis}]") for name in content.vehicles if name not in known for axis in range(2)]
     errors = [
         (vehicle, f"note.values.{name}")
-        for vehicle, values in seen.noted.items()
+        for vehicle, values in content.noted.items()
         for name in ERRORS
         if isinstance(values.get(name), float | int)
     ]
     return {
-        "speed": ("speed [m/s]", seen.curves([*wheels, *flown])),
-        "formation": ("formation error [m]", seen.curves(errors)),
-        "radio": ("received power [dBm]", seen.levels()),
+        "speed": ("speed [m/s]", content.curves([*wheels, *flown])),
+        "formation": ("formation error [m]", content.curves(errors)),
+        "radio": ("received power [dBm]", content.levels()),
     }
 
 
-def _scene(seen: _Seen) -> dict[str, Any]:
+def _scene(content: _Content) -> dict[str, Any]:
     """The 3D panel, with an oblique view of all tracks from above."""
-    topics: dict[str, Any] = {topic: {"visible": True} for topic, schema in seen.topics.items() if schema in DRAWN}
-    for topic, schema in seen.topics.items():
-        if schema == "foxglove.LaserScan" and (vehicle := topic.partition("/")[0]) in seen.vehicles:
-            topics[topic] |= {"colorMode": "flat", "flatColor": color_of(seen.vehicles.index(vehicle))}
+    topics: dict[str, Any] = {topic: {"visible": True} for topic, schema in content.topics.items() if schema in DRAWN}
+    for topic, schema in content.topics.items():
+        if schema == "foxglove.LaserScan" and (vehicle := topic.partition("/")[0]) in content.vehicles:
+            topics[topic] |= {"colorMode": "flat", "flatColor": color_of(content.vehicles.index(vehicle))}
         elif schema == "foxglove.Grid":
             colors = {"colorMode": "rgba-fields"} if topic.endswith("/mosaic") else {"colorField": "probability"}
             topics[topic] = {"visible": False, **colors}
-    step_m = 1.0 if seen.size_m < 20.0 else 10.0
-    squares = 2 * math.ceil(seen.size_m / step_m)
+    step_m = 1.0 if content.size_m < 20.0 else 10.0
+    squares = 2 * math.ceil(content.size_m / step_m)
     camera = {
         "perspective": True,
-        "distance": 1.6 * seen.size_m,
+        "distance": 1.6 * content.size_m,
         "phi": 40,
         "thetaOffset": 0,
         "target": [0, 0, 0],
-        "targetOffset": [*seen.middle, 0],
+        "targetOffset": [*content.middle, 0],
         "targetOrientation": [0, 0, 0, 1],
         "fovy": 45,
         "near": 0.1,
@@ -166,9 +168,9 @@ def _scene(seen: _Seen) -> dict[str, Any]:
     }
 
 
-def _image(topic: str, seen: _Seen) -> dict[str, Any]:
+def _image(topic: str, content: _Content) -> dict[str, Any]:
     shown = topic.removesuffix(f"/{PICTURE}")
-    marks = {shown: {"visible": True}} if seen.topics.get(shown) == "foxglove.ImageAnnotations" else {}
+    marks = {shown: {"visible": True}} if content.topics.get(shown) == "foxglove.ImageAnnotations" else {}
     return {"title": topic, "imageMode": {"imageTopic": topic, "annotations": marks}}
 
 

@@ -81,17 +81,17 @@ class Bag:
         """Write the complete track of a vehicle at the beginning."""
         self._write(f"{vehicle}/state/path", ros.path(places), 0, latched=True)
 
-    def take(self, said: Recorded) -> None:
+    def take(self, record: Recorded) -> None:
         """Convert and write a message."""
-        value = self._values.of(said)
+        value = self._values.of(record)
         taker = self._takers.get(type(value))
         if taker is None:
-            self._put(said, ros.string(said.data.decode(errors="replace")))
+            self._put(record, ros.string(record.data.decode(errors="replace")))
         else:
-            taker(said, value)
+            taker(record, value)
 
-    def _put(self, said: Recorded, message: ros.RosMessage, more: str = "") -> None:
-        self._write(said.topic + more, message, said.time_ns, latched=said.topic in LATCHED)
+    def _put(self, record: Recorded, message: ros.RosMessage, more: str = "") -> None:
+        self._write(record.topic + more, message, record.time_ns, latched=record.topic in LATCHED)
 
     def _write(self, topic: str, message: ros.RosMessage, time_ns: int, *, latched: bool = False) -> None:
         kind, name = message.__msgtype__, ros.ros_name(topic)
@@ -109,24 +109,24 @@ class Bag:
             raise UsageError(f"--rosbag2: {topic} at {time_ns} ns does not fit into {kind}: {error}") from error
         self._writer.write(connection, time_ns, data)
 
-    def _take_transforms(self, said: Recorded, value: messages.FrameTransforms) -> None:
-        if said.time_ns != self._clock_ns:
-            self._clock_ns = said.time_ns
-            self._write("clock", ros.clock(said.time_ns), said.time_ns)
-        self._write("tf", ros.transforms(value, said.time_ns), said.time_ns)
+    def _take_transforms(self, record: Recorded, value: messages.FrameTransforms) -> None:
+        if record.time_ns != self._clock_ns:
+            self._clock_ns = record.time_ns
+            self._write("clock", ros.clock(record.time_ns), record.time_ns)
+        self._write("tf", ros.transforms(value, record.time_ns), record.time_ns)
 
-    def _take_image(self, said: Recorded, value: messages.RawImage) -> None:
-        self._put(said, ros.image(value, said.topic), "/image_raw")
-        if said.topic in self._calibrations:
-            calibration = ros.camera_info(self._calibrations[said.topic], value.timestamp.ns, said.topic)
-            self._put(said, calibration, "/camera_info")
+    def _take_image(self, record: Recorded, value: messages.RawImage) -> None:
+        self._put(record, ros.image(value, record.topic), "/image_raw")
+        if record.topic in self._calibrations:
+            calibration = ros.camera_info(self._calibrations[record.topic], value.timestamp.ns, record.topic)
+            self._put(record, calibration, "/camera_info")
 
-    def _take_calibration(self, said: Recorded, value: messages.CameraCalibration) -> None:
-        self._calibrations[said.topic.removesuffix(f"/{CALIBRATION}")] = value
+    def _take_calibration(self, record: Recorded, value: messages.CameraCalibration) -> None:
+        self._calibrations[record.topic.removesuffix(f"/{CALIBRATION}")] = value
 
-    def _take_grid(self, said: Recorded, value: Grid) -> None:
+    def _take_grid(self, record: Recorded, value: Grid) -> None:
         if value.fields[0].name == "probability":
-            self._put(said, ros.grid(value, said.time_ns))
+            self._put(record, ros.grid(value, record.time_ns))
 
 
 def write_bag(source: Source, folder: Path) -> None:
@@ -137,18 +137,18 @@ def write_bag(source: Source, folder: Path) -> None:
     """
     values = Values()
     ways: dict[str, list[tuple[int, VehicleState]]] = {name: [] for name in source.vehicles}
-    for said in source.only(lambda topic, _: topic.endswith("/state")):
-        vehicle, _, what = said.topic.partition("/")
+    for record in source.only(lambda topic, _: topic.endswith("/state")):
+        vehicle, _, what = record.topic.partition("/")
         if what == "state" and vehicle in ways:
-            ways[vehicle].append((said.time_ns, values.of(said)))
+            ways[vehicle].append((record.time_ns, values.of(record)))
     writer = Writer(folder, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
     writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
     with writer:
         bag = Bag(writer)
         for vehicle, places in ways.items():
             bag.path(vehicle, places)
-        for said in source:
-            bag.take(said)
+        for record in source:
+            bag.take(record)
             try:
                 limits.within(bag.topics, limits.TOPICS, "topics")
             except ValueError as error:

@@ -93,20 +93,20 @@ class _Film:
 
     def _read(self, source: Source) -> None:
         values = Values()
-        for said in source.only(lambda topic, _: topic.endswith(("/state", "/follows")) or topic in SHOWN):
-            self._end_ns = max(self._end_ns, said.time_ns)
-            vehicle, _, what = said.topic.partition("/")
+        for record in source.only(lambda topic, _: topic.endswith(("/state", "/follows")) or topic in SHOWN):
+            self._end_ns = max(self._end_ns, record.time_ns)
+            vehicle, _, what = record.topic.partition("/")
             if what == "state" and vehicle in self._vehicles:
-                state: VehicleState = values.of(said)
-                self._ways.setdefault(vehicle, []).append((said.time_ns, (*state.position[:2], state.yaw)))
+                state: VehicleState = values.of(record)
+                self._ways.setdefault(vehicle, []).append((record.time_ns, (*state.position[:2], state.yaw)))
             elif what == "follows" and vehicle in self._vehicles:
-                self._follows.append(Placement(said.time_ns, vehicle, read_json(said.data, Follows)))
-            elif said.topic == "radio/frame":
-                self._take_frame(values.of(said))
-            elif said.topic == "world/moving":
-                self._obstacles.append((said.time_ns, values.of(said)))
-            elif said.topic == "world/solids":
-                self._take_solids(values.of(said))
+                self._follows.append(Placement(record.time_ns, vehicle, read_json(record.data, Follows)))
+            elif record.topic == "radio/frame":
+                self._take_frame(values.of(record))
+            elif record.topic == "world/moving":
+                self._obstacles.append((record.time_ns, values.of(record)))
+            elif record.topic == "world/solids":
+                self._take_solids(values.of(record))
         self._lost.sort()
         self._received.sort()
 
@@ -143,7 +143,7 @@ class _Film:
     def _lay_out(self) -> None:
         """Choose scale and middles of the map: of all tracks and the world, or for each frame of a small team."""
         room = max((float(np.hypot(*outline.T).max()) for outline in self._outlines.values()), default=0.0)
-        there = [(each.translation.x, each.translation.y) for _, said in self._obstacles for each in said.transforms]
+        there = [(each.translation.x, each.translation.y) for _, update in self._obstacles for each in update.transforms]
         met = [(x + side * room, y + side * room) for x, y in there for side in (-1.0, 1.0)]
         ways = [poses[:, :2] for _, poses in self._arrays.values()]
         places = np.concatenate([*ways, self._corners[..., :2].reshape(-1, 2), np.array(met).reshape(-1, 2)])

@@ -80,7 +80,7 @@ class Topics:
         self.session, self._about, self._keys = session, about, keys
         self._version = metadata.version("vcmvsp")
         self._now_ns: int | None = None
-        self._heard: dict[str, bool] = {}  # whether a key has subscribers
+        self._has_readers: dict[str, bool] = {}  # whether a key has subscribers
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._each: tuple[tuple[str, ...], tuple[str, ...]] = (), ()  # vehicles, and the keys of their states
         self._queryable = session.declare_queryable(key_names.ABOUT, Callback(self._on_question, indirect=False))
@@ -91,8 +91,8 @@ class Topics:
         if type(event.value) is Receptions:
             self._on_receptions(event.time_ns, event.value)
             return
-        heard = self._heard.get(event.key)
-        if heard or (heard is None and self._declare(event.key)):
+        has_readers = self._has_readers.get(event.key)
+        if has_readers or (has_readers is None and self._declare(event.key)):
             self._publish(event.key, event.time_ns, event.value)
         if type(event.value) is States:
             self._on_states(event.time_ns, event.value)
@@ -106,10 +106,10 @@ class Topics:
 
     def _declare(self, key: str) -> bool:
         """Declare a topic when its key first appears; returns whether it has subscribers."""
-        self._heard[key] = False
+        self._has_readers[key] = False
 
         def on_matching(status: zenoh.MatchingStatus) -> None:
-            self._heard[key] = status.matching
+            self._has_readers[key] = status.matching
 
         if set(key).isdisjoint("*$?#"):  # keys of user-defined events may contain reserved characters
             with contextlib.suppress(zenoh.ZError):
@@ -118,7 +118,7 @@ class Topics:
                 )
                 self._publishers[key] = publisher
                 publisher.declare_matching_listener(Callback(on_matching, indirect=False))
-        return self._heard[key]
+        return self._has_readers[key]
 
     def _on_states(self, time_ns: int, states: States) -> None:
         """Publish the state of each vehicle under its own key, as in the recording."""
@@ -126,8 +126,8 @@ class Topics:
             self._each = states.names, tuple(f"{name}/state" for name in states.names)
         columns: list[Any] = []
         for row, key in enumerate(self._each[1]):
-            heard = self._heard.get(key)
-            if heard or (heard is None and self._declare(key)):
+            has_readers = self._has_readers.get(key)
+            if has_readers or (has_readers is None and self._declare(key)):
                 columns = columns or [
                     column.tolist() for column in (states.position, states.velocity, states.attitude, states.angular_velocity)
                 ]
@@ -137,12 +137,16 @@ class Topics:
     def _on_receptions(self, time_ns: int, batch: Receptions) -> None:
         """Publish each reception under its receiver's own key, when it is decided; it may arrive later."""
         keys = {row: f"{batch.names[row]}/heard" for row in np.flatnonzero(np.bincount(batch.receiver)).tolist()}
-        wanted = {row for row, key in keys.items() if self._heard.get(key) or (key not in self._heard and self._declare(key))}
-        if not wanted:
+        rows = {
+            row
+            for row, key in keys.items()
+            if self._has_readers.get(key) or (key not in self._has_readers and self._declare(key))
+        }
+        if not rows:
             return
         sent_ns, columns = batch.sent_ns.tolist(), (batch.message, batch.receiver, batch.arrival_ns, batch.rssi_dbm)
         for number, row, received_ns, rssi_dbm in zip(*(each.tolist() for each in columns), strict=True):
-            if row in wanted:
+            if row in rows:
                 times = {"sent_ns": sent_ns[number], "received_ns": received_ns}
                 self._publish(keys[row], time_ns, Reception(message=batch.messages[number], rssi_dbm=rssi_dbm, **times))
 

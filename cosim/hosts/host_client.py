@@ -182,7 +182,7 @@ class _Answers:
 
     def __init__(self, desk: Desk) -> None:
         self._desk = desk
-        self._kept: dict[int, bytes] = {}  # answers that the run may ask for again
+        self._recent: dict[int, bytes] = {}  # answers that the run may ask for again
         self._last = 0
         self.known = False  # the run has the last answer, or does not want it
 
@@ -191,14 +191,16 @@ class _Answers:
         if len(content) < protocol.numbers.size:
             return None  # not a question of a run
         number, oldest = protocol.numbers.unpack_from(content)
-        while self._kept and next(iter(self._kept)) < oldest:
-            del self._kept[next(iter(self._kept))]
+        while self._recent and next(iter(self._recent)) < oldest:
+            del self._recent[next(iter(self._recent))]
         if self._desk.ended is not None:
             self.known = oldest > self._last
         elif number == self._last + 1:
-            self._kept[number] = protocol.number.pack(number) + self._desk.handle(memoryview(content)[protocol.numbers.size :])
+            self._recent[number] = protocol.number.pack(number) + self._desk.handle(
+                memoryview(content)[protocol.numbers.size :]
+            )
             self._last = number
-        return self._kept.get(number)
+        return self._recent.get(number)
 
 
 def _next(questions: "queue.SimpleQueue[zenoh.Sample | bool]", seconds: float) -> "zenoh.Sample | bool | None":
@@ -222,7 +224,7 @@ def dial(endpoint: str, bundle: "Bundle | None", on_state: Callable[[str], None]
     """
     connect = {"endpoints": [endpoint], "timeout_ms": 0, "retry": _RETRY}
     own = {"mode": "client", "listen": {"endpoints": []}, "connect": connect}
-    told = ""
+    last = ""
     while True:
         secure = dialling(endpoint, bundle, secret)
         try:
@@ -238,9 +240,9 @@ def dial(endpoint: str, bundle: "Bundle | None", on_state: Callable[[str], None]
         unknown = "" if bundle else NO_RUN
         why = refusal.why if refusal else unknown
         waits = f"waiting for a run at {endpoint}" + (f": {why}" if why else "")
-        if waits != told:
+        if waits != last:
             on_state(waits)
-            told = waits
+            last = waits
         time.sleep(_DIAL_S)
     if bundle is not None:
         try:

@@ -128,9 +128,9 @@ class ZenohLink:
         now = time.monotonic()
         if not self._open:
             self._asked_at = now
-        asked = _Question(self._number, question, deadline_s, now + deadline_s)
-        self._open.append(asked)
-        self._send(asked)
+        entry = _Question(self._number, question, deadline_s, now + deadline_s)
+        self._open.append(entry)
+        self._send(entry)
 
     def answer(self) -> bytes:
         """Wait for the answer to the oldest open question."""
@@ -218,8 +218,8 @@ class ZenohLink:
         self._asked_at = time.monotonic()
         self.repeat()
 
-    def _send(self, asked: "_Question") -> None:
-        self._ask.put(protocol.numbers.pack(asked.number, self._open[0].number) + asked.content)
+    def _send(self, entry: "_Question") -> None:
+        self._ask.put(protocol.numbers.pack(entry.number, self._open[0].number) + entry.content)
 
 
 class _Question(NamedTuple):

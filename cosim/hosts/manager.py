@@ -65,7 +65,7 @@ class Hosts:
         self._links: list[tuple[str, ZenohLink]] = []
         self._elsewhere: list[RemoteHost] = []  # federates whose hosts may be replaced
         self._specs: dict[str, AgentSpec] = {}  # their agents as the hosts describe them
-        self._wanted: dict[str, AgentSpec] = {}  # their agents as the scenario describes them
+        self._spec_of: dict[str, AgentSpec] = {}  # their agents as the scenario describes them
         self._other_code: dict[str, str] = {}  # difference between the code of a vehicle's host and that of this machine
         self._waiting: dict[str, AgentSpec] = {}  # agents whose hosts had not joined when the run began
 
@@ -158,8 +158,8 @@ class Hosts:
 
     def await_by_hand(self, specs: Sequence[AgentSpec]) -> None:
         """Wait until externally started hosts have joined for all agents that the run cannot begin without."""
-        entrance, wanted = self.listen(specs), {spec.vehicle: spec for spec in specs}
-        hub, waiting = entrance.hub, dict(wanted)
+        entrance, spec_of = self.listen(specs), {spec.vehicle: spec for spec in specs}
+        hub, waiting = entrance.hub, dict(spec_of)
         self._waiting = waiting
         if self._watch is None:  # the user starts the hosts
             entrance.tell_how(specs)
@@ -168,7 +168,7 @@ class Hosts:
         def give_up(hosts: Collection[Machine]) -> None:
             for host in sorted(hosts):
                 for left in joined.pop(host)[1]:
-                    waiting[left.vehicle] = wanted[left.vehicle]
+                    waiting[left.vehicle] = spec_of[left.vehicle]
                     self.kinds.pop(left.vehicle, None)
                     self._tell(f"the host of {left.vehicle} disconnected; waiting for another")
 
@@ -180,18 +180,18 @@ class Hosts:
                 raise AgentError(tuple(waiting), "host", why)
             return [*waiting, *(spec.vehicle for host in gone if host in joined for spec in joined[host][1])]
 
-        timeout_s, needed = self._agents.join_timeout_s, lambda vehicle: indispensable(wanted[vehicle])
+        timeout_s, needed = self._agents.join_timeout_s, lambda vehicle: indispensable(spec_of[vehicle])
         for knock in knocking(hub, timeout_s, missing, self._tell, needed):
             hello = knock.hello
             # A replacement need not wait until an unreachable host is given up.
             away = {host: {spec.vehicle for spec in joined[host][1]} for host in hub.gone.keys() & joined.keys()}
             give_up({host for host, vehicles in away.items() if vehicles.intersection(hello.vehicles)})
-            if link := entrance.let_in(knock, listener.refusal(hello, waiting, wanted)):
+            if link := entrance.let_in(knock, listener.refusal(hello, waiting, spec_of)):
                 specs_of = [listener.as_host_says(waiting.pop(vehicle), hello, self.kinds) for vehicle in hello.vehicles]
                 joined[knock.machine] = link, specs_of
                 self._tell(f"{', '.join(hello.vehicles)} joined; still waiting for: {', '.join(waiting) or 'none'}")
-        self._waiting, self._wanted = {}, wanted
-        self._specs = {**wanted, **{spec.vehicle: spec for _, group in joined.values() for spec in group}}
+        self._waiting, self._spec_of = {}, spec_of
+        self._specs = {**spec_of, **{spec.vehicle: spec for _, group in joined.values() for spec in group}}
         if not waiting:
             hub.shut()
         self._add_remote(list(joined.values()), list(waiting.values()))
@@ -209,7 +209,7 @@ class Hosts:
                     built = crew.build()
                 self._add_host([crew], built)
             except (AgentError, ScenarioError) as error:
-                asked_for = [self._wanted.get(vehicle) for vehicle in crew.vehicles]
+                asked_for = [self._spec_of.get(vehicle) for vehicle in crew.vehicles]
                 if not all(spec is not None and not indispensable(spec) for spec in asked_for):
                     for other in crews:
                         other.release(f"the run cannot start: {error}")
@@ -219,7 +219,7 @@ class Hosts:
                 late = [*late, *(spec for spec in asked_for if spec is not None)]
                 for vehicle in crew.vehicles:
                     self.kinds.pop(vehicle, None)
-                    self._specs[vehicle] = self._wanted[vehicle]
+                    self._specs[vehicle] = self._spec_of[vehicle]
         if late:  # the scenario names the classes, so the agents can be described without their host
             local = self._builders["inprocess"]("late", late)
             self._add_host([], Built(local.agents, local.reads, local.latest), late)
@@ -243,7 +243,7 @@ class Hosts:
     def _compare_code(self, built: Built) -> None:
         """Report where an external host runs other source code than this machine has."""
         for vehicle, code in built.code.items():
-            if (spec := self._wanted.get(vehicle)) is None:
+            if (spec := self._spec_of.get(vehicle)) is None:
                 continue
             own = spec if vehicle not in self.kinds else msgspec.structs.replace(spec, kind=self.kinds[vehicle])
             how = difference(fingerprint(own), code)

@@ -129,7 +129,7 @@ def watch(
             raise UsageError(f"--topic {topic}: {problem}") from error
     with observed(endpoint, **connection) as run:
         for samples in run.samples([key_names.TOPIC + topic for topic in topics], every_s):
-            if batch := [seen for sample in samples if (seen := _seen(sample))]:
+            if batch := [item for sample in samples if (item := _seen(sample))]:
                 yield batch
 
 
@@ -246,8 +246,8 @@ def examine(endpoint: str, bundle: "Bundle | None", secret: str | None = None) -
 
 def _own_certificate(bundle: "Bundle") -> Check:
     authority = hashlib.sha256(ssl.PEM_cert_to_DER_cert(bundle.ca_pem)).hexdigest()[:16]
-    meant = f"host of {', '.join(bundle.vehicles)}" if bundle.vehicles else bundle.role
-    words = f"'{bundle.name}', {meant}, valid until {bundle.until:%Y-%m-%d}, of authority {authority}"
+    purpose = f"host of {', '.join(bundle.vehicles)}" if bundle.vehicles else bundle.role
+    words = f"'{bundle.name}', {purpose}, valid until {bundle.until:%Y-%m-%d}, of authority {authority}"
     try:
         warning = bundle.check()
     except UsageError as error:
@@ -322,15 +322,15 @@ def _times(session: zenoh.Session, name: str) -> Iterator[Check]:
 
 def _access(session: zenoh.Session, name: str, bundle: "Bundle | None") -> Check:
     """Test the run's access rules: Zenoh denies silently, so each right is tried."""
-    heard: queue.SimpleQueue[bool] = queue.SimpleQueue()
+    answers: queue.SimpleQueue[bool] = queue.SimpleQueue()
 
     def on_echo(_sample: zenoh.Sample) -> None:
-        heard.put(True)
+        answers.put(True)
 
     subscriber = session.declare_subscriber(f"{key_names.TOPIC}echo/{name}", Callback(on_echo, indirect=False))
     ask(session, name, ECHO)
     try:
-        hears = heard.get(timeout=PATIENCE_S if bundle is None or bundle.role == "observer" else PATIENCE_S / 4)
+        hears = answers.get(timeout=PATIENCE_S if bundle is None or bundle.role == "observer" else PATIENCE_S / 4)
     except queue.Empty:
         hears = False
     subscriber.undeclare()  # type: ignore[no-untyped-call]

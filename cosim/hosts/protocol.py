@@ -205,7 +205,7 @@ def check_events(stepped: Sequence[Event], vehicles: Mapping[str, int], names: f
         vehicles: the host's vehicles with a tick in this step, and the time at which their commands take effect (ns).
         names: all vehicles of the run.
     """
-    given = set[str]()
+    keys = set[str]()
     for event in stepped:
         key = event.key
         vehicle, _, what = key.partition("/")
@@ -223,9 +223,9 @@ def check_events(stepped: Sequence[Event], vehicles: Mapping[str, int], names: f
         if type(value) is Message:
             _message(value, vehicle, names)
             continue
-        if key in given:
+        if key in keys:
             raise ValueError(f"{key} twice")
-        given.add(key)
+        keys.add(key)
         if type(value) is Velocity or type(value) is Waypoint:
             _command(value)
         else:
@@ -275,17 +275,17 @@ def _rare(value: object, vehicle: str, due_ns: int, names: frozenset[str]) -> No
 
 def check_built(answer: "Built", specs: Sequence[AgentSpec]) -> None:
     """Validate the answer to `Build`: `ValueError` unless it has the requested agents, with their own vehicles' topics only."""
-    wanted = {spec.vehicle: spec for spec in specs}
+    spec_of = {spec.vehicle: spec for spec in specs}
     found = sorted(info.vehicle for info in answer.agents)
-    if found != sorted(wanted):
+    if found != sorted(spec_of):
         names = plain(", ".join(found) or "none", LONGEST_LINE)
-        raise ValueError(f"agents for {names}; expected {', '.join(wanted)}")
+        raise ValueError(f"agents for {names}; expected {', '.join(spec_of)}")
     for info in answer.agents:
         try:
-            _agent(info, wanted[info.vehicle])
+            _agent(info, spec_of[info.vehicle])
         except ValueError as error:
             raise ValueError(f"an agent for {info.vehicle} with {error}") from None
-    _code(answer.code, wanted)
+    _code(answer.code, spec_of)
     sees = {f"{spec.vehicle}/{what}" for spec in specs for what in (*_SEES, *spec.sensors)}
     for keys, allowed in ((answer.reads, {RECEPTIONS}), (answer.latest, sees)):
         for key in keys:
@@ -295,9 +295,9 @@ def check_built(answer: "Built", specs: Sequence[AgentSpec]) -> None:
             raise ValueError(f"two subscriptions to {next(key for key in keys if keys.count(key) > 1)}")
 
 
-def _code(code: Mapping[str, Mapping[str, str]], wanted: Collection[str]) -> None:
+def _code(code: Mapping[str, Mapping[str, str]], vehicles: Collection[str]) -> None:
     for vehicle, files in code.items():
-        if vehicle not in wanted or len(files) > 2 * MOST_FILES:
+        if vehicle not in vehicles or len(files) > 2 * MOST_FILES:
             raise ValueError(f"source code of {plain(vehicle, LONGEST_NAME)} that was not requested, or of too many files")
         if any(plain(text, LONGEST_LINE) != text for text in (*files, *files.values())):
             raise ValueError(f"source code of {vehicle} with names that are too long or cannot be shown")

@@ -235,10 +235,10 @@ class RemoteHost:
         self.lookahead_ns = min(info.latency_ns for info in self.agents)
         self._crews = list(crews)  # hosts that receive steps
         self._others: list[Crew] = []  # hosts that owe an answer before their next step
-        self._asked: deque[_Asked] = deque()
+        self._requests: deque[_OpenStep] = deque()
         self._missing = tuple(missing)
         self._away: dict[str, Absence] = {}
-        self._kept: dict[str, Event] = {}  # newest events that absent vehicles have received
+        self._newest: dict[str, Event] = {}  # newest events that absent vehicles have received
         policies = {spec.on_lost for crew in crews for spec in crew.specs} | {spec.on_lost for spec in missing}
         self._may_go_on = policies != {"stop"}
         self._replaceable = frozenset(self.latest) if "hold" in policies else frozenset()
@@ -265,23 +265,23 @@ class RemoteHost:
 
     def ask(self, now_ns: int, inbox: Sequence[Event]) -> int | None:
         """Send the step. The next wake-up follows from the agents' ticks, independent of the answer."""
-        asked = _Asked(now_ns, self._due(now_ns))
-        self._asked.append(asked)
+        request = _OpenStep(now_ns, self._due(now_ns))
+        self._requests.append(request)
         batches = [event.value for event in inbox if isinstance(event.value, Receptions)]
         for batch in batches:
             self._mail.put(batch)
         if batches:
             inbox = [event for event in inbox if event.key != RECEPTIONS]
         if self._replaceable:
-            self._kept.update((event.key, event) for event in inbox if event.key in self._replaceable)
+            self._newest.update((event.key, event) for event in inbox if event.key in self._replaceable)
         if self._away:
             self._mail.take(now_ns, self._away)  # lost
         if self._missing:
             self.losses += [(spec.vehicle, now_ns / SECOND_NS, "it has no host yet") for spec in self._missing]
-            asked.events += self._leave(self._missing, now_ns, "it has no host yet")
+            request.events += self._leave(self._missing, now_ns, "it has no host yet")
             self._missing = ()
         if self._away:
-            inbox = self._look_around(asked, inbox)
+            inbox = self._look_around(request, inbox)
         whole = len(self._crews) == 1 and not self._away
         for crew in self._crews:
             mine = list(inbox) if whole else [event for event in inbox if _vehicle(event) in crew.vehicles]
@@ -289,23 +289,23 @@ class RemoteHost:
             if received is not None:
                 mine.append(Event(RECEPTIONS, now_ns, pruned(received)))
             crew.send(protocol.Act(now_ns, mine))
-            asked.crews.append(crew)
+            request.crews.append(crew)
         return min([train.after(now_ns) for train in self._trains])
 
     def answer(self) -> Sequence[Event]:
         """The events of the oldest open step."""
-        asked = self._asked.popleft()
-        events, now_ns = asked.events, asked.now_ns
-        for crew in asked.crews:
-            effects = {vehicle: now_ns + self._latency_ns[vehicle] for vehicle in crew.vehicles if vehicle in asked.due}
+        request = self._requests.popleft()
+        events, now_ns = request.events, request.now_ns
+        for crew in request.crews:
+            effects = {vehicle: now_ns + self._latency_ns[vehicle] for vehicle in crew.vehicles if vehicle in request.due}
             try:
-                given = crew.stepped(effects, self._names)
+                step = crew.stepped(effects, self._names)
             except FederateError as error:
                 events += self._lose(crew, now_ns, error)
             else:
-                events += [event for event in given if _vehicle(event) not in self._away] if self._away else given
+                events += [event for event in step if _vehicle(event) not in self._away] if self._away else step
                 if self._may_go_on:
-                    self._note(given, crew)
+                    self._note(step, crew)
         for vehicle, absence in self._away.items():
             events += absence.go_on(now_ns + self._latency_ns[vehicle])
         return events
@@ -355,8 +355,8 @@ class RemoteHost:
             raise error
         self.losses.append((", ".join(crew.vehicles), now_ns / SECOND_NS, error.cause))
         self._crews.remove(crew)
-        for asked in self._asked:
-            asked.crews = [each for each in asked.crews if each is not crew]
+        for request in self._requests:
+            request.crews = [each for each in request.crews if each is not crew]
         if crew.alive and any(spec.on_lost == "hold" for spec in crew.specs):
             self._others.append(crew)
         else:
@@ -380,13 +380,13 @@ class RemoteHost:
             elif isinstance(event.value, Presence):
                 self._failed[_vehicle(event)] = crew
 
-    def _look_around(self, asked: "_Asked", inbox: Sequence[Event]) -> Sequence[Event]:
+    def _look_around(self, request: "_OpenStep", inbox: Sequence[Event]) -> Sequence[Event]:
         """Reinstate vehicles whose agents answer again; returns the events that all present hosts receive."""
         self._door()
         for crew in list(self._others):
             try:
                 if self._is_ready(crew):
-                    inbox = self._take_back(crew, asked, inbox)
+                    inbox = self._take_back(crew, request, inbox)
             except VcmvspError as error:
                 self._tell(f"{error}")
                 self._dismiss(crew, str(error))
@@ -407,7 +407,7 @@ class RemoteHost:
                 crew.send(protocol.Begin(self._run))
         return True
 
-    def _take_back(self, crew: Crew, asked: "_Asked", inbox: Sequence[Event]) -> Sequence[Event]:
+    def _take_back(self, crew: Crew, request: "_OpenStep", inbox: Sequence[Event]) -> Sequence[Event]:
         self._others.remove(crew)
         self._crews.append(crew)
         for vehicle in crew.vehicles:
@@ -417,10 +417,10 @@ class RemoteHost:
             if self._failed.get(vehicle) is crew:
                 continue  # the host is back, the agent is not
             self._failed.pop(vehicle, None)
-            since_ns, when = info.ticks.after(asked.now_ns - 1), asked.now_ns + info.latency_ns
-            asked.events.append(absence.back(since_ns, when, crew.late))
-            seen = [event for key, event in self._kept.items() if key.startswith(f"{vehicle}/")]
-            inbox = [*seen, *(event for event in inbox if _vehicle(event) != vehicle)]
+            since_ns, when = info.ticks.after(request.now_ns - 1), request.now_ns + info.latency_ns
+            request.events.append(absence.back(since_ns, when, crew.late))
+            newest = [event for key, event in self._newest.items() if key.startswith(f"{vehicle}/")]
+            inbox = [*newest, *(event for event in inbox if _vehicle(event) != vehicle)]
         crew.late = 0
         return inbox
 
@@ -429,7 +429,7 @@ class RemoteHost:
         crew.dismiss(why)
 
 
-class _Asked(msgspec.Struct):
+class _OpenStep(msgspec.Struct):
     """An open step."""
 
     now_ns: int

@@ -277,16 +277,16 @@ class Far:
         self._process.wait()
 
     def _listen(self) -> None:
-        said = self._process.stdout
-        while said and (line := said.readline(_LONGEST_LINE)):
+        output = self._process.stdout
+        while output and (line := output.readline(_LONGEST_LINE)):
             with contextlib.suppress(ValueError):  # the log is closed; a process that outlives the host still writes
                 self._log.write(line)
             text = line.decode(errors="replace").rstrip()
             if text:
                 self.last.append(text)
             self._hear(text)
-        if said:
-            said.close()
+        if output:
+            output.close()
         code = self._process.wait()
         if code and not self._released:
             self._hear(ending(code))

@@ -67,7 +67,7 @@ class Exchange:
         self._inbox: list[list[Event]] = [[] for _ in federates]
         self._newest: list[dict[str, Event]] = [{} for _ in federates]
         self._future: list[tuple[int, Slot]] = []  # heap of the future slots with events
-        self._given: dict[tuple[int, Slot], Given] = {}  # events of these slots
+        self._later: dict[tuple[int, Slot], Given] = {}  # events of these slots
         self._present: Given = {}  # events of the current slot
         self._routes: dict[str, Route] = {}
         kinds = ([each.reads for each in federates], [each.wakes for each in federates], [each.latest for each in federates])
@@ -77,18 +77,18 @@ class Exchange:
         """Take the events that a federate has not read yet, in order of time."""
         inbox, self._inbox[index] = self._inbox[index], []
         if newest := self._newest[index]:
-            kept = sorted(newest.values(), key=_time)
+            latest = sorted(newest.values(), key=_time)
             newest.clear()
-            if inbox and inbox[-1].time_ns < kept[0].time_ns:  # the usual case: the newest events are of this instant only
-                inbox += kept
+            if inbox and inbox[-1].time_ns < latest[0].time_ns:  # the usual case: the newest events are of this instant only
+                inbox += latest
             else:
-                inbox = sorted(kept + inbox, key=_time)
+                inbox = sorted(latest + inbox, key=_time)
         return inbox
 
     def give(self, index: int, events: Sequence[Event], now: int, slot: Slot) -> None:
         """Accept the events that a federate gave in a slot, and schedule the steps that they cause."""
         home, routes = self._federates[index].slot, self._routes
-        last, given = now, self._present
+        last, by_key = now, self._present
         woken: tuple[int, tuple[int, ...]] = now, ()
         for event in events:
             when, key = event.time_ns, event.key
@@ -96,11 +96,11 @@ class Exchange:
             if when != last:  # many successive events have one time: commands of a tick
                 if when < now:
                     raise FederateError(self._federates[index].name, f"returned {key} with the time {when} ns at {now} ns")
-                last, given = when, self._present if when == now else self._those_of(when, home)
-            if key in given:
-                given[key].append(event)
+                last, by_key = when, self._present if when == now else self._those_of(when, home)
+            if key in by_key:
+                by_key[key].append(event)
             else:
-                given[key] = [event]
+                by_key[key] = [event]
             if route[1] and (when, route[1]) != woken:  # many senders wake the radio at once
                 woken = when, route[1]
                 for each in route[1]:
@@ -112,18 +112,18 @@ class Exchange:
         future, here = self._future, (now, slot)
         due, self._present = self._present, {}
         while future and future[0] < here:
-            self._tell(self._given.pop(heapq.heappop(future)))
+            self._tell(self._later.pop(heapq.heappop(future)))
         if future and future[0] == here:
-            present, due = due, self._given.pop(heapq.heappop(future))
+            present, due = due, self._later.pop(heapq.heappop(future))
             for key, events in present.items():  # earlier events of a key come first
                 due[key] = due[key] + events if key in due else events
         if due:
             self._tell(due)
 
-    def _tell(self, given: Given) -> None:
+    def _tell(self, by_key: Given) -> None:
         observe, inboxes, newest, routes = self.observe, self._inbox, self._newest, self._routes
-        for key in sorted(given):
-            events, (readers, _, keepers) = given[key], routes[key]
+        for key in sorted(by_key):
+            events, (readers, _, keepers) = by_key[key], routes[key]
             try:
                 for event in events:
                     observe(event)
@@ -138,11 +138,11 @@ class Exchange:
 
     def _those_of(self, when: int, slot: Slot) -> Given:
         place = when, slot
-        given = self._given.get(place)
-        if given is None:
-            given = self._given[place] = {}
+        by_key = self._later.get(place)
+        if by_key is None:
+            by_key = self._later[place] = {}
             heapq.heappush(self._future, place)
-        return given
+        return by_key
 
     def _check(self, index: int, key: str, at: Slot) -> None:
         """Refuse an event that is published too late to wake a federate in its slot."""
@@ -271,8 +271,8 @@ class Kernel:
     def _poll(self, now_ns: int) -> None:
         for index, federate in self._polled:
             with self._blames[index]:
-                wanted = federate.poll(now_ns)
-            if wanted:
+                when = federate.poll(now_ns)
+            if when:
                 self._schedule(index, now_ns)
 
     def _listen(self) -> None:
@@ -371,15 +371,15 @@ class Kernel:
         for index in due if self._remote else ():
             if index in self._remote:
                 self._ask(index, now)
-        given = [(index, self._step(index, now)) for index in due if index not in self._remote]
+        steps = [(index, self._step(index, now)) for index in due if index not in self._remote]
         if not self._driven or self._driven.keys().isdisjoint(due):
-            self._end_slot(now, slot, given)
+            self._end_slot(now, slot, steps)
         else:
-            self._half = now, slot, given
+            self._half = now, slot, steps
 
-    def _end_slot(self, now: int, slot: Slot, given: Sequence[tuple[int, Sequence[Event]]]) -> None:
+    def _end_slot(self, now: int, slot: Slot, steps: Sequence[tuple[int, Sequence[Event]]]) -> None:
         self._collect(now, slot)  # before local events: a federate may be remote in one run and local in another
-        for index, events in given:
+        for index, events in steps:
             self._events.give(index, events, now, slot)
         self._events.publish(now, slot)
 

@@ -97,10 +97,10 @@ class Episode:
 
     def step(self, commands: Floats, sends: NDArray[np.bool_], messages: NDArray[np.float32]) -> bool:
         """Give commands (n, 4), see `Task.motion`, and messages (n, m) of those that send, (n,); whether the run goes on."""
-        flies, given = self._task.flies, {}
+        flies, by_vehicle = self._task.flies, {}
         for name, (x, y, z, turn) in zip(self.names, commands.tolist(), strict=True):
-            given[name] = Velocity(linear=(x, y, z) if flies else (x, 0.0, 0.0), yaw_rate=turn)
-        self.run.act(given)
+            by_vehicle[name] = Velocity(linear=(x, y, z) if flies else (x, 0.0, 0.0), yaw_rate=turn)
+        self.run.act(by_vehicle)
         for row in np.flatnonzero(sends).tolist():
             self.run.vehicles[self.names[row]].radio.send(messages[row].astype("<f4").tobytes())
         return self._next()

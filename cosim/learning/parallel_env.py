@@ -148,10 +148,10 @@ class VehiclesEnv(ParallelEnv[str, Vector, Vector]):  # type: ignore[misc]  # Pe
         """
         if not self.agents:
             raise UsageError("step(): no episode is under way; call reset()")
-        given = self._checked(actions)
+        values = self._checked(actions)
         motions = self.task.motions
         goes_on = self._now.step(
-            self.task.motion(given[:, :motions].astype(float)), given[:, motions] > 0.0, given[:, motions + 1 :]
+            self.task.motion(values[:, :motions].astype(float)), values[:, motions] > 0.0, values[:, motions + 1 :]
         )
         rewards, done = self.task.step(self._now.true)
         self._ticks += 1

@@ -61,8 +61,8 @@ class Network:
         """
         meta = self.meta
         if (meta.task, meta.vehicles) != (task.name, vehicles):
-            trained, wanted = f"{meta.task} with {meta.vehicles} vehicles", f"{task.name} with {vehicles}"
-            raise UsageError(f"{where}: trained for the task {trained}, not for {wanted}")
+            trained, target = f"{meta.task} with {meta.vehicles} vehicles", f"{task.name} with {vehicles}"
+            raise UsageError(f"{where}: trained for the task {trained}, not for {target}")
 
 
 def layers_of(arrays: Mapping[str, NDArray[Any]]) -> Callable[[Floats], Floats]:

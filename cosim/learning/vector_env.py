@@ -81,14 +81,14 @@ class WorldsEnv:
         """
         if self._ticks >= self.scenario.steps:
             raise UsageError("step(): the episodes are over; call reset()")
-        given = self._checked(actions)
+        values = self._checked(actions)
         motions, task = self.task.motions, self.task
-        sends = given[..., motions] > 0.0
+        sends = values[..., motions] > 0.0
         frames = self._batch.send(sends, BYTES_PER_NUMBER * task.message_floats)
         arrival_ns = np.where(sends[..., None], frames.arrival_ns, -1)
-        self._sent.append((self._batch.now_ns, given[..., motions + 1 :].astype(float), arrival_ns, frames.rssi_dbm))
+        self._sent.append((self._batch.now_ns, values[..., motions + 1 :].astype(float), arrival_ns, frames.rssi_dbm))
         self._ticks += 1
-        self._batch.advance(task.motion(given[..., :motions].astype(float)), self._ticks * self.scenario.period_ns)
+        self._batch.advance(task.motion(values[..., :motions].astype(float)), self._ticks * self.scenario.period_ns)
         self._look()
         rewards, done = task.step(self.worlds)
         rewards = np.where(self._done[:, None], 0.0, rewards)
@@ -146,12 +146,12 @@ class WorldsEnv:
     def _checked(self, actions: NDArray[Any]) -> Vectors:
         shape = self.num_envs, len(self.names), self._actions
         try:
-            given = np.asarray(actions, np.float32)
+            values = np.asarray(actions, np.float32)
         except (TypeError, ValueError):
             raise UsageError(f"step(): actions must be numbers of the shape {shape}") from None
-        if given.shape != shape:
-            raise UsageError(f"step(): actions have the shape {given.shape}; it must be {shape}: worlds, vehicles, numbers")
-        if not np.isfinite(given).all():
-            world, vehicle, _ = np.argwhere(~np.isfinite(given))[0].tolist()
+        if values.shape != shape:
+            raise UsageError(f"step(): actions have the shape {values.shape}; it must be {shape}: worlds, vehicles, numbers")
+        if not np.isfinite(values).all():
+            world, vehicle, _ = np.argwhere(~np.isfinite(values))[0].tolist()
             raise UsageError(f"step(): the action of {self.names[vehicle]} in world {world} is not finite")
-        return np.clip(given, -1.0, 1.0)
+        return np.clip(values, -1.0, 1.0)

@@ -72,12 +72,12 @@ class _Stretches(NamedTuple):
         return _Stretches(*(each[rows] for each in self))
 
 
-def links(radio: Table, wanted: Collection[Pair] | None = None) -> dict[Pair, LinkHistory]:
+def links(radio: Table, pairs: Collection[Pair] | None = None) -> dict[Pair, LinkHistory]:
     """Reception history of every link (receiver, sender), or of wanted ones, over any relays."""
-    return histories(Parts(radio, informed), wanted).by_pair()
+    return histories(Parts(radio, informed), pairs).by_pair()
 
 
-def histories(got: Iterable[ReceptionRows], wanted: Collection[Pair] | None = None) -> LinkHistories:
+def histories(got: Iterable[ReceptionRows], pairs: Collection[Pair] | None = None) -> LinkHistories:
     """Reception histories of all links, or of wanted ones, from receptions in parts that name the same vehicles."""
     names: tuple[Sequence[str], Sequence[str]] = (), ()
     counts = np.zeros(0, np.int64)
@@ -85,8 +85,8 @@ def histories(got: Iterable[ReceptionRows], wanted: Collection[Pair] | None = No
         names = part.receivers, part.senders
         found = np.bincount(_code(part), minlength=len(part.receivers) * len(part.senders))
         counts = counts + found if len(counts) else found
-    if wanted is not None:
-        codes = _codes(names, wanted)
+    if pairs is not None:
+        codes = _codes(names, pairs)
         chosen = np.zeros_like(counts)
         chosen[codes] = counts[codes]
         counts = chosen
@@ -99,7 +99,7 @@ def histories(got: Iterable[ReceptionRows], wanted: Collection[Pair] | None = No
     for part in got:
         code = _code(part)
         order = _by_link(part)
-        if wanted is not None:
+        if pairs is not None:
             order = order[counts[code[order]] > 0]
         code = code[order]
         first = np.flatnonzero(np.diff(code, prepend=-1))
@@ -157,11 +157,11 @@ def age_metrics(
 ) -> dict[str, float | None]:
     """Age of the newest message (s) at the receivers' ticks in the window; its mean over time, and the mean of its peaks."""
     spans = [(name, *span) for name in followers(ticks, follows) for span in stretches(name, follows)]
-    wanted = [((name, at.leader), since, until) for name, since, until, at in spans if at.leader is not None]
-    found = histories(got, {pair for pair, _, _ in wanted} if follows else None)
+    intervals = [((name, at.leader), since, until) for name, since, until, at in spans if at.leader is not None]
+    found = histories(got, {pair for pair, _, _ in intervals} if follows else None)
     if not follows:
-        wanted = [(pair, 0, FOREVER_NS) for pair in found.pairs if pair[0] in ticks]
-    counted = _stretches(found, wanted)
+        intervals = [(pair, 0, FOREVER_NS) for pair in found.pairs if pair[0] in ticks]
+    counted = _stretches(found, intervals)
     begin, last = window_ns(window)
     over_time, peak = _sawtooth(found, counted.cut(begin, min(last, end_ns)))
     ages = _at_ticks(found, counted, ticks, window, end_ns)
@@ -173,10 +173,10 @@ def age_metrics(
     }
 
 
-def _stretches(found: LinkHistories, wanted: Sequence[tuple[Pair, int, int]]) -> _Stretches:
+def _stretches(found: LinkHistories, intervals: Sequence[tuple[Pair, int, int]]) -> _Stretches:
     """The stretches of known links, given link, begin and end (ns) of each."""
     place = {pair: number for number, pair in enumerate(found.pairs)}
-    known = [(place[pair], since, until) for pair, since, until in wanted if pair in place]
+    known = [(place[pair], since, until) for pair, since, until in intervals if pair in place]
     link, since, until = np.array(known, np.int64).reshape(-1, 3).T
     return _Stretches(link, np.maximum(since, found.received_ns[found.starts[link]]), until)
 
@@ -233,10 +233,10 @@ def _at_ticks(found: LinkHistories, counted: _Stretches, ticks: Mapping[str, Tic
     for train, equal in groupby(trains):
         some = counted.some(slice(row, row + len(list(equal))))
         row += len(some.link)
-        asked = np.diff(at_ns[train].searchsorted([some.begin_ns, some.end_ns]), axis=0)[0]
-        some, asked = some.some(asked > 0), asked[asked > 0]
-        for rows in _batches(np.diff(found.starts)[some.link] + asked):
-            batches.append((some.some(rows), at_ns[train], int(asked[rows].sum())))
+        counts = np.diff(at_ns[train].searchsorted([some.begin_ns, some.end_ns]), axis=0)[0]
+        some, counts = some.some(counts > 0), counts[counts > 0]
+        for rows in _batches(np.diff(found.starts)[some.link] + counts):
+            batches.append((some.some(rows), at_ns[train], int(counts[rows].sum())))
     ages, row = np.empty(sum(count for *_, count in batches)), 0
     for some, at, count in batches:
         ages[row : row + count] = _ages_ns(found, some, at) / SECOND_NS
@@ -248,13 +248,13 @@ def _ages_ns(found: LinkHistories, counted: _Stretches, at_ns: Array) -> Array:
     """Age at the instants of each stretch, one stretch after the other; every stretch has an instant."""
     first, stop = at_ns.searchsorted([counted.begin_ns, counted.end_ns])
     begin, end = (_after(found, counted.link, at_ns[each]) for each in (first, stop - 1))
-    asked, came = stop - first, end - begin
-    head = np.cumsum(asked) - asked
+    counts, came = stop - first, end - begin
+    head = np.cumsum(counts) - counts
     known_at = np.repeat(head - first, came) + at_ns.searchsorted(found.received_ns[_ranges(begin, came)])
-    step = np.bincount(known_at, minlength=int(asked.sum()))  # by which the newest reception changes from instant to instant
+    step = np.bincount(known_at, minlength=int(counts.sum()))  # by which the newest reception changes from instant to instant
     step[head] += begin - 1
     step[head[1:]] -= end[:-1] - 1
-    return np.asarray(at_ns[_ranges(first, asked)] - found.sent_ns[np.cumsum(step)])
+    return np.asarray(at_ns[_ranges(first, counts)] - found.sent_ns[np.cumsum(step)])
 
 
 def _after(found: LinkHistories, link: Array, at_ns: Array) -> Array:

@@ -113,16 +113,16 @@ def hardware_metrics(
     """The ``hardware`` part of each real vehicle, from its timed statuses (ns), incidents and received fixes."""
     return {
         vehicle: _of_one(
-            told, [each for name, each in incidents if name == vehicle], fixes.get(vehicle, 0), _delays_s(got, vehicle)
+            history, [each for name, each in incidents if name == vehicle], fixes.get(vehicle, 0), _delays_s(got, vehicle)
         )
-        for vehicle, told in sorted(statuses.items())
+        for vehicle, history in sorted(statuses.items())
     }
 
 
 def _of_one(
-    told: Sequence[tuple[int, RealStatus]], incidents: Sequence[Incident], fixes: int, delays_s: Array
+    history: Sequence[tuple[int, RealStatus]], incidents: Sequence[Incident], fixes: int, delays_s: Array
 ) -> dict[str, Any]:
-    statuses = [status for _, status in told]
+    statuses = [status for _, status in history]
     ages_s = _numbers([each.age_s for each in statuses])
     latency_s = float(np.median(ages_s)) if ages_s.size else None
     return {
@@ -134,16 +134,16 @@ def _of_one(
         "gated": max((each.gated for each in statuses), default=0),
         "reconnects": max(0, max((each.link for each in statuses), default=0) - 1),
         "stops": dict(sorted(Counter(each.cause for each in incidents if each.what == "stopped").items())),
-        "limited_s": sum(after - now for (now, status), (after, _) in itertools.pairwise(told) if status.causes) / SECOND_NS,
-        "limited_by_s": limited_by_s(told),
+        "limited_s": sum(after - now for (now, status), (after, _) in itertools.pairwise(history) if status.causes) / SECOND_NS,
+        "limited_by_s": limited_by_s(history),
         "frames_too_early": None if latency_s is None else int(np.count_nonzero(delays_s < latency_s)),
     }
 
 
-def limited_by_s(told: Sequence[tuple[int, RealStatus]]) -> dict[str, float]:
+def limited_by_s(history: Sequence[tuple[int, RealStatus]]) -> dict[str, float]:
     """Time for which each cause limited a real vehicle; `LIMITS`, active in every acceleration, counts only on its own."""
     by_ns = Counter[str]()
-    for (now, status), (after, _) in itertools.pairwise(told):
+    for (now, status), (after, _) in itertools.pairwise(history):
         others = [cause for cause in status.causes if cause != LIMITS]
         by_ns.update(dict.fromkeys(others or status.causes, after - now))
     return {cause: held_ns / SECOND_NS for cause, held_ns in sorted(by_ns.items())}

@@ -29,9 +29,9 @@ class Motion:
 
     def without(self, names: Collection[str]) -> "Motion":
         """The motion of all other vehicles."""
-        kept = [number for number, name in enumerate(self.names) if name not in names]
-        others = tuple([self.names[number] for number in kept])
-        return Motion(self.time_ns, others, self.position[:, :, kept], self.yaw[:, kept]) if names else self
+        rows = [number for number, name in enumerate(self.names) if name not in names]
+        others = tuple([self.names[number] for number in rows])
+        return Motion(self.time_ns, others, self.position[:, :, rows], self.yaw[:, rows]) if names else self
 
 
 def motion(states: Table) -> Motion:

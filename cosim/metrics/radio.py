@@ -59,11 +59,13 @@ def informed(radio: pa.Table) -> ReceptionRows:
     rows = np.flatnonzero(numbers(radio, "received_ns", null=-1) >= 0)
     (origins, by), (destinations, only) = names_of(radio, "origin"), names_of(radio, "destination")
     by, only = by[rows], only[rows]
-    told, anybody = np.array(origins) != "", np.array(destinations) == ""
-    meant = told[by] & (codes_of(got.receivers, origins)[by] != got.to)
-    meant &= anybody[only] | (codes_of(got.receivers, destinations)[only] == got.to)
+    has_origin, anybody = np.array(origins) != "", np.array(destinations) == ""
+    is_addressee = has_origin[by] & (codes_of(got.receivers, origins)[by] != got.to)
+    is_addressee &= anybody[only] | (codes_of(got.receivers, destinations)[only] == got.to)
     sent_ns = numbers(radio, "origin_sent_ns")[rows]
-    return ReceptionRows(got.receivers, origins, got.to[meant], by[meant], sent_ns[meant], got.received_ns[meant])
+    return ReceptionRows(
+        got.receivers, origins, got.to[is_addressee], by[is_addressee], sent_ns[is_addressee], got.received_ns[is_addressee]
+    )
 
 
 class Parts:
@@ -75,9 +77,9 @@ class Parts:
     """
 
     def __init__(self, radio: Table, part_of: Callable[[pa.Table], ReceptionRows] = receptions) -> None:
-        wanted = _RECEPTIONS if part_of is receptions else (*_RECEPTIONS, *_ORIGINS)
+        columns = _RECEPTIONS if part_of is receptions else (*_RECEPTIONS, *_ORIGINS)
         self._radio, self._part_of = radio, part_of
-        self._columns = [name for name in wanted if name in radio.schema.names]
+        self._columns = [name for name in columns if name in radio.schema.names]
 
     def __iter__(self) -> Iterator[ReceptionRows]:
         return map(self._part_of, blocks_of(self._radio, self._columns))

@@ -56,8 +56,8 @@ class Routing:
         came = [routed.to in (None, receiver) for receiver in routed.receivers]
         for hops, received_ns in compress(zip(routed.hops, routed.received_ns, strict=True), came):
             self._arrivals.extend((hops, received_ns - routed.sent_ns))
-        meant = len(self._names) - 2 if routed.to is None else 1
-        counts["decided"] += sum(came) if routed.under_way else meant
+        addressees = len(self._names) - 2 if routed.to is None else 1
+        counts["decided"] += sum(came) if routed.under_way else addressees
 
     def metrics(self) -> dict[str, Any]:
         """The ``routing`` part, of the whole run. Messages still under way at its end have not failed."""
@@ -108,10 +108,10 @@ def unreached_s(radio: pa.Table, receiver: str, origin: str) -> Array:
     (origins, by), (destinations, to) = names_of(radio, "origin"), names_of(radio, "destination")
     (receivers, at), (fates, fate) = names_of(radio, "receiver"), names_of(radio, "message")
     own, its = by == code_of(origins, origin), (to == code_of(destinations, "")) | (to == code_of(destinations, receiver))
-    meant = own & its & (fate == code_of(fates, "over"))
+    matches = own & its & (fate == code_of(fates, "over"))
     number, sent_ns = numbers(radio, "origin_number", null=-1), numbers(radio, "origin_sent_ns")
     came = own & (at == code_of(receivers, receiver)) & ~nulls(radio, "received_ns") & (number >= 0)
     lost_ns = np.full(1 + number.max(initial=-1), -1)  # by number
-    lost_ns[number[meant]] = sent_ns[meant]
+    lost_ns[number[matches]] = sent_ns[matches]
     lost_ns[number[came]] = -1
     return np.asarray(np.sort(lost_ns[lost_ns >= 0]) / SECOND_NS)

@@ -70,11 +70,11 @@ def mosaic(log: MissionLog, moved: Motion, targets: Sequence[Target]) -> Figure:
         axes = figure.add_subplot()
         axes.set_facecolor("0.25")
         for each in log.mosaics.values():
-            seen = np.uint8(255) * each.pixels.any(axis=2)
-            axes.imshow(np.dstack((each.pixels, seen)), **_extent(each.left, each.bottom, each.cell_m, each.pixels))
+            alpha = np.uint8(255) * each.pixels.any(axis=2)
+            axes.imshow(np.dstack((each.pixels, alpha)), **_extent(each.left, each.bottom, each.cell_m, each.pixels))
         for index, name in enumerate(log.vehicles):
             _track(axes, moved, name, index, log.end_ns, halo=True)
-            places = np.array([found.place for _, seen in log.sightings.get(name, ()) for found in seen.found]).reshape(-1, 2)
+            places = np.array([found.place for _, alpha in log.sightings.get(name, ()) for found in alpha.found]).reshape(-1, 2)
             axes.plot(*places.T, color=color_of(index), **DOT)
         _true_places(axes, targets, log.end_ns, named=True)
         _square(axes)
@@ -95,11 +95,11 @@ def detections(log: MissionLog) -> Figure:
         rows = -(-len(chosen) // columns) or 1
         figure = Figure(figsize=(3.0 * columns, 2.55 * rows + 0.3), layout="constrained")
         figure.suptitle("Targets that were recognised")
-        for axes, (time_ns, name, seen) in zip(figure.subplots(rows, columns, squeeze=False).flat, chosen, strict=False):
-            pixels = decoded(seen.jpeg, cv2.IMREAD_COLOR)
+        for axes, (time_ns, name, sightings) in zip(figure.subplots(rows, columns, squeeze=False).flat, chosen, strict=False):
+            pixels = decoded(sightings.jpeg, cv2.IMREAD_COLOR)
             if pixels is not None:
-                axes.imshow(pixels[..., ::-1], extent=(-0.5, seen.width - 0.5, seen.height - 0.5, -0.5))
-            _boxes(axes, seen)
+                axes.imshow(pixels[..., ::-1], extent=(-0.5, sightings.width - 0.5, sightings.height - 0.5, -0.5))
+            _boxes(axes, sightings)
             axes.set_title(f"{name}, {time_ns / SECOND_NS:.1f} s", color=color_of(log.vehicles.index(name)))
         for axes in figure.axes:
             axes.set_axis_off()
@@ -113,21 +113,21 @@ def chosen_pictures(log: MissionLog) -> list[tuple[int, str, Sightings]]:
     """
     pairs: dict[tuple[str, str], list[tuple[int, str, Sightings]]] = {}
     for name, shown in log.sightings.items():
-        for time_ns, seen in shown:
-            if seen.jpeg and seen.found:
-                pairs.setdefault((name, _best(seen).target), []).append((time_ns, name, seen))
+        for time_ns, sightings in shown:
+            if sightings.jpeg and sightings.found:
+                pairs.setdefault((name, _best(sightings).target), []).append((time_ns, name, sightings))
     groups = sorted(pairs.values(), key=lambda group: group[0][:2])[:SHEET]
     chosen = [each for group in groups for each in _apart(group, SHEET // len(groups))]
     return sorted(chosen, key=lambda each: each[:2])
 
 
-def _best(seen: Sightings) -> Sighting:
-    return max(seen.found, key=lambda each: each.score)
+def _best(sightings: Sightings) -> Sighting:
+    return max(sightings.found, key=lambda each: each.score)
 
 
 def _apart(group: Sequence[tuple[int, str, Sightings]], count: int) -> list[tuple[int, str, Sightings]]:
     """The first sighting, then repeatedly the one farthest from all chosen so far, by the target's position in the picture."""
-    places = np.array([_best(seen).centre_px for _, _, seen in group])
+    places = np.array([_best(sightings).centre_px for _, _, sightings in group])
     away = np.full(len(group), np.inf)
     chosen, newest = [0], 0
     while len(chosen) < min(count, len(group)):
@@ -140,13 +140,13 @@ def _apart(group: Sequence[tuple[int, str, Sightings]], count: int) -> list[tupl
 
 def _timeline(axes: Axes, log: MissionLog, targets: Sequence[Target]) -> None:
     end_s = log.end_ns / SECOND_NS
-    told: set[str] = set()
+    labels: set[str] = set()
     for row, name in enumerate(log.vehicles):
         changes = [*log.noted.of(name, "commander"), (log.end_ns, "")]
         for (begin, commander), (end, _) in pairwise(changes):
             if not commander:  # its agent has failed or is lost
                 continue
-            told.add(commander)
+            labels.add(commander)
             span = begin / SECOND_NS, (end - begin) / SECOND_NS
             axes.broken_barh([span], (row - 0.3, 0.6), **_band(commander))
         for time_ns, target in log.noted.lost(name):
@@ -162,8 +162,8 @@ def _timeline(axes: Axes, log: MissionLog, targets: Sequence[Target]) -> None:
     for side in ("left", "top", "right"):
         axes.spines[side].set_visible(False)
     axes.tick_params(axis="y", length=0.0)
-    shown: list[Artist] = [Patch(**_band(name), label=name) for name in COMMANDERS if name in told]
-    shown += [Patch(**_band("other"), label="other")] if told - COMMANDERS.keys() else []
+    shown: list[Artist] = [Patch(**_band(name), label=name) for name in COMMANDERS if name in labels]
+    shown += [Patch(**_band("other"), label="other")] if labels - COMMANDERS.keys() else []
     for mark, words in ((MARKED, "found"), (FALSE, "no target there"), (GIVEN_UP, "given up")):
         shown.append(Line2D([], [], label=words, **mark))
     axes.legend(handles=shown, ncols=len(shown), **ABOVE)
@@ -257,14 +257,16 @@ def _true_places(axes: Axes, targets: Sequence[Target], now_ns: int, *, named: b
             axes.annotate(target.name, (x, y), (beside, -3.0), textcoords="offset points", ha=side, zorder=7, path_effects=halo)
 
 
-def _boxes(axes: Axes, seen: Sightings) -> None:
-    for each in seen.found:
+def _boxes(axes: Axes, sightings: Sightings) -> None:
+    for each in sightings.found:
         corners = np.array(corners_of(each))
         axes.add_patch(Polygon(corners, fill=False, edgecolor=EDGE, linewidth=3.0))
         axes.add_patch(Polygon(corners, fill=False, edgecolor=TARGET, linewidth=1.4))
         axes.plot(*corners[:2].T, color=TARGET, linewidth=3.0)
-        middle = float(np.clip(each.centre_px[0], 0.14 * seen.width, 0.86 * seen.width))  # so that the text stays inside
-        place, low = (middle, corners[:, 1].min() - 4.0), corners[:, 1].min() > 0.12 * seen.height
+        middle = float(
+            np.clip(each.centre_px[0], 0.14 * sightings.width, 0.86 * sightings.width)
+        )  # so that the text stays inside
+        place, low = (middle, corners[:, 1].min() - 4.0), corners[:, 1].min() > 0.12 * sightings.height
         axes.annotate(
             label_of(each),
             place if low else (place[0], corners[:, 1].max() + 4.0),
@@ -274,8 +276,8 @@ def _boxes(axes: Axes, seen: Sightings) -> None:
             path_effects=[withStroke(linewidth=2.0, foreground=EDGE)],
             annotation_clip=True,
         )
-    axes.set_xlim(-0.5, seen.width - 0.5)
-    axes.set_ylim(seen.height - 0.5, -0.5)
+    axes.set_xlim(-0.5, sightings.width - 0.5)
+    axes.set_ylim(sightings.height - 0.5, -0.5)
 
 
 def _extent(left: float, bottom: float, cell_m: float, cells: Array) -> dict[str, Any]:

@@ -135,7 +135,7 @@ class _Beside:
         count = len(self._shown)
         self._columns = 1 if count <= 2 else 2
         self._height, self._width = MAP_PX // -(-max(count, 1) // self._columns), SIDE_PX // self._columns
-        self._kept: dict[str, tuple[int, Array]] = {}
+        self._cache: dict[str, tuple[int, Array]] = {}
 
     def at(self, now_ns: int) -> Array:
         picture = np.full((MAP_PX, SIDE_PX, 3), 20, np.uint8)
@@ -152,23 +152,23 @@ class _Beside:
             _say(cell, f"{name}  {commander}", (6, 17), color, 0.5)
         return picture
 
-    def _picture(self, name: str, number: int, seen: Sightings) -> Array:
+    def _picture(self, name: str, number: int, sightings: Sightings) -> Array:
         import cv2
 
-        if self._kept.get(name, (-1,))[0] != number:
-            scale = min((self._width - 4) / seen.width, (self._height - 28) / seen.height)
+        if self._cache.get(name, (-1,))[0] != number:
+            scale = min((self._width - 4) / sightings.width, (self._height - 28) / sightings.height)
             quick = cv2.IMREAD_REDUCED_COLOR_2 if scale < 0.75 else cv2.IMREAD_COLOR
-            pixels = decoded(seen.jpeg, quick)
-            size = max(int(seen.width * scale), 1), max(int(seen.height * scale), 1)
+            pixels = decoded(sightings.jpeg, quick)
+            size = max(int(sightings.width * scale), 1), max(int(sightings.height * scale), 1)
             small = np.zeros((size[1], size[0], 3), np.uint8) if pixels is None else cv2.resize(pixels, size)
-            for each in seen.found:
+            for each in sightings.found:
                 corners = ((np.array(corners_of(each)) + 0.5) * scale).round().astype(np.int32)
                 cv2.polylines(small, [corners], True, DARK, 3, cv2.LINE_AA)
                 cv2.polylines(small, [corners], True, _bgr(rgb(TARGET)), 1, cv2.LINE_AA)
                 (x, y), low = corners.min(axis=0).tolist(), int(corners[:, 1].max())
                 _say(small, label_of(each), (max(x, 2), y - 5 if y > 17 else low + 14), _bgr(rgb(TARGET)), shade=DARK)
-            self._kept[name] = number, small
-        return self._kept[name][1]
+            self._cache[name] = number, small
+        return self._cache[name][1]
 
 
 def _paper() -> Array:
@@ -191,9 +191,9 @@ def _frame_of(log: MissionLog, moved: Motion) -> tuple[Array, float]:
     return 0.5 * (low + high - side), (MAP_PX - 2 * MARGIN_PX) / side
 
 
-def _newest(told: Sequence[tuple[int, T]], now_ns: int) -> T | None:
-    count = bisect_right(told, now_ns, key=lambda each: each[0])
-    return told[count - 1][1] if count else None
+def _newest(history: Sequence[tuple[int, T]], now_ns: int) -> T | None:
+    count = bisect_right(history, now_ns, key=lambda each: each[0])
+    return history[count - 1][1] if count else None
 
 
 def _say(

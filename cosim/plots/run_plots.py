@@ -192,12 +192,12 @@ def _choose_scale(axes: Axes, errors: list[Array]) -> None:
 
 
 def _draw_ages(axes: Axes, moved: Motion, radio: Table, follows: Sequence[Placement], followers: list[str]) -> None:
-    heard = links(radio, {(name, leader) for name in followers for leader in _leaders(name, follows)})
+    histories = links(radio, {(name, leader) for name in followers for leader in _leaders(name, follows)})
     for name in followers:
         for leader in _leaders(name, follows):
-            if (name, leader) in heard:
-                at = moved.time_ns[np.searchsorted(moved.time_ns, heard[name, leader].received_ns[0]) :]
-                age = heard[name, leader].age_ns(at) / SECOND_NS
+            if (name, leader) in histories:
+                at = moved.time_ns[np.searchsorted(moved.time_ns, histories[name, leader].received_ns[0]) :]
+                age = histories[name, leader].age_ns(at) / SECOND_NS
                 axes.plot(at / SECOND_NS, age, **{**line_of(moved.column(name)), "marker": ""}, linewidth=0.9, zorder=3)
     axes.set_ylabel("age of\ninformation [s]")
     axes.set_ylim(bottom=0.0)

@@ -67,8 +67,8 @@ def style(more: Mapping[str, Any] | None = None) -> Iterator[None]:
     """Context with Matplotlib's defaults, `STYLE`, and ``more``."""
     with mpl.rc_context():
         mpl.rcdefaults()
-        wanted: dict[Any, Any] = {**STYLE, **(more or {})}  # the library's types list the names one by one
-        mpl.rcParams.update(wanted)
+        settings: dict[Any, Any] = {**STYLE, **(more or {})}  # the library's types list the names one by one
+        mpl.rcParams.update(settings)
         yield
 
 

@@ -77,12 +77,12 @@ class Worker:
                 raise WorkerDiedError
             raise VcmvspError(f"a worker ended while it started (exit code {self._process.returncode})")
 
-    def run(self, given: object) -> Any:
+    def run(self, argument: object) -> Any:
         """The function's result or exception. Raises `WorkerDiedError` (the process was killed, or crashed)."""
-        asked = pickle.dumps(given)
+        request = pickle.dumps(argument)
         self.await_ready()
         try:
-            self._pipe.send_bytes(asked)
+            self._pipe.send_bytes(request)
         except OSError as error:
             raise WorkerDiedError from error
         return self._answer()
@@ -140,9 +140,9 @@ class Pool:
             thread.join()
         self._server.__exit__(*error)
 
-    def answers(self, asked: Iterable[Asked], count: int) -> Iterator[Answered]:
+    def answers(self, calls: Iterable[Asked], count: int) -> Iterator[Answered]:
         """The results of these ``count`` calls in the order of completion; the first exception ends it."""
-        source = iter(asked)
+        source = iter(calls)
         for _ in range(min(self._jobs, count)):
             self._threads.append(threading.Thread(target=self._serve, args=(source,), daemon=True))
             self._threads[-1].start()
@@ -156,12 +156,12 @@ class Pool:
         worker: Worker | None = None
         try:
             while (each := self._next(source)) is not None:
-                name, given = each
+                name, argument = each
                 answer = self._died
                 for _ in range(ATTEMPTS):
                     try:
                         worker = worker or self._started()
-                        answer = worker.run(given)
+                        answer = worker.run(argument)
                         break
                     except WorkerDiedError:
                         self._left(worker)
@@ -227,9 +227,9 @@ def _read(pipe: "Connection[Any, Any]", lines: "queue.SimpleQueue[bytes]") -> No
     os._exit(0)
 
 
-def _answer(call: Callable[[Any], Any], given: bytes) -> bytes:
+def _answer(call: Callable[[Any], Any], request: bytes) -> bytes:
     try:
-        return pickle.dumps((False, call(pickle.loads(given))))  # noqa: S301
+        return pickle.dumps((False, call(pickle.loads(request))))  # noqa: S301
     except Exception as error:
         return pickle.dumps((True, _portable(error)))
 

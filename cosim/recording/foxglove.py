@@ -415,8 +415,8 @@ class ImageAnnotations(FoxgloveMessage, frozen=True):
 
     def sightings(self, jpeg: bytes = b"") -> Sightings:
         """The sightings, with their picture if given."""
-        told = {name: getattr(self, name) for name in ("sensor", "time_ns", "width", "height", "found")}
-        return Sightings(**told, jpeg=jpeg)
+        values = {name: getattr(self, name) for name in ("sensor", "time_ns", "width", "height", "found")}
+        return Sightings(**values, jpeg=jpeg)
 
 
 class CompressedImage(Stamped, frozen=True):

@@ -67,13 +67,13 @@ def of_topic(stream: BinaryIO, topic: str) -> Iterator[tuple[int, bytes]]:
 
 
 def contents(
-    stream: BinaryIO, wanted: Callable[[str, str], bool] = lambda *_: True, *, by_index: bool = False
+    stream: BinaryIO, selects: Callable[[str, str], bool] = lambda *_: True, *, by_index: bool = False
 ) -> Iterator[Recorded]:
     """Each message of a file, in its order.
 
     Args:
         stream: the file.
-        wanted: takes topic and schema name; whether messages of this topic are wanted. The skipped messages of a chunk are
+        selects: takes topic and schema name; whether messages of this topic are wanted. The skipped messages of a chunk are
             replaced by one at its end, without topic and content, at the time of the last of them.
         by_index: skip chunks whose index contains no wanted topic, damaged or not.
 
@@ -99,7 +99,7 @@ def contents(
                     yield Recorded(*topics[each.channel_id], each.log_time, each.data)
             elif isinstance(each, records.Channel):
                 topics[each.id] = each.topic, schemas.get(each.schema_id, "")
-                (passed.discard if wanted(*topics[each.id]) else passed.add)(each.id)
+                (passed.discard if selects(*topics[each.id]) else passed.add)(each.id)
             elif isinstance(each, records.Schema):
                 schemas[each.id] = each.name
 

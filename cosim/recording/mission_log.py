@@ -58,8 +58,8 @@ def read_mission(stream: BinaryIO, vehicles: tuple[str, ...], end_ns: int) -> Mi
             vehicle, _, what = topic.partition("/")
             if vehicle in vehicles:
                 _take(log, vehicle, what, time_ns, data)
-    for vehicle, seen in log.sightings.items():
-        log.sightings[vehicle] = [each for each in seen if each[1].found or each[1].jpeg]
+    for vehicle, sightings in log.sightings.items():
+        log.sightings[vehicle] = [each for each in sightings if each[1].found or each[1].jpeg]
     return log
 
 
@@ -106,24 +106,24 @@ def _take_map(log: MissionLog, vehicle: str, time_ns: int, data: bytes) -> None:
 
 
 def _take_sightings(log: MissionLog, vehicle: str, time_ns: int, data: bytes) -> None:
-    seen = log.sightings.setdefault(vehicle, [])
-    if seen and not (seen[-1][1].found or seen[-1][1].jpeg):  # nothing to show
-        seen.pop()
-    seen.append((time_ns, _read_sightings(data).sightings()))
+    sightings = log.sightings.setdefault(vehicle, [])
+    if sightings and not (sightings[-1][1].found or sightings[-1][1].jpeg):  # nothing to show
+        sightings.pop()
+    sightings.append((time_ns, _read_sightings(data).sightings()))
 
 
 def _take_picture(log: MissionLog, vehicle: str, data: bytes) -> None:
     """Keep the picture of the newest sightings unless this part of the run has a better one; drop the worse one."""
-    seen = log.sightings[vehicle]
-    time_ns, newest = seen[-1]
-    for place in range(len(seen) - 2, -1, -1):
-        before_ns, before = seen[place]
+    sightings = log.sightings[vehicle]
+    time_ns, newest = sightings[-1]
+    for place in range(len(sightings) - 2, -1, -1):
+        before_ns, before = sightings[place]
         if log.part(before_ns) != log.part(time_ns):
             break
         if before.jpeg and before.found and not newest.found:
             return
-        seen[place] = before_ns, msgspec.structs.replace(before, jpeg=b"")
-    seen[-1] = time_ns, msgspec.structs.replace(newest, jpeg=_read_picture(data).data)
+        sightings[place] = before_ns, msgspec.structs.replace(before, jpeg=b"")
+    sightings[-1] = time_ns, msgspec.structs.replace(newest, jpeg=_read_picture(data).data)
 
 
 def _grid_of(shown: ProbabilityMap) -> tuple[float, ...]:

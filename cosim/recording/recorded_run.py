@@ -71,39 +71,39 @@ class Source:
 
     def __init__(self, run_dir: Path, tell: Callable[[str], None]) -> None:
         self.folder, self.tell = run_dir, tell
-        self._path, self._told = run_dir / FILE, False
+        self._path, self._has_warned = run_dir / FILE, False
         self.progress: Callable[[float], None] = lambda _: None  # receives the share of the file read by a pass, 0 to 1
         try:
             with self._path.open("rb") as stream:
-                said = about(stream)
+                facts = about(stream)
         except OSError as error:
             problem = "there is no such folder" if not run_dir.is_dir() else f"no {FILE} here"
             why = problem if isinstance(error, FileNotFoundError | NotADirectoryError) else f"{FILE}: {error.strerror}"
             raise UsageError(f"{run_dir}: {why}; name the folder of a run (runs/NAME-SEED, or its --out)") from error
         try:
-            self.scenario, self.seed = said["scenario"], int(said["seed"])
+            self.scenario, self.seed = facts["scenario"], int(facts["seed"])
         except (KeyError, ValueError):
             raise UsageError(f"{self._path}: not a recording of a run, or damaged from the beginning") from None
-        self.vehicles = vehicles_of(said, self._path)
+        self.vehicles = vehicles_of(facts, self._path)
 
     def __iter__(self) -> Iterator[Recorded]:
         """All messages in order of time; of a damaged recording, those before the damage."""
         return self.only(lambda *_: True)
 
-    def only(self, wanted: Callable[[str, str], bool]) -> Iterator[Recorded]:
+    def only(self, selects: Callable[[str, str], bool]) -> Iterator[Recorded]:
         """Messages of wanted topics, and placeholders without a topic for the others: see `contents`."""
         last_ns = 0
         try:
             with self._path.open("rb") as stream:
                 size = max(1, os.fstat(stream.fileno()).st_size)
-                for number, each in enumerate(contents(stream, wanted)):
+                for number, each in enumerate(contents(stream, selects)):
                     last_ns = each.time_ns
                     if number % TOLD_EVERY == 0:
                         self.progress(stream.tell() / size)
                     yield each
         except ValueError as error:
-            if not self._told:
-                self._told = True
+            if not self._has_warned:
+                self._has_warned = True
                 self.tell(f"{self._path} is damaged ({error}): the export ends at {last_ns / SECOND_NS:.3f} s")
         except OSError as error:
             raise UsageError(f"{self._path}: {error.strerror}") from error
@@ -167,12 +167,12 @@ def _checked(value: Any) -> Any:
     return value
 
 
-def _with_nan(said: object) -> object:
-    if isinstance(said, dict):
-        return {name: _with_nan(each) for name, each in said.items()}
-    if isinstance(said, list):
-        return [_with_nan(each) for each in said]
-    return math.nan if said is None else said
+def _with_nan(value: object) -> object:
+    if isinstance(value, dict):
+        return {name: _with_nan(each) for name, each in value.items()}
+    if isinstance(value, list):
+        return [_with_nan(each) for each in value]
+    return math.nan if value is None else value
 
 
 def _array(_: type, numbers: Sequence[float | None]) -> types.Array:
@@ -243,17 +243,17 @@ def _recorded(
     def is_wanted(topic: str, _: str) -> bool:
         return topic.partition("/")[2] in ("state", "follows") or (topic == "radio/frame" and with_frames)
 
-    for said in source.only(is_wanted):
-        if before_ns is not None and said.time_ns >= before_ns:
+    for record in source.only(is_wanted):
+        if before_ns is not None and record.time_ns >= before_ns:
             break
-        end_ns = max(end_ns, said.time_ns)
-        vehicle, _, what = said.topic.partition("/")
-        if said.topic == "radio/frame":
-            frames.extend((values.of(said),))
+        end_ns = max(end_ns, record.time_ns)
+        vehicle, _, what = record.topic.partition("/")
+        if record.topic == "radio/frame":
+            frames.extend((values.of(record),))
         elif what == "state" and vehicle in source.vehicles:
-            instants.setdefault(said.time_ns, {})[vehicle] = values.of(said)
+            instants.setdefault(record.time_ns, {})[vehicle] = values.of(record)
         elif what == "follows":
-            follows.append(schema.Placement(said.time_ns, vehicle, read_json(said.data, types.Follows)))
+            follows.append(schema.Placement(record.time_ns, vehicle, read_json(record.data, types.Follows)))
     if not instants:
         raise UsageError(f"{source.folder}: {FILE} is still empty: the run was killed early, or has just started")
     facts = schema.RunFacts(

@@ -88,11 +88,11 @@ def header(time_ns: int, frame: str) -> RosMessage:
     return make("std_msgs/Header", stamp(time_ns), frame)
 
 
-def transforms(said: messages.FrameTransforms, time_ns: int) -> RosMessage:
+def transforms(message: messages.FrameTransforms, time_ns: int) -> RosMessage:
     """tf2_msgs/TFMessage."""
     listed = [
         transform(time_ns, each.parent_frame_id, each.child_frame_id, _xyz(each.translation), _wxyz(each.rotation))
-        for each in said.transforms
+        for each in message.transforms
     ]
     return make("tf2_msgs/TFMessage", listed)
 
@@ -103,18 +103,18 @@ def transform(time_ns: int, parent: str, child: str, place: Vec3, turn: Quaterni
     return make("geometry_msgs/TransformStamped", header(time_ns, parent), child, there)
 
 
-def state(said: VehicleState, vehicle: str, time_ns: int, frame: str = WORLD) -> RosMessage:
+def state(value: VehicleState, vehicle: str, time_ns: int, frame: str = WORLD) -> RosMessage:
     """nav_msgs/Odometry: pose in the world; velocities in the vehicle's frame, as ROS requires."""
-    w, x, y, z = said.attitude
-    linear = rotated((w, -x, -y, -z), said.velocity)
-    return moving(header(time_ns, frame), vehicle, said.position, said.attitude, linear, said.angular_velocity)
+    w, x, y, z = value.attitude
+    linear = rotated((w, -x, -y, -z), value.velocity)
+    return moving(header(time_ns, frame), vehicle, value.position, value.attitude, linear, value.angular_velocity)
 
 
-def odometry(said: Odometry, vehicle: str, time_ns: int, frame: str = WORLD) -> RosMessage:
+def odometry(value: Odometry, vehicle: str, time_ns: int, frame: str = WORLD) -> RosMessage:
     """nav_msgs/Odometry: wheel odometry."""
-    x, y, yaw = said.pose
+    x, y, yaw = value.pose
     turn = quaternion_from_yaw(yaw)
-    return moving(header(time_ns, frame), vehicle, (x, y, 0.0), turn, (said.v, 0.0, 0.0), (0.0, 0.0, said.w))
+    return moving(header(time_ns, frame), vehicle, (x, y, 0.0), turn, (value.v, 0.0, 0.0), (0.0, 0.0, value.w))
 
 
 def moving(
@@ -144,70 +144,75 @@ def path(places: Sequence[tuple[int, VehicleState]]) -> RosMessage:
     return make("nav_msgs/Path", header(0, WORLD), poses)
 
 
-def velocity(said: Velocity, vehicle: str, time_ns: int) -> RosMessage:
+def velocity(value: Velocity, vehicle: str, time_ns: int) -> RosMessage:
     """geometry_msgs/TwistStamped: a command; for its axes see `cosim.export.rosbag`."""
-    return make("geometry_msgs/TwistStamped", header(time_ns, vehicle), twist(said.linear, (0.0, 0.0, said.yaw_rate)))
+    return make("geometry_msgs/TwistStamped", header(time_ns, vehicle), twist(value.linear, (0.0, 0.0, value.yaw_rate)))
 
 
-def waypoint(said: Waypoint, time_ns: int) -> RosMessage:
+def waypoint(value: Waypoint, time_ns: int) -> RosMessage:
     """geometry_msgs/PoseStamped: a way-point; a free heading is 0."""
-    return _posed(time_ns, said.position, quaternion_from_yaw(said.yaw or 0.0))
+    return _posed(time_ns, value.position, quaternion_from_yaw(value.yaw or 0.0))
 
 
-def fix(said: messages.PoseInFrame) -> RosMessage:
+def fix(message: messages.PoseInFrame) -> RosMessage:
     """geometry_msgs/PoseWithCovarianceStamped, at the time of measurement; variance of an unmeasured heading: `ANY_HEADING`."""
     covariance = np.zeros(36)
-    covariance[[0, 7, 14]], covariance[35] = said.sigma_m**2, ANY_HEADING if said.yaw is None else said.sigma_rad**2
-    there = make("geometry_msgs/PoseWithCovariance", _pose_of(said.pose), covariance)
-    return make("geometry_msgs/PoseWithCovarianceStamped", header(said.timestamp.ns, said.frame_id), there)
+    covariance[[0, 7, 14]], covariance[35] = message.sigma_m**2, ANY_HEADING if message.yaw is None else message.sigma_rad**2
+    there = make("geometry_msgs/PoseWithCovariance", _pose_of(message.pose), covariance)
+    return make("geometry_msgs/PoseWithCovarianceStamped", header(message.timestamp.ns, message.frame_id), there)
 
 
-def imu(said: Imu, vehicle: str, time_ns: int) -> RosMessage:
+def imu(value: Imu, vehicle: str, time_ns: int) -> RosMessage:
     """sensor_msgs/Imu, marked as without orientation, at the time of measurement if known."""
     unknown = np.array([UNKNOWN, *[0.0] * 8])
-    turning, force = (vector(*said.angular_velocity), np.zeros(9)), (vector(*said.acceleration), np.zeros(9))
-    head = header(said.time_ns or time_ns, vehicle)
+    turning, force = (vector(*value.angular_velocity), np.zeros(9)), (vector(*value.acceleration), np.zeros(9))
+    head = header(value.time_ns or time_ns, vehicle)
     return make("sensor_msgs/Imu", head, _turn(1.0, 0.0, 0.0, 0.0), unknown, *turning, *force)
 
 
-def scan(said: messages.LaserScan) -> RosMessage:
+def scan(message: messages.LaserScan) -> RosMessage:
     """sensor_msgs/LaserScan, at the time of measurement; a beam without return is infinite (REP 117)."""
-    ranges = np.array([math.inf if each is None else each for each in said.ranges], np.float32)
+    ranges = np.array([math.inf if each is None else each for each in message.ranges], np.float32)
     finite = ranges[np.isfinite(ranges)]
-    most = said.range_max if said.range_max is not None else float(finite.max(initial=0.0))
-    step = (said.end_angle - said.start_angle) / max(1, len(ranges) - 1)
-    return _scan(header(said.timestamp.ns, said.frame_id), said.start_angle, said.end_angle, step, most, ranges)
+    most = message.range_max if message.range_max is not None else float(finite.max(initial=0.0))
+    step = (message.end_angle - message.start_angle) / max(1, len(ranges) - 1)
+    return _scan(header(message.timestamp.ns, message.frame_id), message.start_angle, message.end_angle, step, most, ranges)
 
 
-def laser_scan(said: Scan, frame: str) -> RosMessage:
+def laser_scan(value: Scan, frame: str) -> RosMessage:
     """sensor_msgs/LaserScan of a reading, at the time of measurement."""
-    last = said.angle_min + (len(said.ranges) - 1) * said.angle_step
-    return _scan(header(said.time_ns, frame), said.angle_min, last, said.angle_step, said.range_max, said.ranges)
+    last = value.angle_min + (len(value.ranges) - 1) * value.angle_step
+    return _scan(header(value.time_ns, frame), value.angle_min, last, value.angle_step, value.range_max, value.ranges)
 
 
 def _scan(head: RosMessage, first: float, last: float, step: float, most: float, ranges: Array) -> RosMessage:
     return make("sensor_msgs/LaserScan", head, first, last, step, 0.0, 0.0, 0.0, most, ranges, np.zeros(0, np.float32))
 
 
-def image(said: messages.RawImage, frame: str) -> RosMessage:
+def image(message: messages.RawImage, frame: str) -> RosMessage:
     """sensor_msgs/Image, at the time of exposure."""
-    look = {"encoding": said.encoding, "is_bigendian": 0, "step": said.step, "data": np.frombuffer(said.data, np.uint8)}
-    return make("sensor_msgs/Image", header(said.timestamp.ns, frame), said.height, said.width, **look)
+    look = {
+        "encoding": message.encoding,
+        "is_bigendian": 0,
+        "step": message.step,
+        "data": np.frombuffer(message.data, np.uint8),
+    }
+    return make("sensor_msgs/Image", header(message.timestamp.ns, frame), message.height, message.width, **look)
 
 
-def picture(said: Image, frame: str) -> RosMessage:
+def picture(value: Image, frame: str) -> RosMessage:
     """sensor_msgs/Image of a reading, at the time of exposure."""
-    height, width, _ = said.pixels.shape
-    return make("sensor_msgs/Image", header(said.time_ns, frame), height, width, "rgb8", 0, 3 * width, np.ravel(said.pixels))
+    height, width, _ = value.pixels.shape
+    return make("sensor_msgs/Image", header(value.time_ns, frame), height, width, "rgb8", 0, 3 * width, np.ravel(value.pixels))
 
 
-def pinhole(said: Image, frame: str) -> RosMessage:
+def pinhole(value: Image, frame: str) -> RosMessage:
     """sensor_msgs/CameraInfo of a reading: a pinhole without distortion, whose principal point is the centre."""
-    height, width, _ = said.pixels.shape
-    k = np.array([[said.focal_px, 0.0, 0.5 * width], [0.0, said.focal_px, 0.5 * height], [0.0, 0.0, 1.0]])
+    height, width, _ = value.pixels.shape
+    k = np.array([[value.focal_px, 0.0, 0.5 * width], [0.0, value.focal_px, 0.5 * height], [0.0, 0.0, 1.0]])
     matrices = k.ravel(), np.eye(3).ravel(), np.hstack([k, np.zeros((3, 1))]).ravel()
     whole = make("sensor_msgs/RegionOfInterest", 0, 0, 0, 0, False)
-    head = header(said.time_ns, frame)
+    head = header(value.time_ns, frame)
     return make("sensor_msgs/CameraInfo", head, height, width, "plumb_bob", np.zeros(5), *matrices, 0, 0, whole)
 
 
@@ -218,41 +223,43 @@ def satellite_fix(time_ns: int, frame: str, geodetic: Vec3, sigmas_m: Vec3) -> R
     return make("sensor_msgs/NavSatFix", header(time_ns, frame), status, *geodetic, covariance, 2)  # DIAGONAL_KNOWN
 
 
-def radio_received(said: Reception) -> RosMessage:
+def radio_received(value: Reception) -> RosMessage:
     """vcmvsp_msgs/RadioReceived, at the time of arrival; its age is the time since it was sent."""
-    body = said.message.body
+    body = value.message.body
     data = body if isinstance(body, bytes) else msgspec.msgpack.encode(body)
-    age = make("builtin_interfaces/Duration", *divmod(said.received_ns - said.sent_ns, 1_000_000_000))
-    head = header(said.received_ns, "")
+    age = make("builtin_interfaces/Duration", *divmod(value.received_ns - value.sent_ns, 1_000_000_000))
+    head = header(value.received_ns, "")
     content = np.frombuffer(data, np.uint8)
-    return make("vcmvsp_msgs/RadioReceived", head, said.message.sender, said.rssi_dbm, age, data is not body, content)
+    return make("vcmvsp_msgs/RadioReceived", head, value.message.sender, value.rssi_dbm, age, data is not body, content)
 
 
-def compressed_image(said: CompressedImage, frame: str) -> RosMessage:
+def compressed_image(message: CompressedImage, frame: str) -> RosMessage:
     """sensor_msgs/CompressedImage, at the time of exposure."""
-    return _jpeg(header(said.timestamp.ns, frame), said.format, said.data)
+    return _jpeg(header(message.timestamp.ns, frame), message.format, message.data)
 
 
-def camera_info(said: messages.CameraCalibration, time_ns: int, frame: str) -> RosMessage:
+def camera_info(message: messages.CameraCalibration, time_ns: int, frame: str) -> RosMessage:
     """sensor_msgs/CameraInfo for a sensor_msgs/Image, with the same time and frame."""
     whole = make("sensor_msgs/RegionOfInterest", 0, 0, 0, 0, False)
-    lens = said.distortion_model, *map(np.array, (said.D, said.K, said.R, said.P))
-    return make("sensor_msgs/CameraInfo", header(time_ns, frame), said.height, said.width, *lens, 0, 0, whole)
+    lens = message.distortion_model, *map(np.array, (message.D, message.K, message.R, message.P))
+    return make("sensor_msgs/CameraInfo", header(time_ns, frame), message.height, message.width, *lens, 0, 0, whole)
 
 
-def grid(said: Grid, time_ns: int) -> RosMessage:
+def grid(message: Grid, time_ns: int) -> RosMessage:
     """nav_msgs/OccupancyGrid of a map's probabilities, in percent; includes cells that the vehicle has not seen itself."""
-    cells = said.cells[..., 0]
+    cells = message.cells[..., 0]
     rows, columns = cells.shape
-    corner = pose(_xyz(said.pose.position), (1.0, 0.0, 0.0, 0.0))
-    info = make("nav_msgs/MapMetaData", stamp(0), said.cell_size.x, columns, rows, corner)
+    corner = pose(_xyz(message.pose.position), (1.0, 0.0, 0.0, 0.0))
+    info = make("nav_msgs/MapMetaData", stamp(0), message.cell_size.x, columns, rows, corner)
     percent = np.rint(cells.ravel() * (100.0 / 255.0)).astype(np.int8)
-    return make("nav_msgs/OccupancyGrid", header(time_ns, said.frame_id), info, percent)
+    return make("nav_msgs/OccupancyGrid", header(time_ns, message.frame_id), info, percent)
 
 
-def log(said: messages.Log, time_ns: int) -> RosMessage:
+def log(message: messages.Log, time_ns: int) -> RosMessage:
     """rcl_interfaces/Log."""
-    return make("rcl_interfaces/Log", stamp(time_ns), LOG_LEVELS.get(said.level, 20), said.name, said.message, "", "", 0)
+    return make(
+        "rcl_interfaces/Log", stamp(time_ns), LOG_LEVELS.get(message.level, 20), message.name, message.message, "", "", 0
+    )
 
 
 def string(text: str) -> RosMessage:
@@ -277,9 +284,9 @@ def rotated(turn: Quaternion, vector: Vec3) -> Vec3:
     return turned[0], turned[1], turned[2]
 
 
-def nanoseconds(said: Any) -> int:
+def nanoseconds(message: Any) -> int:
     """Nanoseconds of a builtin_interfaces/Time."""
-    return int(said.sec) * 1_000_000_000 + int(said.nanosec)
+    return int(message.sec) * 1_000_000_000 + int(message.nanosec)
 
 
 def ros_name(topic: str) -> str:
@@ -310,8 +317,8 @@ def _wxyz(turn: messages.Quaternion) -> Quaternion:
     return turn.w, turn.x, turn.y, turn.z
 
 
-def _pose_of(said: messages.Pose) -> RosMessage:
-    return pose(_xyz(said.position), _wxyz(said.orientation))
+def _pose_of(message: messages.Pose) -> RosMessage:
+    return pose(_xyz(message.position), _wxyz(message.orientation))
 
 
 def _posed(time_ns: int, position: Vec3, attitude: Sequence[float]) -> RosMessage:
@@ -322,11 +329,11 @@ def _jpeg(head: RosMessage, name: str, data: bytes) -> RosMessage:
     return make("sensor_msgs/CompressedImage", head, name, np.frombuffer(data, np.uint8))
 
 
-def markers(said: messages.SceneUpdate, time_ns: int) -> RosMessage:
+def markers(message: messages.SceneUpdate, time_ns: int) -> RosMessage:
     """visualization_msgs/MarkerArray: a marker for each primitive, after one that deletes the markers of the previous scene."""
     nothing = _drawn(ARROW, messages.Pose(), (0.0, 0.0, 0.0), messages.Color(0.0, 0.0, 0.0, 0.0))
-    listed: list[RosMessage] = [_marker(header(time_ns, WORLD), "", 0, action=DELETE_ALL, **nothing) for _ in said.deletions]
-    for entity in said.entities:
+    listed: list[RosMessage] = [_marker(header(time_ns, WORLD), "", 0, action=DELETE_ALL, **nothing) for _ in message.deletions]
+    for entity in message.entities:
         parts = [_arrow(each) for each in entity.arrows]
         parts += [_drawn(CUBE, each.pose, _xyz(each.size), each.color) for each in entity.cubes]
         parts += [_drawn(CYLINDER, each.pose, _xyz(each.size), each.color) for each in entity.cylinders]
@@ -361,25 +368,25 @@ def _drawn(kind: int, at: messages.Pose, scale: Vec3, color: messages.Color, **m
     return {"type": kind, "pose": _pose_of(at), "scale": vector(*scale), "color": paint, **more}
 
 
-def _arrow(said: messages.ArrowPrimitive) -> dict[str, Any]:
-    size = said.shaft_length + said.head_length, said.shaft_diameter, said.shaft_diameter
-    return _drawn(ARROW, said.pose, size, said.color)
+def _arrow(message: messages.ArrowPrimitive) -> dict[str, Any]:
+    size = message.shaft_length + message.head_length, message.shaft_diameter, message.shaft_diameter
+    return _drawn(ARROW, message.pose, size, message.color)
 
 
-def _line(said: messages.LinePrimitive) -> dict[str, Any]:
-    points = [point(*_xyz(each)) for each in said.points]
-    if said.type == 1:  # closed
+def _line(message: messages.LinePrimitive) -> dict[str, Any]:
+    points = [point(*_xyz(each)) for each in message.points]
+    if message.type == 1:  # closed
         points.append(points[0])
-    width = LINE_M if said.scale_invariant else said.thickness
-    kind = LINE_LIST if said.type == 2 else LINE_STRIP
-    return _drawn(kind, said.pose, (width, 0.0, 0.0), said.color, points=points)
+    width = LINE_M if message.scale_invariant else message.thickness
+    kind = LINE_LIST if message.type == 2 else LINE_STRIP
+    return _drawn(kind, message.pose, (width, 0.0, 0.0), message.color, points=points)
 
 
-def _triangles(said: messages.TriangleListPrimitive) -> dict[str, Any]:
-    points = [point(*_xyz(each)) for each in said.points]
-    return _drawn(TRIANGLES, said.pose, (1.0, 1.0, 1.0), said.color, points=[points[index] for index in said.indices])
+def _triangles(message: messages.TriangleListPrimitive) -> dict[str, Any]:
+    points = [point(*_xyz(each)) for each in message.points]
+    return _drawn(TRIANGLES, message.pose, (1.0, 1.0, 1.0), message.color, points=[points[index] for index in message.indices])
 
 
-def _text(said: messages.TextPrimitive) -> dict[str, Any]:
-    height = TEXT_M if said.scale_invariant else said.font_size
-    return _drawn(TEXT, said.pose, (0.0, 0.0, height), said.color, text=said.text)
+def _text(message: messages.TextPrimitive) -> dict[str, Any]:
+    height = TEXT_M if message.scale_invariant else message.font_size
+    return _drawn(TEXT, message.pose, (0.0, 0.0, height), message.color, text=message.text)

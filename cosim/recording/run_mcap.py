@@ -62,7 +62,7 @@ class Viewer:
         self._scene_is_due, self._scene_ns = True, 0
         self._pushed: types.Pushed | None = None
         self._estimates: list[tuple[str, types.VehicleState]] = []  # of the current instant
-        self._told: tuple[types.States | None, dict[str, types.VehicleState]] = None, {}  # the last states split by vehicle
+        self._split: tuple[types.States | None, dict[str, types.VehicleState]] = None, {}  # the last states split by vehicle
         self.putters: dict[type, Callable[[str, int, Any], None]] = {
             types.VehicleState: lambda key, _, estimate: self._estimates.append((key, estimate)),  # the truth may come later
             types.Datagrams: self._put_datagrams,
@@ -122,14 +122,14 @@ class Viewer:
 
     def _each(self, states: types.States) -> dict[str, types.VehicleState]:
         """The states as one value per vehicle; cached, because most instants need them twice."""
-        if states is not self._told[0]:
+        if states is not self._split[0]:
             columns = (states.position, states.velocity, states.attitude, states.angular_velocity)
             rows = zip(states.names, *(zip(*column.T.tolist(), strict=True) for column in columns), strict=True)
-            self._told = (
+            self._split = (
                 states,
                 {name: types.VehicleState(position=p, velocity=v, attitude=q, angular_velocity=w) for name, p, v, q, w in rows},
             )
-        return self._told[1]
+        return self._split[1]
 
     def _put_datagrams(self, key: str, time_ns: int, datagrams: types.Datagrams) -> None:
         """Write only their number and bytes: the table of frames contains each."""

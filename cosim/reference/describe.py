@@ -37,8 +37,8 @@ def meanings(target: Callable[..., object], *, joined: bool = False) -> Mapping[
     found: dict[str, str] = {}
     for base in reversed(getattr(target, "__mro__", (target,))):
         own = _comments(base) if isinstance(base, type) and inspect.get_annotations(base) else {}
-        for name, said in {**own, **_arguments(base.__doc__ or "")}.items():
-            words, before = said.strip().removesuffix("."), found.get(name, "") if joined else ""
+        for name, text in {**own, **_arguments(base.__doc__ or "")}.items():
+            words, before = text.strip().removesuffix("."), found.get(name, "") if joined else ""
             if words:
                 found[name] = f"{before}; {words}" if before and before != words else words
     return found

@@ -269,75 +269,75 @@ def asked(section: str = "") -> Iterator[Section]:
     if not section:
         return (each for place in places() for each in of_place(place))
     spellings = list(_spellings(steps_of(re.sub(r"\[\d+\]", "", section)) or (section,)))
-    for wanted in spellings:
-        if found := _found(wanted):
+    for query in spellings:
+        if found := _found(query):
             return iter(found)
     raise UsageError(f"vcmvsp reference {section}: {_nearest(section, spellings[0])}")
 
 
-def _spellings(wanted: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
+def _spellings(query: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
     """Variants of a path: as given, and without the vehicle and sensor names of messages, as in ``vehicle.car1.driver``."""
-    yield wanted
-    if wanted[0] in ("vehicle", "station") and len(wanted) > 2 and wanted[1] not in binding.parameters(VehicleTable):
-        wanted = (wanted[0], *wanted[2:])
-        yield wanted
-    if wanted[:2] == ("vehicle", "sensors") and len(wanted) > 2:
-        yield (*wanted[:2], *wanted[3:])
-    if wanted[:2] == ("vehicle", "agent") and len(wanted) > 2:  # parameters of agents stand at [agents]
-        yield ("agents", *wanted[2:])
+    yield query
+    if query[0] in ("vehicle", "station") and len(query) > 2 and query[1] not in binding.parameters(VehicleTable):
+        query = (query[0], *query[2:])
+        yield query
+    if query[:2] == ("vehicle", "sensors") and len(query) > 2:
+        yield (*query[:2], *query[3:])
+    if query[:2] == ("vehicle", "agent") and len(query) > 2:  # parameters of agents stand at [agents]
+        yield ("agents", *query[2:])
 
 
-def _found(wanted: tuple[str, ...]) -> list[Section]:
+def _found(query: tuple[str, ...]) -> list[Section]:
     """Sections, or parts of sections, for a path without user-chosen names."""
     top, *others = places()
-    named = [(place, 0) for place in others if _overlap(place.steps, wanted)]
-    within = [(place, cut) for place in others for cut in range(1, len(place.steps)) if _overlap(place.steps[cut:], wanted)]
-    kinds = [(place, len(place.steps)) for place in others if wanted[:1] and wanted[0] in place.kinds]
+    named = [(place, 0) for place in others if _overlap(place.steps, query)]
+    within = [(place, cut) for place in others for cut in range(1, len(place.steps)) if _overlap(place.steps[cut:], query)]
+    kinds = [(place, len(place.steps)) for place in others if query[:1] and query[0] in place.kinds]
     for candidates in (named, [(top, 0)], [*within, *kinds]):
         chosen = [
             part
             for place, cut in candidates
             for each in of_place(place)
-            if (part := _part(each, steps_of(each.path)[cut:], place, wanted)) is not None
+            if (part := _part(each, steps_of(each.path)[cut:], place, query)) is not None
         ]
         if chosen:
             return chosen
-    return [part for each in whole().sections for part in _called(each, wanted)]
+    return [part for each in whole().sections for part in _called(each, query)]
 
 
 def _overlap(some: tuple[str, ...], others: tuple[str, ...]) -> bool:
     return all(map(operator.eq, some, others))
 
 
-def _part(section: Section, name: tuple[str, ...], place: Place, wanted: tuple[str, ...]) -> Section | None:
+def _part(section: Section, name: tuple[str, ...], place: Place, query: tuple[str, ...]) -> Section | None:
     """The wanted part of a section with this name: the whole section, one key, or None."""
     kinds = place.kinds if section.path == place.path else []
     if section.kind:
         kinds = [section.kind]
-    if (name and name[: len(wanted)] == wanted) or wanted in [(*name, kind) for kind in kinds]:
+    if (name and name[: len(query)] == query) or query in [(*name, kind) for kind in kinds]:
         return section
     named = [name, *((*name, kind) for kind in kinds)]
-    keys = tuple(key for key in section.keys if wanted in [(*each, key.name) for each in named])
+    keys = tuple(key for key in section.keys if query in [(*each, key.name) for each in named])
     return msgspec.structs.replace(section, keys=keys) if keys else None
 
 
-def _called(section: Section, wanted: tuple[str, ...]) -> list[Section]:
+def _called(section: Section, query: tuple[str, ...]) -> list[Section]:
     """The wanted part of a section if a nested table or a key has that name: ``formation``, ``probability``."""
     steps = steps_of(section.path)
     place = Place(section.path)
-    parts = (_part(section, steps[cut:], place, wanted) for cut in range(1, len(steps) + 1))
+    parts = (_part(section, steps[cut:], place, query) for cut in range(1, len(steps) + 1))
     return [part for part in parts if part is not None][:1]
 
 
-def _nearest(section: str, wanted: tuple[str, ...]) -> str:
+def _nearest(section: str, query: tuple[str, ...]) -> str:
     """Message for an unknown name: keys and kinds of the last table that it names, or all tables."""
-    begun = [place for place in places() if place.steps and wanted[: len(place.steps)] == place.steps]
+    begun = [place for place in places() if place.steps and query[: len(place.steps)] == place.steps]
     if begun:
         place = max(begun, key=lambda each: len(each.steps))
         size = len(place.steps)
         keys = {key.name for each in of_place(place) if each.path == place.path for key in each.keys}
         keys |= {each.steps[size] for each in places() if each.steps[:size] == place.steps and len(each.steps) > size}
-        return binding.unknown(f"key or kind of {place.name}", ".".join(wanted[size:]), {*keys, *place.kinds})
+        return binding.unknown(f"key or kind of {place.name}", ".".join(query[size:]), {*keys, *place.kinds})
     _, *others = places()
     kinds = {kind for place in others for kind in place.kinds}
     near = difflib.get_close_matches(section, kinds, n=1)

@@ -64,8 +64,8 @@ class MeasuredRun:
     @property
     def window(self) -> Window:
         """Evaluation window, s."""
-        said = self.scenario["metrics"]
-        return said["from_s"], said.get("to_s")
+        table = self.scenario["metrics"]
+        return table["from_s"], table.get("to_s")
 
     def vehicle(self, name: str) -> Mapping[str, Any]:
         """Settings of a vehicle, its own table before the defaults."""
@@ -307,8 +307,8 @@ def _circle(run: MeasuredRun, placed: Placement) -> Iterator[Expected]:
     leader = run.agent(str(at.leader))
     own = run.metrics["formation"]["per_follower"].get(name)
     (ahead, aside), rate = at.slot, float(leader.get("yaw_rate") or 0.0)
-    kept = own is not None and own["rms_m"] is not None and own["rms_m"] < SETTLED_M
-    if not _drives(leader, "circle") or not kept or not rate:
+    is_settled = own is not None and own["rms_m"] is not None and own["rms_m"] < SETTLED_M
+    if not _drives(leader, "circle") or not is_settled or not rate:
         return
     if abs(at.handle_m + ahead) > 1e-9:  # the closed form needs the handle beside the leader
         return
@@ -330,8 +330,8 @@ def _moves_freely(run: MeasuredRun, vehicle: str, speed: float) -> bool:
 
 
 def _drives(leader: Mapping[str, Any], path: str) -> bool:
-    kept = (leader.get("kind"), leader.get("path")) == ("trajectory", path) and "avoidance" not in leader
-    return kept and float(leader["speed"]) > 0.0
+    holds = (leader.get("kind"), leader.get("path")) == ("trajectory", path) and "avoidance" not in leader
+    return holds and float(leader["speed"]) > 0.0
 
 
 def _measured(run: MeasuredRun, name: str, leader: str) -> tuple[float, float] | None:

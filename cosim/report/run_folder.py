@@ -49,7 +49,7 @@ class Left:
     links: Links | None = None
     metrics: dict[str, Any] = field(default_factory=dict)
     about: dict[str, Any] = field(default_factory=dict)
-    told: Sequence[tuple[float, str, str]] = ()  # s, level, text: log of the recording
+    log: Sequence[tuple[float, str, str]] = ()  # s, level, text: log of the recording
     missing: Sequence[tuple[str, str]] = ()  # file, and why it is not shown
     head: Mapping[str, str] = field(default_factory=dict)  # metadata of the recording: scenario, seed, vehicles
     recorded_s: float | None = None  # length of the recording, if the run left no tables
@@ -86,7 +86,7 @@ def left_in(folder: Path) -> Left:
         links,
         read("metrics.json", lambda path: _json(path, "vcmvsp.metrics/1"), {}),
         read("about.json", lambda path: _json(path, "vcmvsp.about/1"), {}),
-        read("run.mcap", _told, ()),
+        read("run.mcap", _log, ()),
         list(missing.items()),
         read("run.mcap", _head, {}),
         None if recording is not None or "run.mcap" in missing else _recorded_s(folder / "run.mcap"),
@@ -106,7 +106,7 @@ def _links(recording: Recording, radio: TableFile) -> Links:
     return links_of(radio, recording.facts.vehicles)
 
 
-def _told(path: Path) -> list[tuple[float, str, str]]:
+def _log(path: Path) -> list[tuple[float, str, str]]:
     with path.open("rb") as stream:
         lines = [(time_ns, read_json(data, _Line)) for time_ns, data in of_topic(stream, "log")]
     return [(time_ns / SECOND_NS, _LEVELS.get(line.level, "info"), line.message) for time_ns, line in lines]

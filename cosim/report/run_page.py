@@ -101,10 +101,10 @@ def _incidents(left: Left) -> Iterator[Part]:
         yield Words(f"What ended the run: {error['message']}")
         if error.get("details"):
             yield Code(error["details"], folded="details")
-    if left.told:
-        yield Rows(["time [s]", "", "what"], [[time_s, level, text] for time_s, level, text in left.told[:TOLD]])
-        if len(left.told) > TOLD:
-            yield Words(f"And {len(left.told) - TOLD} more lines, in run.mcap.")
+    if left.log:
+        yield Rows(["time [s]", "", "what"], [[time_s, level, text] for time_s, level, text in left.log[:TOLD]])
+        if len(left.log) > TOLD:
+            yield Words(f"And {len(left.log) - TOLD} more lines, in run.mcap.")
 
 
 def _again(left: Left) -> Iterator[Part]:
@@ -193,10 +193,10 @@ def _what(left: Left) -> str:
     names = left.recording.facts.vehicles if left.recording else left.head.get("vehicles", "").split()
     vehicles = len(names or left.scenario.get("vehicle", []))
     lasted = left.metrics.get("duration_s", left.recorded_s)
-    wanted = left.scenario.get("duration_s")
+    duration_s = left.scenario.get("duration_s")
     times = "" if lasted is None else f", {lasted:g} s simulated"
-    if lasted is not None and wanted is not None and lasted < wanted:
-        times = f", {lasted:g} of {wanted:g} s simulated"
+    if lasted is not None and duration_s is not None and lasted < duration_s:
+        times = f", {lasted:g} of {duration_s:g} s simulated"
     real = sum("driver" in each for each in left.scenario.get("vehicle", []))
     words = f"{vehicles} vehicle{'' if vehicles == 1 else 's'}" + (f", {real} of them real" if real else "")
     return f"{words}{times}." if vehicles else f"A run that was cut{times}."
@@ -230,11 +230,11 @@ def _formation(formation: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _mission(mission: Mapping[str, Any]) -> Iterator[str]:
-    targets, seen = len(mission["found_s"]), mission["area_seen_ratio"]
+    targets, area = len(mission["found_s"]), mission["area_seen_ratio"]
     if targets:
         yield f"{mission['targets_found']} of {targets} targets were found, and {mission['targets_tracked']} tracked."
-    if seen is not None:
-        yield f"Of the area {100.0 * seen:.0f} % were seen."
+    if area is not None:
+        yield f"Of the area {100.0 * area:.0f} % were seen."
 
 
 def _safety(metrics: Mapping[str, Any]) -> Iterator[str]:

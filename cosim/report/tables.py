@@ -45,9 +45,9 @@ def fault_table(agents: Mapping[str, Any]) -> Sequence[Part]:
 
 
 def _table(group: str, found: Mapping[str, Any]) -> Iterator[Part]:
-    told = [(path, value) for path, value in flat(found) if value is not None]
-    if told:
-        known = [(path, value, (group, *path)) for path, value in told]
+    pairs = [(path, value) for path, value in flat(found) if value is not None]
+    if pairs:
+        known = [(path, value, (group, *path)) for path, value in pairs]
         rows = [[".".join(path), value, unit_of(name), metric_of(name).meaning] for path, value, name in known]
         yield Rows(["number", "value", "unit", "what it is"], rows)
     if untold := [".".join(path) for path, value in flat(found) if value is None]:
@@ -68,10 +68,10 @@ def flat(table: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[tupl
 def _by_vehicle(group: str, of: Mapping[str, Mapping[str, Any]]) -> Rows:
     rows = {vehicle: dict(flat(each)) for vehicle, each in of.items()}
     paths = list(dict.fromkeys(path for each in rows.values() for path in each))
-    told = [path for path in paths if any(each.get(path) is not None for each in rows.values())]
-    units = [unit_of((group, *path)) for path in told]
-    head = [".".join(path) + (f" [{unit}]" if unit else "") for path, unit in zip(told, units, strict=True)]
-    return Rows(["vehicle", *head], [[vehicle, *(each.get(path) for path in told)] for vehicle, each in rows.items()])
+    columns = [path for path in paths if any(each.get(path) is not None for each in rows.values())]
+    units = [unit_of((group, *path)) for path in columns]
+    head = [".".join(path) + (f" [{unit}]" if unit else "") for path, unit in zip(columns, units, strict=True)]
+    return Rows(["vehicle", *head], [[vehicle, *(each.get(path) for path in columns)] for vehicle, each in rows.items()])
 
 
 def _explained(group: str, of: Mapping[str, Mapping[str, Any]]) -> Sequence[Part]:
@@ -81,8 +81,8 @@ def _explained(group: str, of: Mapping[str, Mapping[str, Any]]) -> Sequence[Part
 
 def vehicle_table(left: Left) -> Sequence[Part]:
     """One row per vehicle."""
-    said = {each["name"]: each for each in left.scenario.get("vehicle", []) if "name" in each}
-    names = list(said) if left.recording is None else list(left.recording.facts.vehicles)
+    table_of = {each["name"]: each for each in left.scenario.get("vehicle", []) if "name" in each}
+    names = list(table_of) if left.recording is None else list(left.recording.facts.vehicles)
     names = names or left.head.get("vehicles", "").split()
     if not names:
         return []
@@ -93,7 +93,7 @@ def vehicle_table(left: Left) -> Sequence[Part]:
     kind = left.scenario.get("vehicles", {}).get("kind", "")
     rows: list[list[Any]] = []
     for name in names[:LISTED_VEHICLES]:
-        own = said.get(name, {})
+        own = table_of.get(name, {})
         what = own.get("kind", kind) + (f", real ({own['driver'].get('kind', '')})" if "driver" in own else "")
         agent = own["agent"].get("kind", left.scenario.get("agents", {}).get("kind", "")) if "agent" in own else ""
         rows.append([name, what, agent, leaders.get(name, ""), *ways.get(name, [None] * 3), *air.get(name, [None] * 3)])

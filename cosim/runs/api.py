@@ -70,13 +70,13 @@ class SlowAgents:
         self._thread.join()
 
     def _watch(self) -> None:
-        tick, since, told = ("", -1), time.monotonic(), False
+        tick, since, is_reported = ("", -1), time.monotonic(), False
         while not self._over.wait(min(self._deadline_s / 4, 1.0)):
             who, where = computing(sys._current_frames().get(self._run))  # noqa: SLF001  the only access to another thread's frame
             if (who, self._now_ns()) != tick:
-                tick, since, told = (who, self._now_ns()), time.monotonic(), False
-            elif who and not told and (for_s := time.monotonic() - since) > self._deadline_s:
-                told = True
+                tick, since, is_reported = (who, self._now_ns()), time.monotonic(), False
+            elif who and not is_reported and (for_s := time.monotonic() - since) > self._deadline_s:
+                is_reported = True
                 self._tell(f"{who} has been computing for {for_s:.0f} s ({where}); Ctrl-C twice ends the run at once")
 
 
@@ -245,8 +245,8 @@ class Simulation:
         if self._broadcast is not None:
             self._broadcast.close(last)
         if self._live is not None:
-            kept = "it is not recorded" if self._folder is None else f"`vcmvsp view {self._folder.path}` opens the recording"
-            self._live.close(f"{last}; {kept}")
+            where = "it is not recorded" if self._folder is None else f"`vcmvsp view {self._folder.path}` opens the recording"
+            self._live.close(f"{last}; {where}")
         return failure
 
     def _stop(self) -> None:
@@ -326,8 +326,8 @@ class Simulation:
         resolved = run.resolved() if run.operator.done else self._resolved  # with live interventions
         metrics = finite(recorder.metrics(window=(resolved["metrics"]["from_s"], resolved["metrics"].get("to_s"))))
         files = dict(run.files)
-        if kept := run.inputs.content:  # kept in memory
-            files[FILE] = kept
+        if content := run.inputs.content:  # kept in memory
+            files[FILE] = content
         if run.bridge is not None:
             table = io.BytesIO()
             write_table(run.bridge.table(), table)
@@ -366,8 +366,8 @@ class Simulation:
         """Tolerated lateness of an instant on the wall clock, or None without a wall clock."""
         if self._clock.speed is None:
             return None
-        wanted = self._run.scenario.clock.tolerance_s
-        return seconds_to_ns(self._period_s() if wanted is None else wanted)
+        tolerance_s = self._run.scenario.clock.tolerance_s
+        return seconds_to_ns(self._period_s() if tolerance_s is None else tolerance_s)
 
     def _period_s(self) -> float:
         """Wall-clock period of the fastest agent."""

@@ -112,10 +112,10 @@ def draw(content: Content) -> dict[str, Picture]:
     return {name: _picture((name, content)) for name in content.names}
 
 
-def _picture(asked: tuple[str, Content]) -> Picture:
+def _picture(request: tuple[str, Content]) -> Picture:
     from vcmvsp.cosim.plots import style
 
-    name, content = asked
+    name, content = request
     figure = content.figure(name)
     return Picture(style.png(figure), style.svg(figure))
 

@@ -105,7 +105,7 @@ def drive(
     mine = parsed.vehicle[names.index(vehicle)]
     kind = registry.find("vehicle", mine.kind, folder=source.folder, key=f"vehicle.{vehicle}.kind", origin=source)
     flying = flies(kind)
-    given = command_of(command, mine.start[1], flies=flying)
+    order = command_of(command, mine.start[1], flies=flying)
     steps = STEP_S * parsed.physics.get("rate_hz", 120.0)
     period_s = STEP_S if abs(steps - round(steps)) < 1e-9 else min(parsed.record.period_s, 0.1)
     alone = msgspec.structs.replace(
@@ -114,12 +114,12 @@ def drive(
         record=msgspec.structs.replace(parsed.record, period_s=period_s),
         vehicle=tuple(msgspec.structs.replace(each, agent=None) for each in parsed.vehicle),
     )
-    seen = _Seen(vehicle, flies=flying)
-    with assemble(alone, source, objects={vehicle: Constant(given, period_s)}) as assembled:
+    response = _Response(vehicle, flies=flying)
+    with assemble(alone, source, objects={vehicle: Constant(order, period_s)}) as assembled:
         kernel = Kernel(assembled.info, assembled.federates)
         assembled.start(kernel)
         try:
-            kernel.run(seen.on)
+            kernel.run(response.on)
         finally:
             kernel.close()
     return {
@@ -128,11 +128,11 @@ def drive(
         "vehicle": vehicle,
         "kind": mine.kind,
         "command": command,
-        **seen.figures(given),
+        **response.figures(order),
     }
 
 
-class _Seen:
+class _Response:
     """Collects the published events of one vehicle."""
 
     def __init__(self, vehicle: str, *, flies: bool) -> None:
@@ -182,11 +182,11 @@ class _Seen:
         }
         if isinstance(command, Velocity):
             (lx, ly, lz), rate = command.linear, command.yaw_rate
-            along, wanted = v, lx
+            along, target = v, lx
             if self._flies:  # velocities in the world frame: component along the commanded one
-                wanted = math.hypot(lx, ly)
-                along = (vx * lx + vy * ly) / wanted if wanted else np.hypot(vx, vy)
-            figures["v"] = _response(time_s, along, wanted)
+                target = math.hypot(lx, ly)
+                along = (vx * lx + vy * ly) / target if target else np.hypot(vx, vy)
+            figures["v"] = _response(time_s, along, target)
             figures["w"] = _response(time_s, w, rate)
             if self._flies:
                 figures["vz"] = _response(time_s, vz, lz)
@@ -199,15 +199,15 @@ class _Seen:
         return {**figures, "series": {name: column.tolist() for name, column in columns.items()}}
 
 
-def _response(time_s: Array, series: Array, wanted: float) -> dict[str, Any]:
+def _response(time_s: Array, series: Array, target: float) -> dict[str, Any]:
     """Steady value (mean of the last quarter), error, rise time to 90 % of the command, overshoot."""
     steady = float(series[3 * len(series) // 4 :].mean())
-    about: dict[str, Any] = {"commanded": wanted, "steady": steady}
-    if wanted:
-        reached = np.nonzero(series / wanted >= NEAR)[0]
-        about["error_percent"] = 100.0 * (steady / wanted - 1.0)
+    about: dict[str, Any] = {"commanded": target, "steady": steady}
+    if target:
+        reached = np.nonzero(series / target >= NEAR)[0]
+        about["error_percent"] = 100.0 * (steady / target - 1.0)
         about["rise_time_s"] = float(time_s[reached[0]]) if len(reached) else None
-        about["overshoot_percent"] = max(0.0, 100.0 * (float((series / wanted).max()) - 1.0))
+        about["overshoot_percent"] = max(0.0, 100.0 * (float((series / target).max()) - 1.0))
     return about
 
 

@@ -68,12 +68,12 @@ def names_copy(raw: Mapping[str, Any], key: str) -> bool:
 
 def _copies(one: dict[str, Any], source: Source) -> list[dict[str, Any]]:
     key = f"vehicle.{one.get('name', '')}"
-    said = {name: one[name] for name in KEYS if name in one}
-    if not said:
+    own = {name: one[name] for name in KEYS if name in one}
+    if not own:
         return [one]
-    if "count" not in said:
-        raise source.error("needs a count", f"{key}.{next(iter(said))}")
-    repeat = binding.call(Repeat, said, key=key, origin=source)
+    if "count" not in own:
+        raise source.error("needs a count", f"{key}.{next(iter(own))}")
+    repeat = binding.call(Repeat, own, key=key, origin=source)
     rest = {name: value for name, value in one.items() if name not in KEYS}
     place = next((name for name in _PLACES if name in rest), "position")
     x, y, last = binding.convert(rest.get(place, (0.0, 0.0, 0.0)), Vec3, key=f"{key}.{place}", origin=source)
@@ -157,7 +157,7 @@ def parse(raw: Mapping[str, Any], source: Source) -> Scenario:
     vehicles = (*(_vehicle(each, defaults, source) for each in listed), *map(_as_vehicle, stations))
     _unique([each.name for each in vehicles], source)
     _used(defaults, listed, source)
-    given = {
+    arguments = {
         "agents": agents,
         "bridge": bridge,
         "vehicle": vehicles,
@@ -178,8 +178,8 @@ def parse(raw: Mapping[str, Any], source: Source) -> Scenario:
             if name in raw
         },
     }
-    rest = {name: value for name, value in raw.items() if name not in given}
-    parsed = binding.call(Scenario, rest, origin=source, given=given, also=binding.parameters(Scenario))
+    rest = {name: value for name, value in raw.items() if name not in arguments}
+    parsed = binding.call(Scenario, rest, origin=source, given=arguments, also=binding.parameters(Scenario))
     _check_window(parsed, source)
     return parsed
 
@@ -391,9 +391,9 @@ def _check_window(parsed: Scenario, source: Source) -> None:
         raise source.error(f"must not be earlier than metrics.from_s ({window.from_s:g}), not {window.to_s:g}", "metrics.to_s")
 
 
-def _path_of(value: object, wanted: float, key: str = "") -> str:
+def _path_of(value: object, target: float, key: str = "") -> str:
     """Path of an object, by identity, inside a nested value."""
-    if value is wanted:
+    if value is target:
         return key
     items: Iterable[tuple[object, object]] = ()
     if isinstance(value, Mapping):
@@ -404,6 +404,6 @@ def _path_of(value: object, wanted: float, key: str = "") -> str:
         own = f"[{name}]" if isinstance(name, int) else f".{name}"
         if key in (*NAMED, "radio") and isinstance(each, dict) and isinstance(each.get("name"), str):
             own = f".{each['name']}"
-        if found := _path_of(each, wanted, f"{key}{own}".removeprefix(".")):
+        if found := _path_of(each, target, f"{key}{own}".removeprefix(".")):
             return found
     return ""

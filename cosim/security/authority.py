@@ -132,8 +132,8 @@ def _check_free(had: Entry | None, new: Entry, force: bool) -> None:
             f"'{new.name}' was revoked, and a new certificate would make the old one valid again: choose another name"
         )
     if (had.role, set(had.vehicles)) != (new.role, set(new.vehicles)):
-        meant = f"is for {', '.join(had.vehicles)}" if had.vehicles else "is an observer's"
-        raise UsageError(f"the certificate of '{new.name}' {meant}: choose another name (for a vehicle with --as)")
+        purpose = f"is for {', '.join(had.vehicles)}" if had.vehicles else "is an observer's"
+        raise UsageError(f"the certificate of '{new.name}' {purpose}: choose another name (for a vehicle with --as)")
     if not force:
         raise UsageError(f"'{new.name}' already has a certificate until {had.until:%Y-%m-%d}; --force issues another")
 

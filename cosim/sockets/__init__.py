@@ -100,7 +100,7 @@ class Socket:
 
     def __init__(self, vehicle: str, welcome: Welcome, stream: Stream) -> None:
         self.vehicle, self.vehicles, self.run, self._stream = vehicle, welcome.vehicles, welcome.run, stream
-        self._heard: deque[tuple[bytes, str]] = deque()
+        self._inbox: deque[tuple[bytes, str]] = deque()
         self._held = 0  # bytes of them, as the run reckons
         self._now_ns = 0
         self._position: tuple[float, float, float] | None = None
@@ -172,13 +172,13 @@ class Socket:
         """
         self._check()
         for_ns = None if timeout is None else _nanoseconds(timeout, "timeout")
-        if not self._heard and for_ns != 0:
+        if not self._inbox and for_ns != 0:
             self._pass(for_ns, hears=True)
-        if not self._heard and timeout is None:
+        if not self._inbox and timeout is None:
             self._end(ConnectionError("the run continues without an answer to this program"))
-        if not self._heard:
+        if not self._inbox:
             raise TimeoutError(f"no message was received for {timeout:g} s")
-        data, sender = self._heard.popleft()
+        data, sender = self._inbox.popleft()
         self._held -= len(data) + EACH
         return data, sender
 
@@ -215,7 +215,7 @@ class Socket:
         if not isinstance(word, Go):
             self._end(ConnectionError("the run sent an invalid answer"))
         self._now_ns, self._position = word.time_ns, word.position
-        self._heard.extend(word.heard)
+        self._inbox.extend(word.heard)
         self._held += sum(len(data) + EACH for data, _ in word.heard)
 
     def _say(self, message: Up) -> None:

@@ -160,9 +160,9 @@ Ask = Callable[[Iterator[tuple[plans.Run, Job]], int], Iterator[Answered]]
 def _run(plan: Plan, answers: Answers, ask: Ask, progress: Progress, noted: Noted) -> None:
     total, done, failed = plan.size, len(answers.rows), 0
     known = frozenset(answers.rows)
-    asked = ((run, Job(run.seed, plan.settings(run.point))) for run in plan.runs if run.key not in known)
+    jobs = ((run, Job(run.seed, plan.settings(run.point))) for run in plan.runs if run.key not in known)
     progress(done, failed, total)
-    for run, row in ask(asked, total - done):
+    for run, row in ask(jobs, total - done):
         answers.add(run.key, row)
         answer = rows.decode(row)
         done, failed = done + 1, failed + (answer.error is not None)
@@ -282,8 +282,8 @@ def _check(plan: Plan, base: Base, point: tuple[Any, ...]) -> Mapping[str, bytes
             assembled.start(kernel)
             kernel.close()
     except ScenarioError as error:
-        asked = re.match(r"--set (\S+)=", error.source)
-        if asked and asked[1] in plan.vary:  # set by --vary
+        match = re.match(r"--set (\S+)=", error.source)
+        if match and match[1] in plan.vary:  # set by --vary
             raise ScenarioError(error.problem, key=error.key, source=error.source.replace("--set", "--vary", 1)) from error
         raise
     except AgentError:  # the runs will report it

@@ -219,13 +219,13 @@ def make(
         UsageError, ScenarioError: no key is varied, a value is repeated, or there are no seeds.
     """
     parsed, _ = loader.load(base.asked, settings=settings, seed=seed)
-    said = parsed.study
-    full = stored.vary if stored and not vary else _vary(vary or said.vary)
+    table = parsed.study
+    full = stored.vary if stored and not vary else _vary(vary or table.vary)
     if not full:
         raise UsageError(f"nothing is varied: the scenario has no [study] table; add e.g. {EXAMPLE}")
     for key, values in full.items():
         _check_values(key, values, settings)
-    usual_count, usual_metrics = (len(stored.seeds), stored.metrics) if stored else (said.seeds, said.metrics)
+    usual_count, usual_metrics = (len(stored.seeds), stored.metrics) if stored else (table.seeds, table.metrics)
     count = usual_count if seeds is None else seeds
     if count < 1:
         raise UsageError(f"--seeds {count}: must be at least 1")
@@ -296,13 +296,13 @@ def _check_values(key: str, values: Sequence[Any], settings: Mapping[str, Any]) 
         raise UsageError(f"{key} cannot be varied; --seeds sets the number of seeds, --seed the first one")
     if not values:
         raise UsageError(f"{key} is varied without values; add at least one")
-    seen: set[str] = set()
+    labels: set[str] = set()
     for value in values:
         if (bad := binding.unfit_number(value)) is not None:
             raise UsageError(f"--vary {key}={binding.show(value)}: {binding.problem_of(bad)}")
-        if label(value) in seen:
+        if label(value) in labels:
             raise UsageError(f"{key} is varied over {label(value)} twice")
-        seen.add(label(value))
+        labels.add(label(value))
 
 
 def _ours(versions: Mapping[str, str]) -> dict[str, str]:
@@ -312,8 +312,8 @@ def _ours(versions: Mapping[str, str]) -> dict[str, str]:
 def _in_both(now: Mapping[str, str], then: Mapping[str, str]) -> tuple[dict[str, str], dict[str, str]]:
     """The common files of both plans, now and then; files of added values are ignored."""
     names = [name for name in then if name in now]
-    kept = {name: then[name] if {*then[name].split()} <= {*now[name].split()} else now[name] for name in names}
-    return kept, {name: then[name] for name in names}
+    common = {name: then[name] if {*then[name].split()} <= {*now[name].split()} else now[name] for name in names}
+    return common, {name: then[name] for name in names}
 
 
 def _difference(now: object, then: object, key: str = "") -> str | None:

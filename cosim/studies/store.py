@@ -162,7 +162,7 @@ class Store(Answers):
 
     def _recover(self, stored: Plan) -> None:
         """Load the stored rows from the table and the readable lines of the journal."""
-        wanted = {run.key for run in self.plan.runs}
+        keys = {run.key for run in self.plan.runs}
         try:
             if (self._folder / TABLE).exists():
                 self.rows |= rows.answers_of(read_table(self._folder / TABLE), list(stored.vary))
@@ -170,10 +170,10 @@ class Store(Answers):
         except (OSError, ValueError, KeyError) as error:
             problem = " ".join(str(error).split())
             raise UsageError(f"--resume {self._folder}: its rows cannot be read: {problem}") from error
-        for told in lines:
-            if rows.decode(told.row).error is None:  # failed runs are repeated
-                self.rows[told.run] = rows.packed(bytes(told.row))
-        self.rows = {run: row for run, row in self.rows.items() if run in wanted}
+        for entry in lines:
+            if rows.decode(entry.row).error is None:  # failed runs are repeated
+                self.rows[entry.run] = rows.packed(bytes(entry.row))
+        self.rows = {run: row for run, row in self.rows.items() if run in keys}
 
 
 def so_far(folder: Path, plan: Plan) -> pa.Table:

@@ -144,13 +144,13 @@ class Cluster:
         for logger, level in self._levels:
             logger.setLevel(level)
 
-    def answers(self, asked: Iterable[Asked], count: int) -> Iterator[Answered]:
+    def answers(self, calls: Iterable[Asked], count: int) -> Iterator[Answered]:
         """The ``count`` rows of these runs, in order of completion.
 
         Raises:
             WorkersGoneError: the scheduler has died or no longer knows the runs.
         """
-        source, study = enumerate(asked), uuid.uuid4().hex
+        source, study = enumerate(calls), uuid.uuid4().hex
         running: dict[str, Run] = {}
         done = self._distributed.as_completed(loop=self._client.loop)
         while True:
@@ -205,12 +205,12 @@ def _in_time(call: Callable[[], T]) -> T:
     Raises:
         TimeoutError: no result in time; the thread keeps running.
     """
-    given: list[T] = []
+    answers: list[T] = []
     raised: list[Exception] = []
 
     def make() -> None:
         try:
-            given.append(call())
+            answers.append(call())
         except Exception as error:
             raised.append(error)
 
@@ -219,6 +219,6 @@ def _in_time(call: Callable[[], T]) -> T:
     thread.join(TIMEOUT_S)
     if raised:
         raise raised[0]
-    if not given:
+    if not answers:
         raise TimeoutError("it says nothing")
-    return given[0]
+    return answers[0]

@@ -80,9 +80,9 @@ class Names:
         """An Arrow column of the names of these codes."""
         return name_column(list(self._codes), codes)
 
-    def in_order_of(self, seen: Iterable[int]) -> tuple["Names", Array]:
+    def in_order_of(self, codes: Iterable[int]) -> tuple["Names", Array]:
         """The names with initially unknown ones in the order of these codes, and the new codes."""
-        order, names = list(dict.fromkeys([*range(self.known), *seen, *range(len(self))])), list(self._codes)
+        order, names = list(dict.fromkeys([*range(self.known), *codes, *range(len(self))])), list(self._codes)
         return Names([names[old] for old in order]), np.argsort(order).astype(np.int32)
 
 
@@ -96,7 +96,7 @@ class Frames:
 
     def __init__(self, vehicles: Sequence[str], folder: Path | None = None) -> None:
         self._vehicles, self._outcomes, self._materials = Names(vehicles), Names(("received",)), Names(("",))
-        self._folder, self._kept = folder, Spool(folder)
+        self._folder, self._spool = folder, Spool(folder)
         self._waiting: list[FrameReport] = []
         self._held = 0  # frames and rows not packed yet
         self._newest = 0  # greatest number of a packed frame
@@ -117,7 +117,7 @@ class Frames:
     def rows(self) -> int:
         """Number of rows so far."""
         self._pack()
-        return self._kept.starts[-1]
+        return self._spool.starts[-1]
 
     @property
     def knows_paths(self) -> bool:
@@ -126,7 +126,7 @@ class Frames:
         return self._knows_paths
 
     def columns(
-        self, end_ns: int = 2**63 - 1, wanted: Collection[str] = COLUMNS, rows: tuple[int, int] | None = None
+        self, end_ns: int = 2**63 - 1, names: Collection[str] = COLUMNS, rows: tuple[int, int] | None = None
     ) -> dict[str, Any]:
         """The Arrow columns of the table, rows in the order in which frames entered the channel; ``rows``: first and last + 1.
 
@@ -134,8 +134,8 @@ class Frames:
         """
         first, stop = rows or (0, self.rows)
         self._sort()
-        parts, cut = self._kept.around(first, stop)
-        return {name: self._column(name, end_ns, parts, cut) for name in wanted}
+        parts, cut = self._spool.around(first, stop)
+        return {name: self._column(name, end_ns, parts, cut) for name in names}
 
     def _column(self, name: str, end_ns: int, parts: range, cut: slice) -> "pa.Array[Any]":
         if name in NAMED:
@@ -154,7 +154,7 @@ class Frames:
         return column(values, valid=_known(name, values, end_ns))
 
     def _read(self, name: str, parts: range) -> Array:
-        return self._kept.read(name, parts, dtype_of(name))
+        return self._spool.read(name, parts, dtype_of(name))
 
     def _of_frames(self, name: str, parts: range) -> Array:
         """A column with one value per frame, repeated for its rows."""
@@ -188,11 +188,11 @@ class Frames:
     def _seen(self, name: str, names: Names, end_ns: int = 2**63 - 1) -> Iterable[int]:
         """Codes of initially unknown names by first occurrence."""
         seen = dict.fromkeys(range(names.known))
-        for number in range(len(self._kept)):
+        for number in range(len(self._spool)):
             if len(seen) == len(names):
                 break
             part = range(number, number + 1)
-            constant = None if self._is_late(end_ns, part) else self._kept.constant(name, number)
+            constant = None if self._is_late(end_ns, part) else self._spool.constant(name, number)
             codes = self._codes(name, end_ns, part) if constant is None else constant[:1]
             first = {code: int(np.argmax(codes == code)) for code in np.flatnonzero(np.bincount(codes)).tolist()}
             seen |= dict.fromkeys(sorted(first, key=first.__getitem__))
@@ -202,33 +202,33 @@ class Frames:
         reports = sorted(self._waiting, key=attrgetter("frame"))
         if not reports:
             return
-        told = dict(zip(_FIELDS, zip(*map(_FIELDS_OF, reports), strict=True), strict=True))
-        counts = [len(receivers) for receivers in told["receivers"]]
-        packed = {name: np.array(told[name], np.int64) for name in PER_FRAME}
+        columns = dict(zip(_FIELDS, zip(*map(_FIELDS_OF, reports), strict=True), strict=True))
+        counts = [len(receivers) for receivers in columns["receivers"]]
+        packed = {name: np.array(columns[name], np.int64) for name in PER_FRAME}
         packed["receivers"] = np.array(counts, np.int64)
-        packed["receiver"] = _narrow(self._vehicles.codes_of_groups(told["receivers"]))
-        packed["sender"] = _narrow(self._vehicles.codes(told["sender"]))
-        packed["outcome"] = _narrow(self._outcomes.codes_of_groups(told["outcome"]))
-        crossed = (each or ("",) * n for each, n in zip(told["wall_materials"], counts, strict=True))
+        packed["receiver"] = _narrow(self._vehicles.codes_of_groups(columns["receivers"]))
+        packed["sender"] = _narrow(self._vehicles.codes(columns["sender"]))
+        packed["outcome"] = _narrow(self._outcomes.codes_of_groups(columns["outcome"]))
+        crossed = (each or ("",) * n for each, n in zip(columns["wall_materials"], counts, strict=True))
         packed["wall_materials"] = _narrow(self._materials.codes_of_groups(crossed))
         for name, dtype in PER_ROW.items():
-            packed[name] = joined(list(told[name]), (0,), dtype)
+            packed[name] = joined(list(columns[name]), (0,), dtype)
         for name, dtype in BUDGET.items():
             packed[name] = np.zeros(sum(counts), dtype)
-            if any(part is not None for part in told[name]):
-                parts = zip(told[name], counts, strict=True)
+            if any(part is not None for part in columns[name]):
+                parts = zip(columns[name], counts, strict=True)
                 packed[name] = joined([np.zeros(n, dtype) if part is None else part for part, n in parts], (0,), dtype)
         for name, dtype in PATHS.items():
-            parts = zip(told[name], counts, strict=True)
+            parts = zip(columns[name], counts, strict=True)
             known = [np.full(n, np.nan) if part is UNSET else part for part, n in parts]
             packed[name] = joined(known, (0,), dtype)
-            self._knows_paths |= any(part is not UNSET for part in told[name])
+            self._knows_paths |= any(part is not UNSET for part in columns[name])
         self._keep(packed)
         self._waiting, self._held = [], 0
 
     def _keep(self, packed: dict[str, Array]) -> None:
         """Keep the next part of all columns, sorted by frame."""
-        self._kept.append(packed, len(packed["receiver"]))
+        self._spool.append(packed, len(packed["receiver"]))
         self._latest_ns.append(int(packed["received_ns"].max(initial=-1)))
         self._is_sorted &= bool(packed["frame"][0] >= self._newest)
         self._newest = max(self._newest, int(packed["frame"][-1]))
@@ -238,7 +238,7 @@ class Frames:
         """Keep all parts anew in order of frame numbers, if the parts overlap."""
         if self._is_sorted:
             return
-        old, everything = self._kept, range(len(self._kept))
+        old, everything = self._spool, range(len(self._spool))
         into = Frames((), self._folder)
         frame = old.read("frame", everything, np.int64)
         order = np.argsort(frame, kind="stable")
@@ -251,24 +251,24 @@ class Frames:
         for chosen in np.split(order, edges):
             if len(chosen):
                 into._keep(_selected(old, chosen, first_of))
-        self._kept, self._latest_ns, self._is_sorted = into._kept, into._latest_ns, True
+        self._spool, self._latest_ns, self._is_sorted = into._spool, into._latest_ns, True
         self._named.clear()
 
 
-def _selected(kept: Spool, frames: Array, first_of: Array) -> dict[str, Array]:
+def _selected(spool: Spool, frames: Array, first_of: Array) -> dict[str, Array]:
     """The packed columns of chosen frames, by their places in all parts; ``first_of``: place of each part's first frame."""
     part_of = first_of.searchsorted(frames, side="right") - 1
     parts = np.unique(part_of)
     held = np.diff(first_of)[parts]  # frames of these parts
     rows = frames - first_of[part_of] + (np.cumsum(held) - held)[parts.searchsorted(part_of)]
     numbers = parts.tolist()
-    counts = kept.read("receivers", numbers, np.int64)
+    counts = spool.read("receivers", numbers, np.int64)
     chosen = counts[rows]
     starts = (np.cumsum(counts) - counts)[rows] - (np.cumsum(chosen) - chosen)
     places = np.repeat(starts, chosen) + np.arange(chosen.sum())
     names = (*PER_FRAME, "receivers", "sender"), ("receiver", "outcome", "wall_materials", *PER_ROW, *BUDGET, *PATHS)
-    of_frames = {name: kept.read(name, numbers, dtype_of(name))[rows] for name in names[0]}
-    return of_frames | {name: kept.read(name, numbers, dtype_of(name))[places] for name in names[1]}
+    of_frames = {name: spool.read(name, numbers, dtype_of(name))[rows] for name in names[0]}
+    return of_frames | {name: spool.read(name, numbers, dtype_of(name))[places] for name in names[1]}
 
 
 def _narrow(codes: Array) -> Array:

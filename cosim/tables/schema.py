@@ -164,7 +164,7 @@ class StateRows:
     """
 
     def __init__(self, vehicles: Sequence[str], folder: Path | None = None) -> None:
-        self._vehicles, self._kept = Names(vehicles), Spool(folder)
+        self._vehicles, self._spool = Names(vehicles), Spool(folder)
         self._waiting: list[tuple[int, States]] = []
         self._held = 0  # rows not packed yet
 
@@ -179,18 +179,18 @@ class StateRows:
     def rows(self) -> int:
         """Number of rows so far."""
         self._pack()
-        return self._kept.starts[-1]
+        return self._spool.starts[-1]
 
-    def columns(self, rows: tuple[int, int], wanted: Collection[str] = STATES_SCHEMA.names) -> dict[str, Any]:
+    def columns(self, rows: tuple[int, int], names: Collection[str] = STATES_SCHEMA.names) -> dict[str, Any]:
         """The Arrow columns of these rows."""
-        parts, cut = self._kept.around(*rows)
+        parts, cut = self._spool.around(*rows)
         found = {}
-        for name in wanted:
+        for name in names:
             if name == "yaw":
-                qw, qx, qy, qz = (self._kept.read(each, parts, np.float64)[cut] for each in ATTITUDE)
+                qw, qx, qy, qz = (self._spool.read(each, parts, np.float64)[cut] for each in ATTITUDE)
                 found[name] = np.arctan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
             else:
-                found[name] = self._kept.read(name, parts, _STATE_TYPES.get(name, np.float64))[cut]
+                found[name] = self._spool.read(name, parts, _STATE_TYPES.get(name, np.float64))[cut]
         return {name: self._vehicles.column(each) if name == "vehicle" else column(each) for name, each in found.items()}
 
     def _pack(self) -> None:
@@ -205,7 +205,7 @@ class StateRows:
             for name, width in (("position", 3), ("attitude", 4), ("velocity", 3), ("angular_velocity", 3))
         ]
         packed |= zip(STATE_VALUES, chain.from_iterable(blocks), strict=True)
-        self._kept.append(packed, len(packed["vehicle"]))
+        self._spool.append(packed, len(packed["vehicle"]))
         self._waiting, self._held = [], 0
 
 
@@ -219,7 +219,7 @@ class NoteRows:
 
     def __init__(self, vehicles: Sequence[str], folder: Path | None = None) -> None:
         self._vehicles, self._names, self._texts = Names(vehicles), Names(()), Names(("",))
-        self._kept = Spool(folder)
+        self._spool = Spool(folder)
         self._waiting: list[tuple[int, str, Mapping[str, float | str]]] = []
 
     def append(self, time_ns: int, vehicle: str, values: Mapping[str, float | str]) -> None:
@@ -231,9 +231,9 @@ class NoteRows:
     def table(self, facts: RunFacts) -> pa.Table:
         """All notes so far (`NOTES_SCHEMA`)."""
         self._pack()
-        parts = range(len(self._kept))
-        time_ns, value = self._kept.read("time_ns", parts, np.int64), self._kept.read("value", parts, np.float64)
-        vehicle, name, text = (self._kept.read(each, parts, np.int32) for each in ("vehicle", "name", "text"))
+        parts = range(len(self._spool))
+        time_ns, value = self._spool.read("time_ns", parts, np.int64), self._spool.read("value", parts, np.float64)
+        vehicle, name, text = (self._spool.read(each, parts, np.int32) for each in ("vehicle", "name", "text"))
         columns = [
             column(time_ns),
             self._vehicles.column(vehicle),
@@ -256,7 +256,7 @@ class NoteRows:
             "value": np.array([np.nan if isinstance(value, str) else value for value in values], np.float64),
             "text": self._texts.codes(value if isinstance(value, str) else "" for value in values),
         }
-        self._kept.append(packed, len(values))
+        self._spool.append(packed, len(values))
         self._waiting.clear()
 
 
@@ -268,8 +268,8 @@ def states_table(
 ) -> pa.Table:
     """Build the table of true states at these instants: all columns and rows, or the given ones."""
     if not isinstance(states, StateRows):
-        given, states = states, StateRows(facts.vehicles)
-        for instant in given:
+        instants, states = states, StateRows(facts.vehicles)
+        for instant in instants:
             states.append(*instant)
     fields = [field for field in STATES_SCHEMA if columns is None or field.name in columns]
     found = states.columns(rows or (0, states.rows), [field.name for field in fields])
@@ -284,8 +284,8 @@ def radio_table(
 ) -> pa.Table:
     """Build the table of all frames at all intended receivers: all columns and rows, or the given ones."""
     if not isinstance(frames, Frames):
-        given, frames = frames, Frames(facts.vehicles)
-        frames.extend(given)
+        reports, frames = frames, Frames(facts.vehicles)
+        frames.extend(reports)
     known = [*RADIO_SCHEMA, *(PATHS_SCHEMA if frames.knows_paths else ())]
     fields = [field for field in known if columns is None or field.name in columns]
     found = frames.columns(facts.end_ns, [field.name for field in fields], rows)
@@ -319,8 +319,10 @@ def read_table(path: Path, columns: Collection[str] | None = None) -> pa.Table:
 def _opened(path: Path, columns: Collection[str] | None = None) -> "tuple[pq.ParquetFile, list[pa.Field[Any]]]":
     with pq.ParquetFile(path) as file:
         fields, texts = list(file.schema_arrow), _checked(file.metadata, path.name)
-    wanted = [field for field in fields if columns is None or field.name in columns]
-    return pq.ParquetFile(path, read_dictionary=texts), wanted  # dictionary encoding: a text of all rows takes the space of one
+    selection = [field for field in fields if columns is None or field.name in columns]
+    return pq.ParquetFile(
+        path, read_dictionary=texts
+    ), selection  # dictionary encoding: a text of all rows takes the space of one
 
 
 def _as_written(table: pa.Table, fields: "Sequence[pa.Field[Any]]", name: str) -> pa.Table:

@@ -45,20 +45,20 @@ class Spool:
         Raises:
             OSError: e.g. the disk is full; nothing of the part is kept.
         """
-        kept: dict[str, Array | tuple[int, np.dtype[np.generic], int]] = {}
+        places: dict[str, Array | tuple[int, np.dtype[np.generic], int]] = {}
         self._file.seek(self._size)
         size = self._size
         for name, values in part.items():
             if _is_constant(values):
-                kept[name] = np.broadcast_to(values[0].copy(), values.shape)
+                places[name] = np.broadcast_to(values[0].copy(), values.shape)
             else:
-                kept[name] = size, values.dtype, len(values)
+                places[name] = size, values.dtype, len(values)
                 size += self._file.write(values.tobytes())
         self._file.flush()
         if size > MEMORY_BYTES and isinstance(self._file, io.BytesIO):
             self._file = self._moved(self._file.getvalue())
         self._size = size
-        self._parts.append(kept)
+        self._parts.append(places)
         self.starts.append(self.starts[-1] + rows)
 
     def around(self, first: int, stop: int) -> tuple[range, slice]:
@@ -68,8 +68,8 @@ class Spool:
 
     def constant(self, name: str, part: int) -> Array | None:
         """A column in a part if all its values there are the same."""
-        kept = self._parts[part].get(name)
-        return None if isinstance(kept, tuple) else kept
+        column = self._parts[part].get(name)
+        return None if isinstance(column, tuple) else column
 
     def read(self, name: str, parts: Sequence[int], dtype: type[np.generic]) -> Array:
         """A column over these parts."""
@@ -84,10 +84,10 @@ class Spool:
         return file
 
     def _read(self, name: str, part: int) -> Array:
-        kept = self._parts[part][name]
-        if not isinstance(kept, tuple):
-            return kept
-        place, dtype, count = kept
+        column = self._parts[part][name]
+        if not isinstance(column, tuple):
+            return column
+        place, dtype, count = column
         self._file.seek(place)
         return np.frombuffer(self._file.read(count * dtype.itemsize), dtype, count)
 

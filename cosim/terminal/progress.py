@@ -222,10 +222,10 @@ def summary(result: "Result") -> str:
         "lost": ", ".join(f"{name} for {lost_s:.1f} s" for name, lost_s in lost.items() if lost_s),
         "results": str(result.folder),
     }
-    told = {f"{label}:": words for label, words in lines.items() if words}
-    width = max(10, *map(len, told))
+    texts = {f"{label}:": words for label, words in lines.items() if words}
+    width = max(10, *map(len, texts))
     head = f"{metrics['scenario']}: {agents}, {simulated} ({_times(speed)} real time)"
-    return "".join(f"{line}\n" for line in (head, *(f"{label:<{width}} {words}" for label, words in told.items())))
+    return "".join(f"{line}\n" for line in (head, *(f"{label:<{width}} {words}" for label, words in texts.items())))
 
 
 def lateness(late: Mapping[str, Any]) -> str:
@@ -293,8 +293,8 @@ def _of_mission(mission: Mapping[str, Any]) -> str:
     times = mission["found_s"]
     found = ", ".join(f"{name} {'never' if time_s is None else f'{time_s:.1f} s'}" for name, time_s in times.items())
     words = f"{mission['targets_found']} of {len(times)} targets found ({found}), {mission['targets_tracked']} tracked"
-    seen = mission["area_seen_ratio"]
-    return words + ("" if seen is None else f", {100 * seen:.0f} % of the area seen")
+    area = mission["area_seen_ratio"]
+    return words + ("" if area is None else f", {100 * area:.0f} % of the area seen")
 
 
 def _of_real(real: Mapping[str, Any]) -> str:

@@ -47,8 +47,11 @@ def check_agent(
     fresh = [_observation(vehicle, others, tick) for tick in range(ticks)]
     wire = [encode(list(each.heard)) for each in shown]
     _require(wire == [encode(list(each.heard)) for each in fresh], "the agent modified its observation")
-    received = [ReceivedMessages.of(_receptions.decode(each), seen.time_ns) for each, seen in zip(wire, shown, strict=True)]
-    wired = [msgspec.structs.replace(seen, heard=each) for each, seen in zip(received, shown, strict=True)]
+    received = [
+        ReceivedMessages.of(_receptions.decode(each), observation.time_ns)
+        for each, observation in zip(wire, shown, strict=True)
+    ]
+    wired = [msgspec.structs.replace(observation, heard=each) for each, observation in zip(received, shown, strict=True)]
     _require(plain == _play(make(), vehicle, others, wired), "the agent acts differently in another process")
 
 
@@ -96,22 +99,22 @@ def _play(agent: Agent, vehicle: str, others: Sequence[str], shown: Sequence[Obs
         vehicle=vehicle, kind=type(agent).__name__, folder="", params={}, defaults={}, period_s=None, latency_s=0.0, source=""
     )
     federate, vehicles = AgentHost("agents", [spec], {vehicle: agent}), (*others, vehicle)
-    said = []
+    messages = []
     try:
         federate.start(RunInfo(scenario="check", seed=1, duration_ns=len(shown) * SECOND, vehicles=vehicles))
         now = 0
-        for seen in shown:
-            inbox = [Event(f"{vehicle}/estimate", seen.time_ns, seen.state)]
-            inbox.append(Event(RECEPTIONS, seen.time_ns, receptions_at(vehicle, seen.heard, vehicles)))
+        for observation in shown:
+            inbox = [Event(f"{vehicle}/estimate", observation.time_ns, observation.state)]
+            inbox.append(Event(RECEPTIONS, observation.time_ns, receptions_at(vehicle, observation.heard, vehicles)))
             step = federate.step(now, inbox)
-            said.append(list(step.events))
+            messages.append(list(step.events))
             assert step.next_ns is not None  # noqa: S101  an agent always has a next tick
             now = step.next_ns
     except AgentError as error:
         raise AssertionError(f"{error}\n{error.details}") from error
     finally:
         federate.close()
-    return encode(said)
+    return encode(messages)
 
 
 def _observation(vehicle: str, others: Sequence[str], tick: int) -> Observation:
@@ -203,21 +206,21 @@ def _frame(rx: Array, receivers: tuple[str, ...]) -> "Frame":
 
 def _step_through(federate: Federate, run: RunInfo, inputs: Sequence[Event]) -> bytes:
     _require(isinstance(federate, Federate), f"{type(federate).__name__} lacks an attribute or method of Federate")
-    heard = (*federate.reads, *federate.latest)
-    waiting = sorted((event for event in inputs if _any(heard, event.key)), key=lambda event: event.time_ns)
-    given: list[Event] = []
+    subscriptions = (*federate.reads, *federate.latest)
+    waiting = sorted((event for event in inputs if _any(subscriptions, event.key)), key=lambda event: event.time_ns)
+    events: list[Event] = []
     try:
         due = federate.start(run)
         while True:
             waking = next((event.time_ns for event in waiting if _any(federate.wakes, event.key)), None)
             now = min((each for each in (due, waking) if each is not None), default=run.duration_ns + 1)
             if now > run.duration_ns:
-                return encode(given)
+                return encode(events)
             inbox = [event for event in waiting if event.time_ns <= now]
             waiting = waiting[len(inbox) :]
             step = federate.step(now, inbox)
             _check_step(step, now)
-            given += step.events
+            events += step.events
             due = step.next_ns
     finally:
         federate.close()

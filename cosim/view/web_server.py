@@ -160,8 +160,8 @@ class Gate:
             return False
         return name in self._names or (self._anywhere and _is_address(name))  # DNS cannot rebind an address
 
-    def _has_token(self, scheme: str, *given: str) -> bool:
-        tokens = (each.removeprefix(scheme) for each in given if each.startswith(scheme))
+    def _has_token(self, scheme: str, *candidates: str) -> bool:
+        tokens = (each.removeprefix(scheme) for each in candidates if each.startswith(scheme))
         return any(hmac.compare_digest(token.encode(errors="replace"), self._token) for token in tokens)
 
     def _add_headers(self, request: "Request", response: "Response", nonce: str) -> None:
@@ -250,12 +250,12 @@ def quiet() -> Iterator[None]:
     """Suppress viser's output on the terminal."""
     import rich
 
-    said = rich.print
+    original = rich.print
     rich.print = lambda *_, **__: None
     try:
         yield
     finally:
-        rich.print = said
+        rich.print = original
 
 
 def _bound(host: str, port: int) -> socket.socket:

@@ -83,9 +83,9 @@ class Bench:
     def open(self, start: Vec3 = ORIGIN) -> None:
         """Stand at ``start``."""
         self.pose = start  # true pose: x m, y m, yaw rad
-        self._told = start  # odometry pose
+        self._odometry = start  # odometry pose
         self._v = self._w = 0.0
-        self._wanted = (0.0, 0.0)
+        self._command = (0.0, 0.0)
         self._stopped, self._given_ns = NOT_YET, 0
         self._origin_ns, self._time_ns = self._now(), 0  # start, and time since then
         self._under_way: deque[Sample] = deque()
@@ -107,7 +107,7 @@ class Bench:
         """Command a speed."""
         v, w = checked(velocity)
         self._given_ns = self._advance()
-        self._wanted = _towards(0.0, v, self._most[0]), _towards(0.0, w, self._most[1])
+        self._command = _towards(0.0, v, self._most[0]), _towards(0.0, w, self._most[1])
         self._stopped = ""
 
     def stop(self, cause: str) -> None:
@@ -150,7 +150,7 @@ class Bench:
         return now_ns
 
     def _move(self, dt: float) -> None:
-        v, w = self._wanted
+        v, w = self._command
         braking = abs(v) < abs(self._v) or v * self._v < 0.0
         self._v = _towards(self._v, v, dt * (self._decel if braking else self._accel))
         self._w = _towards(self._w, w, dt * self._yaw_accel)
@@ -159,8 +159,8 @@ class Bench:
         turned = self._turn_per_m * way
         if self._slip and way:
             turned += self._slip * sqrt(way) * self._slip_draws.standard_normal()
-        x, y, yaw = arc(self._told, self._scale * self._v, self._w, dt)
-        self._told = (x, y, yaw + turned)
+        x, y, yaw = arc(self._odometry, self._scale * self._v, self._w, dt)
+        self._odometry = (x, y, yaw + turned)
 
     def _send(self) -> None:
         self._samples += 1
@@ -175,14 +175,14 @@ class Bench:
             link=1,
             arrived_ns=self._arrival_ns,
             measured_ns=measured_ns,
-            odometry=Odometry(pose=self._told, v=self._scale * self._v, w=self._w),
+            odometry=Odometry(pose=self._odometry, v=self._scale * self._v, w=self._w),
             wheels=(self._v - 0.5 * TRACK_M * self._w, self._v + 0.5 * TRACK_M * self._w),
             stopped=self._stopped,
         )
         self._under_way.append(sample)
 
     def _halt(self, cause: str) -> None:
-        self._wanted, self._stopped = (0.0, 0.0), cause
+        self._command, self._stopped = (0.0, 0.0), cause
         self._notice("stopped", cause)
 
     def _notice(self, what: What, cause: str) -> None:

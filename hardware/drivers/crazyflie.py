@@ -163,9 +163,9 @@ class CrazyflieDriver(ThreadedDriver):
         aircraft.close_link()
 
 
-def _sample(said: dict[str, float], number: int, origin: Vec3, stopped: str) -> Sample:
+def _sample(report: dict[str, float], number: int, origin: Vec3, stopped: str) -> Sample:
     """Sample of a report; the firmware counts the pitch upwards."""
-    x, y, z, vx, vy, vz, *degrees = (said[f"stateEstimate.{name}"] for name in (*PLACE, *SMALL))
+    x, y, z, vx, vy, vz, *degrees = (report[f"stateEstimate.{name}"] for name in (*PLACE, *SMALL))
     roll, pitch, yaw = map(math.radians, degrees)
     about_y = math.cos(-0.5 * pitch), 0.0, math.sin(-0.5 * pitch), 0.0
     about_x = math.cos(0.5 * roll), math.sin(0.5 * roll), 0.0, 0.0
@@ -180,6 +180,6 @@ def _sample(said: dict[str, float], number: int, origin: Vec3, stopped: str) -> 
         measured_ns=now_ns,
         odometry=Odometry(pose=(place[0], place[1], yaw), v=forward, w=0.0),
         state=VehicleState(position=place, velocity=velocity, attitude=attitude),
-        battery_v=said[BATTERY],
+        battery_v=report[BATTERY],
         stopped=stopped,
     )

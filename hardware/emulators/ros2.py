@@ -50,7 +50,7 @@ class Ros2Robot:
         self._commands = Endpoint("MS", topic_of(namespace, "cmd_vel"), TWIST_STAMPED if stamped else TWIST)
         self._odometry = Endpoint("MP", topic_of(namespace, "odom"), ODOMETRY)
         self._watchdog_ns = seconds_to_ns(watchdog_s)
-        self._wanted, self._told_ns = (0.0, 0.0), 0
+        self._command, self._command_ns = (0.0, 0.0), 0
         self._news: queue.SimpleQueue[ReceivedMessage | None] = queue.SimpleQueue()
 
     def __enter__(self) -> Self:
@@ -103,10 +103,10 @@ class Ros2Robot:
         except ValueError:
             return
         self.heard.append((message.arrived_ns, twist))
-        self._wanted, self._told_ns = (twist.linear[0], twist.angular[2]), message.arrived_ns
+        self._command, self._command_ns = (twist.linear[0], twist.angular[2]), message.arrived_ns
 
     def _move(self, now_ns: int, dt: float) -> None:
-        goals = self._wanted if now_ns < self._told_ns + self._watchdog_ns else (0.0, 0.0)
+        goals = self._command if now_ns < self._command_ns + self._watchdog_ns else (0.0, 0.0)
         v, w = (
             speed + min(max(min(max(goal, -most), most) - speed, -accel * dt), accel * dt)
             for speed, goal, most, accel in zip(self.speeds, goals, MOST, ACCELS, strict=True)

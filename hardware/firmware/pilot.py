@@ -67,25 +67,25 @@ class StickPilot:
     def _standing(self, command: Velocity | Waypoint, state: VehicleState, now_ns: int) -> list[int]:
         """Channels on the ground: the switch goes up again and again, until the motors turn."""
         self._trim = 0.3
-        wanted = not self._up or towards(command, state).linear[2] > 0.0
+        climbs = not self._up or towards(command, state).linear[2] > 0.0
         if now_ns - self._switched_ns >= TRY_NS:
-            self._switched_ns, self._armed = now_ns, wanted and not self._armed
+            self._switched_ns, self._armed = now_ns, climbs and not self._armed
         return _channels(0.0, 0.0, 0.0, 0.0, armed=self._armed)
 
     def _flying(self, command: Velocity | Waypoint, state: VehicleState, now_ns: int) -> list[int]:
-        wanted, height_m = self._wanted(command, state), state.position[2] - self._start_m
-        if wanted.linear[2] >= 0.0 or height_m > STAND_M:
+        target, height_m = self._wanted(command, state), state.position[2] - self._start_m
+        if target.linear[2] >= 0.0 or height_m > STAND_M:
             self._stands_ns = now_ns
         elif now_ns - self._stands_ns >= SECOND_NS // 2:
             self._armed, self._switched_ns = False, now_ns
             return _channels(0.0, 0.0, 0.0, 0.0, armed=False)
-        (vx, vy, vz), (wx, wy, wz) = state.velocity, wanted.linear
+        (vx, vy, vz), (wx, wy, wz) = state.velocity, target.linear
         self._trim = min(max(self._trim + LEARN * (wz - vz) * 1e-9 * PERIOD_NS, 0.1), 0.9)
         ahead, left = rotate2(GAIN * (wx - vx), GAIN * (wy - vy), -state.yaw)
         nose_down, roll_right = (_tilt_deg(each) for each in (ahead, -left))
         lift = max(0.2, 1.0 + LIFT_GAIN * (wz - vz) / GRAVITY) / math.cos(math.radians(math.hypot(nose_down, roll_right)))
         share = self._trim * math.sqrt(lift)
-        yaw = -_deflection(math.degrees(wanted.yaw_rate) / END_DPS)
+        yaw = -_deflection(math.degrees(target.yaw_rate) / END_DPS)
         roll, pitch = (_deflection(each / MOST_DEG) for each in (roll_right, nose_down))
         return _channels(roll, pitch, (share - IDLE) / (1.0 - IDLE), yaw, armed=True)
 

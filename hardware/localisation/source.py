@@ -236,7 +236,7 @@ class PositionSource:
             self._bytes += len(chunk)
             answers = self._reader.feed(chunk)
             for located in answers:
-                self._told += 1
+                self._count += 1
                 jumps = self._transform.jumps
                 fix = self._transform.place(located, arrived_ns)
                 if self._transform.jumps > jumps:
@@ -272,7 +272,7 @@ class PositionSource:
 
     def _expect(self, now_ns: int) -> None:
         self._gone, self._told_why, self._since_ns = False, "", now_ns
-        self._bytes = self._told = 0
+        self._bytes = self._count = 0
         self._transform.rejected.clear()
 
     def _good(self, now_ns: int) -> None:
@@ -308,7 +308,7 @@ class PositionSource:
         rejected = self._transform.rejected
         if not self._bytes:
             return f"nothing comes; {self._words.nothing}"
-        if not self._told:
+        if not self._count:
             return self._words.unreadable
         if rejected["far"]:
             far = f"positions are more than {FARTHEST_M / 1000.0:g} km from the world's origin"

@@ -146,23 +146,23 @@ class Commander:
         """Place and yaw of the present set-point if a manoeuvre is under way, else of the aircraft."""
         if self._plan is None:
             return state.position, state.yaw
-        wanted = self._plan.at(now_s)
-        x, y, z = wanted.position
-        return (x or 0.0, y or 0.0, z or 0.0), wanted.yaw or 0.0
+        set_point = self._plan.at(now_s)
+        x, y, z = set_point.position
+        return (x or 0.0, y or 0.0, z or 0.0), set_point.yaw or 0.0
 
 
-def _followed(wanted: SetPoint, state: VehicleState) -> Velocity:
+def _followed(set_point: SetPoint, state: VehicleState) -> Velocity:
     """Velocity towards a set-point."""
-    x, y, z = wanted.velocity
-    if wanted.body:
+    x, y, z = set_point.velocity
+    if set_point.body:
         x, y = rotate2(x, y, state.yaw)
     speeds = [
         speed if place is None else speed + GAIN * (place - here)
-        for speed, place, here in zip((x, y, z), wanted.position, state.position, strict=True)
+        for speed, place, here in zip((x, y, z), set_point.position, state.position, strict=True)
     ]
-    rate = wanted.yaw_rate
-    if wanted.yaw is not None:
-        rate += GAIN * wrap(wanted.yaw - yaw_of(state.attitude))
+    rate = set_point.yaw_rate
+    if set_point.yaw is not None:
+        rate += GAIN * wrap(set_point.yaw - yaw_of(state.attitude))
     return Velocity(linear=(speeds[0], speeds[1], speeds[2]), yaw_rate=rate)
 
 
@@ -228,10 +228,10 @@ class CrazyflieStack:
     def ask(self, observations: Mapping[str, Observation]) -> None:
         """Send what is logged."""
         with self._lock:
-            for name, seen in observations.items():
+            for name, observation in observations.items():
                 each = self._aircraft[name]
-                each.state, each.now_s = seen.state, 1e-9 * seen.time_ns
-                for packet in each.crtp.logged(seen.time_ns // 1_000_000, seen.state):
+                each.state, each.now_s = observation.state, 1e-9 * observation.time_ns
+                for packet in each.crtp.logged(observation.time_ns // 1_000_000, observation.state):
                     _send(each, packet, each.client)
 
     def answer(self, vehicle: str) -> StackAnswer:

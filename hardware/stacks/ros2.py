@@ -78,21 +78,21 @@ class Outlet:
     """A topic that is published while it has subscribers."""
 
     def __init__(self, node: Node, topic: str, kind: str, *, complete: bool) -> None:
-        self._wanted = False
+        self._has_readers = False
         self._publish = node.publisher(Endpoint("MP", topic, kind), self._match, complete=complete)
 
     def put(self, make: Callable[[], ros.RosMessage]) -> None:
         """Publish a message, if the topic has subscribers."""
-        if self._wanted:
+        if self._has_readers:
             self._publish(ros.encoded(make()))
 
     @property
     def wanted(self) -> bool:
         """Whether the topic has subscribers."""
-        return self._wanted
+        return self._has_readers
 
-    def _match(self, wanted: bool) -> None:
-        self._wanted = wanted
+    def _match(self, has_readers: bool) -> None:
+        self._has_readers = has_readers
 
 
 class _Program:
@@ -262,10 +262,10 @@ class Ros2Stack:
         self._outlets[topic] = Outlet(self._node, topic, kind, complete=not self.paced)
         return self._outlets[topic]
 
-    def _publish(self, namespace: str, vehicle: str, seen: Observation) -> None:
-        self._outlets[f"{namespace}/tf"].put(partial(_transforms, seen))
+    def _publish(self, namespace: str, vehicle: str, observation: Observation) -> None:
+        self._outlets[f"{namespace}/tf"].put(partial(_transforms, observation))
         received = self._outlets[f"{namespace}/radio/received"]
-        for each in seen.heard if received.wanted else ():
+        for each in observation.heard if received.wanted else ():
             received.put(partial(ros.radio_received, each))
 
     def _mounted(self, vehicle: str) -> ros.RosMessage | None:
@@ -292,10 +292,10 @@ class Ros2Stack:
                 return [(shown, lambda said: ros.picture(said, frame)), (camera, lambda said: ros.pinhole(said, frame))]
         return []
 
-    def _fix(self, said: Fix, frame: str) -> ros.RosMessage:
-        up_m = said.sigma_m if said.sigma_z_m is None else said.sigma_z_m
-        place = self._plane.geodetic(*said.position)
-        return ros.satellite_fix(said.time_ns, frame, place, (said.sigma_m, said.sigma_m, up_m))
+    def _fix(self, fix: Fix, frame: str) -> ros.RosMessage:
+        up_m = fix.sigma_m if fix.sigma_z_m is None else fix.sigma_z_m
+        place = self._plane.geodetic(*fix.position)
+        return ros.satellite_fix(fix.time_ns, frame, place, (fix.sigma_m, fix.sigma_m, up_m))
 
     # --- messages from nodes --------------------------------------------------------------------------------------------------
 
@@ -359,11 +359,11 @@ class Ros2Stack:
         program.command, program.answered, program.lost = command, True, ""
         program.moves_since_s = time.monotonic() if self.paced else None
 
-    def _radio_message(self, program: _Program, said: Any) -> tuple[dict[str, Any] | bytes, str | None]:
-        to = said.to or None
+    def _radio_message(self, program: _Program, message: Any) -> tuple[dict[str, Any] | bytes, str | None]:
+        to = message.to or None
         if to is not None and (to not in self._others or self._programs.get(to) is program):
             raise _Refused("receiver", f"there is no other vehicle '{to}'")
-        return _body(said), to
+        return _body(message), to
 
     # --- the way in -----------------------------------------------------------------------------------------------------------
 
@@ -387,10 +387,10 @@ def _computed(value: Any) -> Reading:
     return value.get() if isinstance(value, Later) else value
 
 
-def _transforms(seen: Observation) -> ros.RosMessage:
+def _transforms(observation: Observation) -> ros.RosMessage:
     """``map`` to ``odom`` to ``base_link``, which is where the estimate is."""
-    odometry = seen.readings.get("odometry")
-    place, turn = seen.state.position, seen.state.attitude
+    odometry = observation.readings.get("odometry")
+    place, turn = observation.state.position, observation.state.attitude
     parts = [(MAP, ODOM, ORIGIN, (1.0, 0.0, 0.0, 0.0)), (ODOM, BASE, place, turn)]
     if isinstance(odometry, Odometry):
         x, y, yaw = odometry.pose
@@ -398,14 +398,14 @@ def _transforms(seen: Observation) -> ros.RosMessage:
         dx, dy, dz = ros.rotated(off, (x, y, 0.0))
         corrected = place[0] - dx, place[1] - dy, place[2] - dz
         parts = [(MAP, ODOM, corrected, off), (ODOM, BASE, (x, y, 0.0), quaternion_from_yaw(yaw))]
-    return ros.make("tf2_msgs/TFMessage", [ros.transform(seen.time_ns, *part) for part in parts])
+    return ros.make("tf2_msgs/TFMessage", [ros.transform(observation.time_ns, *part) for part in parts])
 
 
-def _odometry(seen: Observation) -> ros.RosMessage:
-    odometry = seen.readings.get("odometry")
+def _odometry(observation: Observation) -> ros.RosMessage:
+    odometry = observation.readings.get("odometry")
     if isinstance(odometry, Odometry):
-        return ros.odometry(odometry, BASE, seen.time_ns, ODOM)
-    return ros.state(seen.state, BASE, seen.time_ns, ODOM)
+        return ros.odometry(odometry, BASE, observation.time_ns, ODOM)
+    return ros.state(observation.state, BASE, observation.time_ns, ODOM)
 
 
 def _command(program: _Program, topic: str, message: ReceivedMessage) -> tuple[Velocity | Waypoint, int]:
@@ -414,11 +414,11 @@ def _command(program: _Program, topic: str, message: ReceivedMessage) -> tuple[V
         _check_type(message, POSE)
         if not program.flies:
             raise _Refused("goal_pose", "only flying vehicles follow it; publish cmd_vel")
-        said = _decoded(message)
-        place, turn = said.pose.position, said.pose.orientation
+        content = _decoded(message)
+        place, turn = content.pose.position, content.pose.orientation
         numbers = place.x, place.y, place.z, yaw_of((turn.w, turn.x, turn.y, turn.z))
         _check_size(*numbers)
-        return Waypoint(position=numbers[:3], yaw=numbers[3]), ros.nanoseconds(said.header.stamp)
+        return Waypoint(position=numbers[:3], yaw=numbers[3]), ros.nanoseconds(content.header.stamp)
     _check_type(message, TWIST, TWIST_STAMPED)
     try:
         twist = decode_twist(message.data, stamped=message.type == TWIST_STAMPED)
@@ -448,12 +448,12 @@ def _decoded(message: ReceivedMessage) -> Any:
         raise _Refused("content", str(error)) from None
 
 
-def _body(said: Any) -> dict[str, Any] | bytes:
+def _body(message: Any) -> dict[str, Any] | bytes:
     """The content of a RadioSend: bytes, or what agents receive as a mapping."""
-    if not said.msgpack:
-        return bytes(said.data.tobytes())
+    if not message.msgpack:
+        return bytes(message.data.tobytes())
     try:
-        body: dict[str, Any] = msgspec.msgpack.decode(said.data.tobytes(), type=dict[str, Any])
+        body: dict[str, Any] = msgspec.msgpack.decode(message.data.tobytes(), type=dict[str, Any])
         check_body(body)
     except (msgspec.MsgspecError, TypeError, ValueError) as error:
         raise _Refused("content", f"its data are not the MessagePack of a map that can be recorded: {error}") from None

@@ -125,19 +125,19 @@ class SimulationServices:
 
     def _carry_out(self, control: RunControl, service: str, call: Call) -> None:
         kind, fields, _ = SERVICES[service]
-        asked: Any = None
+        request: Any = None
         try:
-            asked = ros.decoded(call.data, f"{PACKAGE}/srv/{kind}_Request") if fields else None
+            request = ros.decoded(call.data, f"{PACKAGE}/srv/{kind}_Request") if fields else None
             if service == "step_simulation":
-                self._step(control, asked.steps, call)
+                self._step(control, request.steps, call)
                 return
-            response = self._answers[service](control, asked)
+            response = self._answers[service](control, request)
         except _RefusedCall as refused:
             response = failed(service, refused.result, str(refused))
         except ValueError as error:
             response = failed(service, FAILED, str(error))
         call.reply(encoded(service, response))
-        if service == "set_simulation_state" and asked is not None and asked.state.state == QUITTING:
+        if service == "set_simulation_state" and request is not None and request.state.state == QUITTING:
             control.end()
 
     def _step(self, control: RunControl, steps: int, call: Call) -> None:
@@ -178,13 +178,13 @@ def encoded(service: str, fields: tuple[object, ...]) -> bytes:
 
 def failed(service: str, result: int, why: str) -> tuple[object, ...]:
     """Response without content."""
-    said = _result(result, why)
+    status = _result(result, why)
     empty: Mapping[str, tuple[object, ...]] = {
-        "get_entities": (said, []),
-        "get_entities_states": (said, [], []),
-        "get_entity_state": (said, _entity_state(0, VehicleState(position=(0.0, 0.0, 0.0)))),
+        "get_entities": (status, []),
+        "get_entities_states": (status, [], []),
+        "get_entity_state": (status, _entity_state(0, VehicleState(position=(0.0, 0.0, 0.0)))),
     }
-    return empty.get(service, (said,))
+    return empty.get(service, (status,))
 
 
 # --- the run -----------------------------------------------------------------------------------------------------------------
@@ -209,16 +209,16 @@ def _state_of_run(control: RunControl, _: None) -> tuple[object, ...]:
     return _message("SimulationState", PAUSED if control.paused else PLAYING), _result()
 
 
-def _set_state(control: RunControl, asked: Any) -> tuple[object, ...]:
-    wanted = asked.state.state
-    if wanted == QUITTING:
+def _set_state(control: RunControl, request: Any) -> tuple[object, ...]:
+    state = request.state.state
+    if state == QUITTING:
         return (_result(),)
-    if wanted not in (PLAYING, PAUSED):
+    if state not in (PLAYING, PAUSED):
         raise _RefusedCall(UNSUPPORTED, "a run can play, pause and quit; to start again, start another run")
-    if control.paused == (wanted == PAUSED):
+    if control.paused == (state == PAUSED):
         raise _RefusedCall(ALREADY, "it is in this state")
     _check_pause(control)
-    control.go(paused=wanted == PAUSED)
+    control.go(paused=state == PAUSED)
     return (_result(),)
 
 
@@ -237,16 +237,16 @@ def _selected(control: RunControl, filters: Any) -> dict[str, tuple[int, Vehicle
         pattern = re.compile(filters.filter or ".*", re.DOTALL)
     except re.error as error:
         raise _RefusedCall(FAILED, f"'{filters.filter}' is not a regular expression: {error}") from None
-    return {name: said for name, said in control.truths().items() if pattern.fullmatch(name)}
+    return {name: truth for name, truth in control.truths().items() if pattern.fullmatch(name)}
 
 
-def _entities(control: RunControl, asked: Any) -> tuple[object, ...]:
-    return _result(), list(_selected(control, asked.filters))
+def _entities(control: RunControl, request: Any) -> tuple[object, ...]:
+    return _result(), list(_selected(control, request.filters))
 
 
-def _states(control: RunControl, asked: Any) -> tuple[object, ...]:
-    found = _selected(control, asked.filters)
-    return _result(), list(found), [_entity_state(*said) for said in found.values()]
+def _states(control: RunControl, request: Any) -> tuple[object, ...]:
+    found = _selected(control, request.filters)
+    return _result(), list(found), [_entity_state(*truth) for truth in found.values()]
 
 
 def _known(control: RunControl, name: str) -> tuple[int, VehicleState]:
@@ -256,31 +256,31 @@ def _known(control: RunControl, name: str) -> tuple[int, VehicleState]:
     return found[name]
 
 
-def _state_of_entity(control: RunControl, asked: Any) -> tuple[object, ...]:
-    return _result(), _entity_state(*_known(control, asked.entity))
+def _state_of_entity(control: RunControl, request: Any) -> tuple[object, ...]:
+    return _result(), _entity_state(*_known(control, request.entity))
 
 
-def _entity_state(time_ns: int, said: VehicleState) -> ros.RosMessage:
+def _entity_state(time_ns: int, state: VehicleState) -> ros.RosMessage:
     """Velocities in the frame of the header; accelerations are not known: zero."""
-    turning = ros.rotated(said.attitude, said.angular_velocity)
+    turning = ros.rotated(state.attitude, state.angular_velocity)
     still = ros.vector(0.0, 0.0, 0.0)
-    place = ros.pose(said.position, said.attitude)
-    rates = ros.twist(said.velocity, turning), ros.make("geometry_msgs/Accel", still, still)
+    place = ros.pose(state.position, state.attitude)
+    rates = ros.twist(state.velocity, turning), ros.make("geometry_msgs/Accel", still, still)
     return _message("EntityState", ros.header(time_ns, "map"), place, *rates)
 
 
-def _place(control: RunControl, asked: Any) -> tuple[object, ...]:
+def _place(control: RunControl, request: Any) -> tuple[object, ...]:
     """Put an obstacle somewhere else, where it rests."""
-    _known(control, asked.entity)
-    if asked.entity not in control.obstacles:
-        raise _RefusedCall(UNSUPPORTED, f"{asked.entity} is a vehicle: only obstacles that can be pushed are placed")
-    if asked.set_acceleration or (asked.set_twist and not _is_still(asked.state.twist)):
+    _known(control, request.entity)
+    if request.entity not in control.obstacles:
+        raise _RefusedCall(UNSUPPORTED, f"{request.entity} is a vehicle: only obstacles that can be pushed are placed")
+    if request.set_acceleration or (request.set_twist and not _is_still(request.state.twist)):
         raise _RefusedCall(UNSUPPORTED, "an obstacle that is placed rests")
-    if asked.state.header.frame_id not in FRAMES:
-        raise _RefusedCall(UNSUPPORTED, f"the frame must be map, not {asked.state.header.frame_id}")
-    if asked.set_pose:
-        place, yaw = asked.state.pose.position, _heading(asked.state.pose.orientation)
-        control.move(asked.entity, (place.x, place.y), yaw)
+    if request.state.header.frame_id not in FRAMES:
+        raise _RefusedCall(UNSUPPORTED, f"the frame must be map, not {request.state.header.frame_id}")
+    if request.set_pose:
+        place, yaw = request.state.pose.position, _heading(request.state.pose.orientation)
+        control.move(request.entity, (place.x, place.y), yaw)
     return (_result(),)
 
 

@@ -195,8 +195,8 @@ def _choose(models: dict[int, FittedModel], nearest_m: Floats) -> int:
     They can if a quarter of them have a neighbour within the correlation distance. A significance test of the fading would
     turn weak fading into a short correlation distance.
     """
-    told = np.quantile(nearest_m, 0.25) < math.exp(models[WITH_FADING].parameters[1])
-    order = WITH_FADING if told else CORRELATED
+    is_separable = np.quantile(nearest_m, 0.25) < math.exp(models[WITH_FADING].parameters[1])
+    order = WITH_FADING if is_separable else CORRELATED
     return order if models[order].aic < models[INDEPENDENT].aic else INDEPENDENT
 
 
@@ -242,8 +242,8 @@ def figure_data(links: MeasuredLinks, calibration: Calibration, sightline: Sight
     line = design[:, :2] @ (calibration.level_dbm.value, calibration.exponent.value)
 
     reach = calibration.correlation_distance_m
-    told = reach is not None and math.isfinite(reach.standard_error)
-    far = 4.0 * reach.value if told and reach is not None else 20.0 * max(calibration.spacing_m, 0.1)
+    has_reach = reach is not None and math.isfinite(reach.standard_error)
+    far = 4.0 * reach.value if has_reach and reach is not None else 20.0 * max(calibration.spacing_m, 0.1)
     middles, correlation = _correlogram(shown, open_air - line, far)
     curve_m = np.linspace(0.0, far, 200)
     fading = 0.0 if calibration.fading_db is None else calibration.fading_db.value

@@ -180,15 +180,17 @@ def maximise(survey: Survey, start: Floats) -> FittedModel:
         information[k] = (beneath.gradient - above.gradient) / (2.0 * _STEP)
         drift[k] = (above.coefficients - beneath.coefficients) / (2.0 * _STEP)
         swing[k] = np.diagonal(above.spread - beneath.spread) / (2.0 * _STEP)
-    told = inside & (np.diagonal(information) > _TOLD)
+    is_determined = inside & (np.diagonal(information) > _TOLD)
     spread = np.diag(np.full(len(best), math.inf))
-    curvature, axes = np.linalg.eigh(0.5 * (information + information.T)[np.ix_(told, told)])
-    spread[np.ix_(told, told)] = axes / np.maximum(curvature, _TOLD) @ axes.T
+    curvature, axes = np.linalg.eigh(0.5 * (information + information.T)[np.ix_(is_determined, is_determined)])
+    spread[np.ix_(is_determined, is_determined)] = axes / np.maximum(curvature, _TOLD) @ axes.T
 
     point = restricted(survey, best)
     # R. Kackar, D. Harville, JASA 79, 1984: variance of beta due to estimated parameters.
-    carried = drift[told].T @ spread[np.ix_(told, told)] @ drift[told]
-    unsure = np.einsum("kp,kl,lp->p", swing[told], spread[np.ix_(told, told)], swing[told])  # variance of the variance
+    carried = drift[is_determined].T @ spread[np.ix_(is_determined, is_determined)] @ drift[is_determined]
+    unsure = np.einsum(
+        "kp,kl,lp->p", swing[is_determined], spread[np.ix_(is_determined, is_determined)], swing[is_determined]
+    )  # variance of the variance
     freedom = 2.0 / np.maximum(unsure / np.diagonal(point.spread) ** 2, 2e-9)
     likelihood = log_likelihood(survey, best, point.coefficients)
     return FittedModel(best, spread, point.coefficients, point.spread + carried, freedom, likelihood)
@@ -254,18 +256,18 @@ class _Received:
     def __init__(self, survey: Survey, total: Floats, coefficients: Floats | None = None) -> None:
         from scipy.linalg import solve_triangular
 
-        seen, lost, X = ~survey.lost, survey.lost, survey.design
-        factor = np.linalg.cholesky(total[np.ix_(seen, seen)])
-        self.design: Floats = solve_triangular(factor, X[seen], lower=True)
+        received, lost, X = ~survey.lost, survey.lost, survey.design
+        factor = np.linalg.cholesky(total[np.ix_(received, received)])
+        self.design: Floats = solve_triangular(factor, X[received], lower=True)
         self.precision: Floats = self.design.T @ self.design  # of beta
-        level: Floats = solve_triangular(factor, survey.level_dbm[seen], lower=True)
+        level: Floats = solve_triangular(factor, survey.level_dbm[received], lower=True)
         fitted = np.linalg.solve(self.precision, self.design.T @ level)  # generalised least squares
         beta = fitted if coefficients is None else coefficients
         residual = level - self.design @ beta
         self.log_density = float(
             -np.log(np.diagonal(factor)).sum() - 0.5 * residual @ residual - 0.5 * len(level) * math.log(2.0 * math.pi)
         )
-        self.across: Floats = solve_triangular(factor, total[np.ix_(seen, lost)], lower=True)
+        self.across: Floats = solve_triangular(factor, total[np.ix_(received, lost)], lower=True)
         self.expected: Floats = X[lost] @ beta + self.across.T @ residual  # of the lost rows
         self.left: Floats = total[np.ix_(lost, lost)] - self.across.T @ self.across  # their covariance
 

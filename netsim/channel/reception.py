@@ -384,16 +384,16 @@ def received(report: FrameReport) -> Iterator[tuple[str, float, int]]:
 
 def without_distant(report: FrameReport, least_dbm: float) -> FrameReport:
     """The report of a frame without receivers at lower levels that lost it; the one with the highest level stays."""
-    kept = (report.rssi_dbm >= least_dbm) | (report.received_ns >= 0)
-    if kept.all():
+    is_near = (report.rssi_dbm >= least_dbm) | (report.received_ns >= 0)
+    if is_near.all():
         return report
-    kept[report.rssi_dbm.argmax()] = True  # every frame has a row in the table
-    return only(report, kept)
+    is_near[report.rssi_dbm.argmax()] = True  # every frame has a row in the table
+    return only(report, is_near)
 
 
-def only(report: FrameReport, kept: Bools) -> FrameReport:
+def only(report: FrameReport, mask: Bools) -> FrameReport:
     """The report of a frame at some of its receivers, (n,)."""
-    places = np.flatnonzero(kept)
+    places = np.flatnonzero(mask)
     listed, rest = places.tolist(), dict[str, Any]()
     for name in report.__struct_fields__:
         value = getattr(report, name)

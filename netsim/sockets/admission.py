@@ -92,7 +92,7 @@ class ProgramAdmission:
         self._welcome = Welcome(run, tuple(vehicles))
         self._strangers: dict[Stream, float] = {}  # deadlines of their `Hello`, oldest first
         self._there: dict[str, Stream] = {}
-        self._told: set[str] = set()
+        self._remarks: set[str] = set()
         self._selector = selectors.DefaultSelector()
 
     def wait(self, timeout_s: float) -> dict[str, Stream]:
@@ -188,7 +188,7 @@ class ProgramAdmission:
             why = f"{word.vehicle} already has a program"
         else:
             return None
-        if why not in self._told and len(self._told) < MOST_TOLD:
-            self._told.add(why)
+        if why not in self._remarks and len(self._remarks) < MOST_TOLD:
+            self._remarks.add(why)
             self._tell(f"refused a program: {why}")
         return why

@@ -101,10 +101,10 @@ class QuadrotorFleet:
             scale = min(1.0, most / max(math.hypot(x, y), _TINY))
             x, y = x * scale, y * scale
         c = self._commands
-        wanted = c.velocity_wanted
-        wanted[0][row] = x
-        wanted[1][row] = y
-        wanted[2][row] = z if -climb <= z <= climb else math.copysign(climb, z)
+        target = c.velocity_wanted
+        target[0][row] = x
+        target[1][row] = y
+        target[2][row] = z if -climb <= z <= climb else math.copysign(climb, z)
         c.yaw_rate_wanted[row] = yaw_rate if -turn <= yaw_rate <= turn else math.copysign(turn, yaw_rate)
         c.to_place[row] = 0.0
 

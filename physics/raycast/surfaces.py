@@ -78,14 +78,14 @@ def surfaces_of(solids: Sequence[AnySolid], slab_m: float, *, ground: bool) -> S
             _add_sheet(solid, number, size_m, facets, edges)
         else:
             _add_upright(solid, number, size_m if thin else math.inf, facets, edges)
-    kept = [k for k, facet in enumerate(facets) if not (ground and facet.corners[:, 2].max() <= _TOUCH_M)]
+    numbers = [k for k, facet in enumerate(facets) if not (ground and facet.corners[:, 2].max() <= _TOUCH_M)]
     edges = list(_exposed(edges, bodies, ground=ground))
-    return _arrays([facets[k] for k in kept], _renumbered(edges, kept), bodies)
+    return _arrays([facets[k] for k in numbers], _renumbered(edges, numbers), bodies)
 
 
-def _renumbered(edges: list[_Edge], kept: list[int]) -> list[_Edge]:
+def _renumbered(edges: list[_Edge], numbers: list[int]) -> list[_Edge]:
     """Edges of kept facets, with their new numbers."""
-    place = {facet: k for k, facet in enumerate(kept)}
+    place = {facet: k for k, facet in enumerate(numbers)}
     left = [edge for edge in edges if edge.faces[0] in place and edge.faces[1] in place]
     return [edge._replace(faces=(place[edge.faces[0]], place[edge.faces[1]])) for edge in left]
 

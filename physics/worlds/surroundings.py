@@ -68,10 +68,10 @@ class Surroundings:
                 read_picture(picture)
         except ValueError as error:
             raise ScenarioError(str(error)) from error
-        given = {key: getattr(self, key) for key in ("movables", "moving", "floor_friction", "zones", "wind", "light")}
+        values = {key: getattr(self, key) for key in ("movables", "moving", "floor_friction", "zones", "wind", "light")}
         solids = (*solids, *self.boxes, *self.cylinders, *self.prisms)
         ground = _with(ground, self.zones)
-        return World(name=name, solids=solids, targets=placed(self.sited()), ground=ground, bounds=bounds, **given)
+        return World(name=name, solids=solids, targets=placed(self.sited()), ground=ground, bounds=bounds, **values)
 
 
 def _with(ground: GroundPicture, zones: Sequence[Zone]) -> GroundPicture:

@@ -199,7 +199,7 @@ class Guide:
     def __init__(self, passage: Passage, team: Team, info: VehicleInfo) -> None:
         self._lookout, self._policy = Lookout(passage, team, info), Widening(passage)
         self._names = tuple(name for name in team.members if name != team.name)
-        self._told = {"lane": "", "waits_for": ""}
+        self._note = {"lane": "", "waits_for": ""}
         self.notes: dict[str, str] = {}
 
     def shape(self, obs: Observation, listening: ReportReceiver, estimator: Estimator) -> str:
@@ -210,8 +210,8 @@ class Guide:
         wide = self._policy.widens(obs.time_ns, free, self._names, listening) if is_narrow else free
         waits_for = self._policy.waits_for if is_narrow and free else ()
         now = {"lane": "free" if free else "narrow", "waits_for": ", ".join(waits_for[:NAMED])}
-        self.notes = {name: value for name, value in now.items() if value != self._told[name]}
-        self._told = now
+        self.notes = {name: value for name, value in now.items() if value != self._note[name]}
+        self._note = now
         return team.wide if wide else passage.shape
 
 

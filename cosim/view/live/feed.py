@@ -95,7 +95,7 @@ class Feed:
             **dict.fromkeys((Later, Scan, Image), self._on_reading),
         }
         self._state.newest |= {name: {} for name in READINGS.values()}  # requested sensors: vehicle/sensor
-        self._asked: frozenset[str] = frozenset()
+        self._requests: frozenset[str] = frozenset()
         self._later: dict[str, Later] = {}
         self._now_ns, self._fresh = 0, True  # changes have occurred that were not sent
         self._due_s = self._read_s = -1e9
@@ -157,7 +157,7 @@ class Feed:
         self._forget()
 
     def _on_reading(self, event: Event) -> None:
-        if event.key in self._asked:
+        if event.key in self._requests:
             self._take_reading(event.key, event.value)
 
     def _take_reading(self, key: str, reading: Any) -> None:
@@ -167,10 +167,10 @@ class Feed:
             self._state.keep(collection, key, reading)
 
     def _ask(self, names: Sequence[str]) -> None:
-        self._asked = frozenset(names)
+        self._requests = frozenset(names)
         state = self._state
-        state.fresh = {each: None for each in state.fresh if each[0] not in READINGS.values() or each[1] in self._asked}
-        self._later = {key: later for key, later in self._later.items() if key in self._asked}
+        state.fresh = {each: None for each in state.fresh if each[0] not in READINGS.values() or each[1] in self._requests}
+        self._later = {key: later for key, later in self._later.items() if key in self._requests}
 
     def _work_out(self) -> bool:
         """Compute one of the pending readings in turn; returns whether there was one."""

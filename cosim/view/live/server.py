@@ -58,9 +58,9 @@ def _serve(pipe: protocol.Pipe) -> None:
     server = web_server.open_server(start.host, start.port, start.token)
     lock = threading.Lock()
 
-    def order(wanted: Order | protocol.Up) -> None:  # called by threads of the web server
+    def order(command: Order | protocol.Up) -> None:  # called by threads of the web server
         with lock:
-            pipe.offer_within(codec.encode(wanted), ORDER_S)
+            pipe.offer_within(codec.encode(command), ORDER_S)
 
     station = Station(server, start.scenery, order)
     order(protocol.Up(port=server.get_port()))

@@ -116,8 +116,8 @@ class Chart:
         """
         if log:
             curves = np.where(curves > 0.0, curves, np.nan)
-        seen = curves[np.isfinite(curves)]
-        ends = limits_of(seen, log=log) if len(seen) else None
+        finite = curves[np.isfinite(curves)]
+        ends = limits_of(finite, log=log) if len(finite) else None
         frame = title, ends, log, tuple(names), tuple(strokes)
         data = (time_s, *np.ascontiguousarray(curves.T))
         if frame == self._frame and self._node is not None:

@@ -44,7 +44,7 @@ class Station:
         self._drawing, self._drawn = threading.RLock(), threading.Event()
         self._known = Known(scenery)
         self._aimed = False
-        self._words, self._often, self._told = Every(WORDS_S), Every(TABLE_S), -1
+        self._words, self._often, self._line_count = Every(WORDS_S), Every(TABLE_S), -1
         with server.atomic():
             self._scene = Scene(server, scenery)
             self._vehicles = Vehicles(server, scenery, self._clicked)
@@ -94,9 +94,9 @@ class Station:
             self._follower.draw(self._known.position[self._choice.row], self._clock())
         else:
             self._follower.release()
-        seen = self._known.position[np.isfinite(self._known.position).all(axis=1)]
-        if self._with_team.value and not self._choice.follows and len(seen):
-            self._team.draw(seen.mean(axis=0), self._clock())
+        places = self._known.position[np.isfinite(self._known.position).all(axis=1)]
+        if self._with_team.value and not self._choice.follows and len(places):
+            self._team.draw(places.mean(axis=0), self._clock())
         else:
             self._team.release()
 
@@ -120,8 +120,8 @@ class Station:
         self._vehicle.content = vehicle_page(known, self._choice.row)
         if self._often.due(self._clock()):
             self._all.content = team_page(known, picked(self._sorted))
-        if known.told != self._told:
-            self._told = known.told
+        if known.line_count != self._line_count:
+            self._line_count = known.line_count
             self._log.content = log_page(known)
         for draw in (self._choice.draw, *self._controls):
             draw(known)

@@ -148,7 +148,7 @@ class Pacing:
 
     def __init__(self, gui: viser.GuiApi, scenery: Scenery, give: Give) -> None:
         self._give, self._live = give, scenery.live
-        self._told: Pace | None = None
+        self._pace: Pace | None = None
         self._resume = "Resume" if self._live else "Play"
         self._toggle = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
         self._step = gui.add_button("Step 0.1 s", icon=viser.Icon.PLAYER_TRACK_NEXT) if self._live else None
@@ -164,22 +164,22 @@ class Pacing:
         pace = known.now.pace
         over = bool(pace.over) and self._live
         self._toggle.disabled = over
-        if self._told is None or self._told.paused != pace.paused:
+        if self._pace is None or self._pace.paused != pace.paused:
             self._toggle.label = self._resume if pace.paused else "Pause"
             self._toggle.icon = viser.Icon.PLAYER_PLAY if pace.paused else viser.Icon.PLAYER_PAUSE
         if self._step is not None:
             self._step.disabled = over
         self._speed.disabled = over
-        if self._told is None or self._told.speed != pace.speed:
+        if self._pace is None or self._pace.speed != pace.speed:
             word = _word(pace.speed)
             if word not in self._speed.options:
                 self._speed.options = (*self._speed.options, word)
             write(self._speed, word)
-        self._told = pace
+        self._pace = pace
 
     def _chosen(self, event: viser.GuiEvent[viser.GuiDropdownHandle[str]]) -> None:
         if event.client_id is not None:  # else `draw` has set it
-            self._order(paused=self._told is not None and self._told.paused)
+            self._order(paused=self._pace is not None and self._pace.paused)
 
     def _order(self, *, paused: bool, step_ns: int = 0) -> None:
         word = picked(self._speed)
@@ -192,11 +192,11 @@ def _word(speed: float | None) -> str:
 
 def apart(times_s: Sequence[float], least_s: float) -> tuple[float, ...]:
     """The increasing times without those that follow the last one kept by less than ``least_s``."""
-    kept: list[float] = []
+    heights: list[float] = []
     for time_s in times_s:
-        if not kept or time_s - kept[-1] >= least_s:
-            kept.append(time_s)
-    return tuple(kept)
+        if not heights or time_s - heights[-1] >= least_s:
+            heights.append(time_s)
+    return tuple(heights)
 
 
 class Timeline:
@@ -301,7 +301,7 @@ class Choice:
         gui, may = server.gui, scenery.may
         self._ticked: set[str] = set()  # names of sensors, of any vehicle
         self._boxes: list[viser.GuiCheckboxHandle] = []
-        self._asked: tuple[str, ...] = ()
+        self._names: tuple[str, ...] = ()
         self._which = gui.add_dropdown("Vehicle", list(self._row) or ["none"])
         self._follows = gui.add_checkbox("Camera follows", initial_value=False)
         labels = ("Stop this vehicle", "Release this vehicle") if "halt" in may and self._row else ()
@@ -371,7 +371,7 @@ class Choice:
         self._ask()
 
     def _ask(self) -> None:
-        wanted = self.readings if self._server.get_clients() else ()
-        if wanted != self._asked:
-            self._asked = wanted
-            self._give(Sensors(names=wanted))
+        names = self.readings if self._server.get_clients() else ()
+        if names != self._names:
+            self._names = names
+            self._give(Sensors(names=names))

@@ -115,12 +115,13 @@ def _who(known: Known, row: int) -> Rows:
     follows = known.now.places.get(craft.name)
     if follows is not None and follows.leader is not None:
         rows.append(("follows", f"{_text(follows.leader)} at ({follows.slot[0]:.2f}, {follows.slot[1]:.2f}) m"))
-    seen = known.now.sightings.get(craft.name)
-    if seen is not None and seen.found:
+    sightings = known.now.sightings.get(craft.name)
+    if sightings is not None and sightings.found:
         found = [
-            f"{_text(each.target)} at ({each.place[0]:.1f}, {each.place[1]:.1f}) m, {each.score:.2f}" for each in seen.found
+            f"{_text(each.target)} at ({each.place[0]:.1f}, {each.place[1]:.1f}) m, {each.score:.2f}"
+            for each in sightings.found
         ]
-        rows.append((f"recognised {max(known.now.time_ns - seen.time_ns, 0) / SECOND_NS:.0f} s ago", "<br>".join(found)))
+        rows.append((f"recognised {max(known.now.time_ns - sightings.time_ns, 0) / SECOND_NS:.0f} s ago", "<br>".join(found)))
     return rows
 
 
@@ -172,8 +173,8 @@ def _links(known: Known, row: int) -> Rows:
         return []
     to, back = sent[row], sent[:, row]
     others = [other for other in range(len(known.names)) if other != row and (to[other] or back[other])]
-    heard = received[row] + received[:, row]
-    busiest = sorted(others, key=lambda other: (-int(heard[other]), other))[:LINKS]
+    receptions = received[row] + received[:, row]
+    busiest = sorted(others, key=lambda other: (-int(receptions[other]), other))[:LINKS]
     rows = []
     for other in sorted(busiest):
         there, here = _share(received[row, other], to[other]), _share(received[other, row], back[other])

@@ -41,8 +41,8 @@ class RayPaths:
     def __init__(self, server: viser.ViserServer, scenery: Scenery) -> None:
         self._site, self._names = scenery.site, [each.name for each in scenery.vehicles]
         self._lines = Segments(server, "/paths", np.zeros((MOST * LEGS if self._site else 0, 2, 3), np.uint8), 2.0)
-        self._wanted: tuple[str, str, Array] | None = None  # names and places, (2, 3) m
-        self._asked, self._found = threading.Event(), Found((), np.zeros(0), ())
+        self._link: tuple[str, str, Array] | None = None  # names and places, (2, 3) m
+        self._request, self._found = threading.Event(), Found((), np.zeros(0), ())
         self._drawn: Found | None = None
         if not self._site:
             return
@@ -60,25 +60,25 @@ class RayPaths:
             self._lines.put(points, colors)
             self._words.content = in_words(self._drawn)
         other = picked(self._to)
-        wanted = None
+        link = None
         if other not in (NOBODY, self._names[chosen]):
             places = known.position[[chosen, self._names.index(other)]]
-            wanted = (self._names[chosen], other, places) if np.isfinite(places).all() else None
-        if repr(wanted) != repr(self._wanted):
-            self._wanted = wanted
-            self._asked.set()
+            link = (self._names[chosen], other, places) if np.isfinite(places).all() else None
+        if repr(link) != repr(self._link):
+            self._link = link
+            self._request.set()
 
     def _trace(self) -> None:
         """Trace the link that is wanted, whenever another one is."""
         site = None
-        while self._asked.wait():
-            self._asked.clear()
-            wanted = self._wanted
+        while self._request.wait():
+            self._request.clear()
+            link = self._link
             try:
                 if site is None:
                     with only(NO_CODE):
                         _, _, site = site_of(json.loads(self._site), settings=None, seed=None, trust=False)
-                self._found = Found((), np.zeros(0), ()) if wanted is None else _found(site.channel, *wanted)
+                self._found = Found((), np.zeros(0), ()) if link is None else _found(site.channel, *link)
             except VcmvspError:  # an antenna inside a solid, or a world of a class that is not imported here
                 self._found = Found((), np.zeros(0), ())
 

@@ -45,9 +45,9 @@ class Scene:
 
     def draw(self, known: Known, now_s: float) -> None:
         """Update obstacles, targets and veils, and extend the floor under all vehicles."""
-        seen = known.position[np.isfinite(known.position).all(axis=1), :2]
-        if len(seen):
-            self.floor.widen(*seen.min(axis=0).tolist(), *seen.max(axis=0).tolist())
+        places = known.position[np.isfinite(known.position).all(axis=1), :2]
+        if len(places):
+            self.floor.widen(*places.min(axis=0).tolist(), *places.max(axis=0).tolist())
         self._solids.draw(known.position, now_s)
         for name, (x, y, z, yaw) in known.now.obstacles.items():
             if handle := self._obstacles.get(name):
@@ -94,9 +94,9 @@ class Scene:
         return bool(np.isfinite(known.position).all(axis=1).any())
 
     def _places(self, known: Known) -> Array:
-        seen = known.position[np.isfinite(known.position).all(axis=1)]
+        places = known.position[np.isfinite(known.position).all(axis=1)]
         west, south, east, north = self.floor.extent
-        return seen if len(seen) else np.array([(west, south, 0.0), (east, north, 0.0)])
+        return places if len(places) else np.array([(west, south, 0.0), (east, north, 0.0)])
 
 
 def fitted(places: Array, back: Array, fov: float, aspect: float) -> tuple[Array, float]:

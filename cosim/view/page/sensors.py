@@ -34,11 +34,11 @@ class Scans:
         self._fans: dict[str, viser.MeshHandle] = {}
         self._drawn: dict[str, Scan] = {}
 
-    def draw(self, known: Known, wanted: tuple[str, ...]) -> None:
+    def draw(self, known: Known, names: tuple[str, ...]) -> None:
         """Draw new scans of the wanted sensors (vehicle/sensor) and hide the others."""
         for key, node in self._nodes.items():
-            node.visible = self._fans[key].visible = key in wanted and key in known.now.scans
-        for key in wanted:
+            node.visible = self._fans[key].visible = key in names and key in known.now.scans
+        for key in names:
             scan, row = known.now.scans.get(key), known.row.get(key.partition("/")[0])
             if scan is None or row is None or self._drawn.get(key) is scan:
                 continue
@@ -78,17 +78,17 @@ class Pictures:
         self._drawn: dict[str, Image | Sightings] = {}
         self._often = Every(0.15)
 
-    def draw(self, known: Known, chosen: str, wanted: tuple[str, ...], now_s: float) -> None:
+    def draw(self, known: Known, chosen: str, names: tuple[str, ...], now_s: float) -> None:
         """Show new pictures of the chosen vehicle."""
         if self._often.due(now_s):
-            self._renew(known, chosen, wanted)
+            self._renew(known, chosen, names)
         self._frusta.draw(known)
 
-    def _renew(self, known: Known, chosen: str, wanted: tuple[str, ...]) -> None:
-        pictures: dict[str, Image | Sightings] = {key: known.now.images[key] for key in wanted if key in known.now.images}
-        seen = known.now.sightings.get(chosen)
-        if seen is not None and seen.jpeg:
-            pictures[f"{chosen}/{seen.sensor}{EXAMINED}"] = seen
+    def _renew(self, known: Known, chosen: str, names: tuple[str, ...]) -> None:
+        pictures: dict[str, Image | Sightings] = {key: known.now.images[key] for key in names if key in known.now.images}
+        sightings = known.now.sightings.get(chosen)
+        if sightings is not None and sightings.jpeg:
+            pictures[f"{chosen}/{sightings.sensor}{EXAMINED}"] = sightings
         for key, node in self._nodes.items():
             node.visible = key in pictures
         self._frusta.show({key.partition(EXAMINED)[0] for key in pictures})
@@ -166,8 +166,8 @@ class Ground:
 
     def draw(self, known: Known, chosen: str, now_s: float) -> None:
         """Draw the map or mosaic of the chosen vehicle if it is new."""
-        told: dict[str, Mapping[str, ProbabilityMap | Mosaic]] = {MAP: known.now.maps, MOSAIC: known.now.mosaics}
-        ground = told.get(self.kind, {}).get(chosen)
+        layers: dict[str, Mapping[str, ProbabilityMap | Mosaic]] = {MAP: known.now.maps, MOSAIC: known.now.mosaics}
+        ground = layers.get(self.kind, {}).get(chosen)
         if self._node is not None:
             self._node.visible = ground is not None
         if ground is None or ground is self._drawn or not self._often.due(now_s):

@@ -25,14 +25,14 @@ class Known:
 
     Attributes:
         now: all updates merged; states, links and lines are from the last one.
-        lines: log lines; ``told``: their total number so far.
+        lines: log lines; ``line_count``: their total number so far.
         times_back: number of steps back in time.
         position, velocity, attitude: (n, 3) m and m/s, world; (n, 4) w, x, y, z, world_from_body.
         link_sent_ns, link_rssi_dbm, link_received: (n, n), of the newest frame from the row's vehicle for the column's.
     """
 
     now: PageUpdate
-    told: int
+    line_count: int
 
     def __init__(self, scenery: Scenery) -> None:
         self.scenery = scenery
@@ -50,13 +50,13 @@ class Known:
         """Update from a message."""
         if update.time_ns < self.now.time_ns:
             self.times_back += 1
-            kept = [line for line in self.lines if line.time_ns <= update.time_ns]
+            lines = [line for line in self.lines if line.time_ns <= update.time_ns]
             self._forget(update.time_ns)
-            self.lines.extend(kept)
+            self.lines.extend(lines)
         for line in update.lines:
             if line not in self.lines:  # a recording may repeat lines that are still listed
                 self.lines.append(line)
-                self.told += 1
+                self.line_count += 1
         merged: dict[str, Any] = {name: {**getattr(self.now, name), **getattr(update, name)} for name in MAPPINGS}
         if update.sent is None or update.received is None:
             merged |= {"sent": self.now.sent, "received": self.now.received}
@@ -98,7 +98,7 @@ class Known:
     def _forget(self, time_ns: int) -> None:
         self.now = PageUpdate(time_ns=time_ns)
         self.lines: deque[LogLine] = deque(maxlen=LINES)
-        self.told = 0
+        self.line_count = 0
         count = len(self.names)
         self.link_sent_ns = np.full((count, count), NEVER_NS, np.int64)
         self.link_rssi_dbm = np.zeros((count, count))

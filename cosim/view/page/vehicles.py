@@ -69,12 +69,12 @@ class Places(NamedTuple):
 
 def places_of(known: Known) -> Places:
     """The present slots of followers whose positions are known."""
-    kept = [
+    names = [
         (known.row[name], known.row[each.leader], *each.slot, each.handle_m)
         for name, each in known.now.places.items()
         if name in known.row and each.leader in known.row
     ]
-    table = np.array(kept, float).reshape(-1, 5)
+    table = np.array(names, float).reshape(-1, 5)
     row, leader = table[:, 0].astype(int), table[:, 1].astype(int)
     slot, handle = table[:, 2:4], table[:, 4]
     yaw, own = known.yaw[leader], known.yaw[row]
@@ -143,17 +143,17 @@ class Vehicles:
         """Update all vehicles."""
         if not len(self._size):
             return
-        seen = np.isfinite(known.position).all(axis=1)
-        centre = np.where(seen[:, None], known.position, 0.0) + rotated(known.attitude, self._offset)
-        scale = np.where(seen[:, None], self._size, TINY)
+        is_known = np.isfinite(known.position).all(axis=1)
+        centre = np.where(is_known[:, None], known.position, 0.0) + rotated(known.attitude, self._offset)
+        scale = np.where(is_known[:, None], self._size, TINY)
         for rows, bodies in zip(self._rows, self._bodies, strict=True):
             bodies.put(centre[rows], known.attitude[rows], scale[rows])
         for shape in self._own:
-            shape.put(known.position, known.attitude, seen)
+            shape.put(known.position, known.attitude, is_known)
         self._noses.put(centre, known.attitude, scale)
         ground = self._rows[0]
-        self._wheels.put(known.position[ground], known.attitude[ground], seen[ground])
-        reach = np.where(seen[:, None], DOT_M, 0.0)
+        self._wheels.put(known.position[ground], known.attitude[ground], is_known[ground])
+        reach = np.where(is_known[:, None], DOT_M, 0.0)
         lift = np.maximum(0.5 * DOT_PX * pixel_m(self._server, centre) - 0.5 * self._size[:, 2], 0.0)  # out of the floor
         dots = centre + np.column_stack([np.zeros((len(lift), 2)), lift])
         self._dots.put(np.stack([dots - reach, dots + reach], axis=1))
@@ -161,7 +161,7 @@ class Vehicles:
         self._drops.put(np.stack([top, top * (1.0, 1.0, 0.0)], axis=1))
         floor = centre - np.column_stack([np.zeros_like(scale[:, :2]), 0.5 * self._size[:, 2]])
         reach = 0.5 * np.hypot(self._size[:, 0], self._size[:, 1])
-        self._chosen.visible = bool(seen[chosen])
+        self._chosen.visible = bool(is_known[chosen])
         self._chosen.position, self._chosen.scale = floor[chosen], 1.15 * float(reach[chosen])
         if self._slow.due(now_s):
             self._draw_stopped(known, floor, reach)
@@ -203,9 +203,9 @@ class OwnShape:
             for place, part in enumerate(scenery.shapes[name])
         ]
 
-    def put(self, position: Array, attitude: Array, seen: Array) -> None:
+    def put(self, position: Array, attitude: Array, is_known: Array) -> None:
         """Set the poses of all vehicles, (n, 3) m and (n, 4); those not seen are not drawn."""
-        shown = seen[self._rows, None]
+        shown = is_known[self._rows, None]
         place, scale = np.where(shown, position[self._rows], 0.0), np.repeat(np.where(shown, 1.0, TINY), 3, axis=1)
         for part in self._parts:
             part.put(place, attitude[self._rows], scale)
@@ -226,9 +226,9 @@ class Wheels:
         self._place[1::2, 1] -= aside
         self._wheels = Batch(server, "/vehicles/wheels", wheel(), np.tile(np.array(EDGE_RGB, np.uint8), (2 * len(size), 1)))
 
-    def put(self, position: Array, attitude: Array, seen: Array) -> None:
+    def put(self, position: Array, attitude: Array, is_known: Array) -> None:
         """Set the wheels of robots with these poses, (k, 3) m and (k, 4); those not seen have none."""
-        turn, shown = np.repeat(attitude, 2, axis=0), np.repeat(seen, 2)[:, None]
+        turn, shown = np.repeat(attitude, 2, axis=0), np.repeat(is_known, 2)[:, None]
         place = np.where(shown, np.repeat(position, 2, axis=0), 0.0) + rotated(turn, self._place)
         self._wheels.put(place, turn, np.where(shown, self._scale, TINY))
 

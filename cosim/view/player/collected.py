@@ -79,9 +79,9 @@ class Collected:
         return tuple(self.lines[max(first, last - LINES) : last])
 
     def _take_line(self, time_ns: int, data: bytes) -> None:
-        said = _read_log(data)
-        self.lines.append(LogLine(time_ns=time_ns, level=_LEVEL[said.level], text=said.message))
-        self.ending = said.message
+        message = _read_log(data)
+        self.lines.append(LogLine(time_ns=time_ns, level=_LEVEL[message.level], text=message.message))
+        self.ending = message.message
 
     def _take_note(self, vehicle: str, notes: "Notes", time_ns: int, data: bytes) -> None:
         values, newest = _read_note(data).values, self._noted[vehicle]
@@ -90,9 +90,9 @@ class Collected:
         newest.update(values)
 
     def _take_halted(self, time_ns: int, data: bytes) -> None:
-        said = _read_halted(data)
+        message = _read_halted(data)
         before = self._halted[-1][1] if self._halted else ()
-        stand = {*before, *said.vehicles} if said.halted else {*before} - {*said.vehicles}
+        stand = {*before, *message.vehicles} if message.halted else {*before} - {*message.vehicles}
         self._halted.append((time_ns, tuple(name for name in self.vehicles if name in stand)))
 
 
@@ -181,8 +181,8 @@ class Counts:
         known = rows // self._between
         newest = np.maximum(self._newest[known], self._newest_receptions(known * self._between, rows))
         rows_of = zip(self._row, newest.tolist(), strict=True)
-        heard = [(name, self._times[bisect_right(self._ends, row)]) for name, row in rows_of if row >= 0]
-        return {name: at_ns for name, at_ns in heard if since_ns is None or at_ns > since_ns}
+        times = [(name, self._times[bisect_right(self._ends, row)]) for name, row in rows_of if row >= 0]
+        return {name: at_ns for name, at_ns in times if since_ns is None or at_ns > since_ns}
 
     def _newest_receptions(self, begin: int, end: int) -> Array:
         """The last row with a reception of each vehicle among some rows, (n,); -1: none."""

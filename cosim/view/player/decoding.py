@@ -39,41 +39,41 @@ ALSO: Mapping[str, Any] = {
 """Types of the schemas that exports do not decode."""
 
 
-def image_of(said: RawImage, calibration: CameraCalibration | None) -> Image:
+def image_of(message: RawImage, calibration: CameraCalibration | None) -> Image:
     """A picture, with the focal length of its camera if recorded."""
-    return Image(pixels=said.pixels, time_ns=said.timestamp.ns, focal_px=0.0 if calibration is None else calibration.K[0])
+    return Image(pixels=message.pixels, time_ns=message.timestamp.ns, focal_px=0.0 if calibration is None else calibration.K[0])
 
 
-def _numbers_of(said: Noted) -> dict[str, Any]:
+def _numbers_of(message: Noted) -> dict[str, Any]:
     """Values of a note, with null (a number that JSON cannot express) as NaN."""
-    return {name: math.nan if value is None else value for name, value in said.values.items()}
+    return {name: math.nan if value is None else value for name, value in message.values.items()}
 
 
-def _fix_of(said: PoseInFrame) -> Fix:
-    at = said.pose.position
-    sigma = {"sigma_m": said.sigma_m, "sigma_rad": said.sigma_rad}
-    return Fix(time_ns=said.timestamp.ns, position=(at.x, at.y, at.z), yaw=said.yaw, **sigma)
+def _fix_of(message: PoseInFrame) -> Fix:
+    at = message.pose.position
+    sigma = {"sigma_m": message.sigma_m, "sigma_rad": message.sigma_rad}
+    return Fix(time_ns=message.timestamp.ns, position=(at.x, at.y, at.z), yaw=message.yaw, **sigma)
 
 
-def _poses_of(said: FrameTransforms) -> dict[str, Pose]:
+def _poses_of(message: FrameTransforms) -> dict[str, Pose]:
     found = {}
-    for each in said.transforms:
+    for each in message.transforms:
         at, turn = each.translation, each.rotation
         pose = (at.x, at.y, at.z, yaw_of((turn.w, turn.x, turn.y, turn.z)))
         found[each.child_frame_id.removeprefix("obstacle/")] = pose
     return found
 
 
-def _scan_of(said: LaserScan) -> Scan:
+def _scan_of(message: LaserScan) -> Scan:
     """A sweep; null becomes infinity, for a beam without return."""
-    ranges = np.array(said.ranges, np.float32)
+    ranges = np.array(message.ranges, np.float32)
     ranges[np.isnan(ranges)] = np.inf
     return Scan(
         ranges=frozen(ranges),
-        angle_min=said.start_angle,
-        angle_step=(said.end_angle - said.start_angle) / max(1, len(ranges) - 1),
-        range_max=math.inf if said.range_max is None else said.range_max,
-        time_ns=said.timestamp.ns,
+        angle_min=message.start_angle,
+        angle_step=(message.end_angle - message.start_angle) / max(1, len(ranges) - 1),
+        range_max=math.inf if message.range_max is None else message.range_max,
+        time_ns=message.timestamp.ns,
     )
 
 

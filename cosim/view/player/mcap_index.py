@@ -84,7 +84,7 @@ class Messages:
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, tuple[Topic, Taker | None] | None] = {}  # None: skipped
         self._parts: list[_Part] = []
-        self._kept: OrderedDict[int, bytes] = OrderedDict()  # chunks, the newest last
+        self._chunks: OrderedDict[int, bytes] = OrderedDict()  # chunks, the newest last
         self._kept_bytes = 0
         self._stream = path.open("rb")
         self.about = mcap_reader.about(self._stream)
@@ -93,14 +93,14 @@ class Messages:
         """Close the file."""
         self._stream.close()
 
-    def read(self, wanted: Callable[[str, str], bool], taker: Callable[[str], Taker | None]) -> str:
+    def read(self, selects: Callable[[str, str], bool], taker: Callable[[str], Taker | None]) -> str:
         """Index all messages; returns the description of damage, beyond which the file is ignored, or an empty text.
 
         Args:
-            wanted: takes topic and schema name; whether messages of this topic are wanted.
+            selects: takes topic and schema name; whether messages of this topic are wanted.
             taker: takes a wanted topic; the function that receives all its messages during indexing, or None.
         """
-        self._wanted, self._taker = wanted, taker
+        self._selects, self._taker = selects, taker
         stream, size = self._stream, os.fstat(self._stream.fileno()).st_size
         try:
             self._counts = mcap_reader.indexed(stream)
@@ -137,13 +137,13 @@ class Messages:
         return raw[start + _HEAD_BYTES : start + _START + length]
 
     def _chunk(self, number: int) -> bytes:
-        raw = self._kept.get(number)
+        raw = self._chunks.get(number)
         if raw is None:
-            raw = self._kept[number] = self._unpacked(self._parts[number])
+            raw = self._chunks[number] = self._unpacked(self._parts[number])
             self._kept_bytes += len(raw)
-            while self._kept_bytes > KEPT_BYTES and len(self._kept) > 1:
-                self._kept_bytes -= len(self._kept.popitem(last=False)[1])
-        self._kept.move_to_end(number)
+            while self._kept_bytes > KEPT_BYTES and len(self._chunks) > 1:
+                self._kept_bytes -= len(self._chunks.popitem(last=False)[1])
+        self._chunks.move_to_end(number)
         return raw
 
     def _unpacked(self, part: _Part) -> bytes:
@@ -191,6 +191,6 @@ class Messages:
             return
         name, schema = record.topic, self._schemas[record.schema_id]
         self._channels[record.id] = None
-        if self._wanted(name, schema):
+        if self._selects(name, schema):
             topic = self.topics.setdefault(name, Topic(name, schema))  # one channel for each type of message
             self._channels[record.id] = topic, self._taker(name)

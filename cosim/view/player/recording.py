@@ -157,8 +157,8 @@ class Recording:
         try:
             return self._file.get(topic, number)
         except (OSError, ValueError) as error:
-            said = f"{self._folder / FILE}: a message of {topic.name} is damaged or of another version"
-            raise UsageError(f"{said}: {error}") from error
+            problem = f"{self._folder / FILE}: a message of {topic.name} is damaged or of another version"
+            raise UsageError(f"{problem}: {error}") from error
 
     def _value(self, topic: Topic, number: int) -> Any:
         message = Recorded(topic.name, topic.schema, topic.time_ns(number), self._content(topic, number))
@@ -203,8 +203,8 @@ class Recording:
         pictures, when_ns, picture = self._file.topics.get(f"{topic.name}/{PICTURE}"), topic.time_ns(number), None
         if pictures is not None and (of_then := pictures.newest(when_ns)) >= 0 and pictures.time_ns(of_then) == when_ns:
             picture = self._value(pictures, of_then)
-        said: ImageAnnotations = self._value(topic, number)
-        return said.sightings(b"" if picture is None else picture.data)
+        message: ImageAnnotations = self._value(topic, number)
+        return message.sightings(b"" if picture is None else picture.data)
 
     def _obstacles(self, time_ns: int) -> dict[str, Pose]:
         moving = () if self._world is None else self._world.moving
@@ -277,8 +277,8 @@ class Player:
         since_ns = None if self._last_ns is None or now_ns < self._last_ns else self._last_ns
         self._last_ns = now_ns
         shown = self._recording.at(now_ns, since_ns, self._sensors)
-        if asked := [name for name in self._sensors if name not in before]:  # the newest, of any age
-            readings = self._recording.readings(now_ns, None, asked)
+        if names := [name for name in self._sensors if name not in before]:  # the newest, of any age
+            readings = self._recording.readings(now_ns, None, names)
             shown = msgspec.structs.replace(shown, **{name: getattr(shown, name) | new for name, new in readings.items()})
         return msgspec.structs.replace(shown, pace=self._pace(now_ns))
 

@@ -160,12 +160,12 @@ class VehicleSearch:
         self._found: dict[tuple[Sender, str], Message] = {}  # newest heartbeat by sender and source
         self._others: dict[int, str] = {}  # other systems
         self._first_ns = 0
-        self._heard = 0
+        self._received_bytes = 0
 
     def receive(self, chunks: Chunks, now_ns: int) -> Peer | None:
         """Process bytes; the vehicle, if it is determined now."""
         for source, data in chunks:
-            self._heard += len(data)
+            self._received_bytes += len(data)
             reader = self._readers.setdefault(source, MessageReader())
             if len(self._readers) > READERS:
                 del self._readers[next(iter(self._readers))]
@@ -199,10 +199,10 @@ class VehicleSearch:
     def failure(self, waited_s: float) -> HandshakeError:
         """Error of a search without result."""
         waited = f"within {waited_s:g} s"
-        if not self._heard:
+        if not self._received_bytes:
             return HandshakeError(self._device, f"no byte was received {waited}", self._advice())
         if not any(reader.messages for reader in self._readers.values()):
-            happened = f"{self._heard} bytes were received {waited}, but no MAVLink message"
+            happened = f"{self._received_bytes} bytes were received {waited}, but no MAVLink message"
             return HandshakeError(self._device, happened, "check baud and the connected device")
         if not self._others:
             happened = f"no heartbeat was received {waited}"

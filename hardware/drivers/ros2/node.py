@@ -58,7 +58,7 @@ class Node:
         self._mapping = mapping
         self._session = _session(with_slash(endpoint), mode)
         self._ids: dict[Endpoint, bytes] = {}
-        self._kept: list[Any] = []  # Zenoh undeclares objects without references
+        self._references: list[Any] = []  # Zenoh undeclares objects without references
         self._mine = str(self._session.zid())
         try:
             self._declare(mapping.tokens(self._mine, ())[-1])
@@ -76,7 +76,7 @@ class Node:
                 self._declare(token)
 
     def _declare(self, token: str) -> None:
-        self._kept.append(self._session.liveliness().declare_token(token))
+        self._references.append(self._session.liveliness().declare_token(token))
 
     def publisher(self, what: Endpoint, matched: Callable[[bool], None], *, complete: bool = False) -> Callable[[bytes], None]:
         """Function that publishes a message; ``matched`` gets, in Zenoh's thread, whether there is a subscriber.
@@ -94,7 +94,7 @@ class Node:
             matched(status.matching)
 
         told(publisher.matching_status)
-        self._kept += [publisher, publisher.declare_matching_listener(Callback(told, indirect=False))]
+        self._references += [publisher, publisher.declare_matching_listener(Callback(told, indirect=False))]
         number = 0
 
         def publish(data: bytes) -> None:
@@ -105,7 +105,7 @@ class Node:
 
         return publish
 
-    def hear(self, what: Endpoint, heard: Callable[[ReceivedMessage], None], *, whatever: bool = False) -> None:
+    def hear(self, what: Endpoint, on_message: Callable[[ReceivedMessage], None], *, whatever: bool = False) -> None:
         """Pass on messages of a topic, in Zenoh's thread; ``whatever``: of any type."""
 
         def took(sample: zenoh.Sample) -> None:
@@ -114,10 +114,10 @@ class Node:
             if name is None or sample.kind != zenoh.SampleKind.PUT or len(sample.payload) > _MOST_BYTES:
                 return
             origin = origin_of(sample.attachment.to_bytes()) if sample.attachment is not None else None
-            heard(ReceivedMessage(name, sample.payload.to_bytes(), origin.gid if origin else None, arrived_ns))
+            on_message(ReceivedMessage(name, sample.payload.to_bytes(), origin.gid if origin else None, arrived_ns))
 
         expression = self._mapping.hears(what.topic) if whatever else self._mapping.publishes(what.topic, what.type)
-        self._kept.append(self._session.declare_subscriber(expression, Callback(took, indirect=False)))
+        self._references.append(self._session.declare_subscriber(expression, Callback(took, indirect=False)))
 
     def latch(self, what: Endpoint, data: bytes) -> None:
         """Publish a message that later subscribers get, too: rmw_zenoh's transient-local topics are advanced publishers."""
@@ -125,7 +125,7 @@ class Node:
         cache = zenoh.ext.CacheConfig(max_samples=1)
         publisher = zenoh.ext.declare_advanced_publisher(self._session, key, cache=cache, publisher_detection=True)
         publisher.put(data, attachment=self._mapping.attachment(Origin(1, time.time_ns(), self._ids[what])))
-        self._kept.append(publisher)
+        self._references.append(publisher)
 
     def serve(self, what: Endpoint, called: Callable[[Call], None]) -> None:
         """Pass on calls of a service, in Zenoh's thread; those without a valid attachment get no answer.
@@ -145,7 +145,7 @@ class Node:
 
             called(Call(query, answer))
 
-        self._kept.append(self._session.declare_queryable(key, Callback(took, indirect=False), complete=True))
+        self._references.append(self._session.declare_queryable(key, Callback(took, indirect=False), complete=True))
 
     def others(self) -> list[Endpoint]:
         """Publishers and subscribers of other nodes."""
@@ -158,17 +158,19 @@ class Node:
                 endpoints.add(endpoint)
         return sorted(endpoints, key=lambda each: (each.topic not in own, each))
 
-    def watch(self, told: Callable[[str, Endpoint, bool], None]) -> None:
+    def watch(self, on_change: Callable[[str, Endpoint, bool], None]) -> None:
         """Pass on, in Zenoh's thread, each endpoint of other nodes that is there, comes or goes, with its unique token."""
 
         def took(sample: zenoh.Sample) -> None:
             token = str(sample.key_expr)
             endpoint = self._mapping.endpoint(token)
             if endpoint is not None and f"/{self._mine}/" not in token:
-                told(token, endpoint, sample.kind == zenoh.SampleKind.PUT)
+                on_change(token, endpoint, sample.kind == zenoh.SampleKind.PUT)
 
         liveliness = self._session.liveliness()
-        self._kept.append(liveliness.declare_subscriber(self._mapping.graph, Callback(took, indirect=False), history=True))
+        self._references.append(
+            liveliness.declare_subscriber(self._mapping.graph, Callback(took, indirect=False), history=True)
+        )
 
     def close(self) -> None:
         """End the session, which undeclares everything. Never raises."""

@@ -111,13 +111,13 @@ class Wheels:
     def __init__(self, pose: Vec3) -> None:
         self.pose, self.v, self.w = pose, 0.0, 0.0
 
-    def step(self, wanted: tuple[float, float], motion: SetPoints, dt: float) -> None:
+    def step(self, target: tuple[float, float], motion: SetPoints, dt: float) -> None:
         """Advance by ``dt`` seconds."""
         if motion.emergency:
             self.v = self.w = 0.0
         else:
-            self.v = _towards(self.v, wanted[0], motion.accel * dt, motion.decel * dt)
-            self.w = _towards(self.w, wanted[1], motion.yaw_accel * dt, motion.yaw_decel * dt)
+            self.v = _towards(self.v, target[0], motion.accel * dt, motion.decel * dt)
+            self.w = _towards(self.w, target[1], motion.yaw_accel * dt, motion.yaw_decel * dt)
         self.pose = arc(self.pose, self.v, self.w, dt)
 
 

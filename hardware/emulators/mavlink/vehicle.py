@@ -231,7 +231,7 @@ class Vehicle:
         self._reader = protocol.MessageReader()
         self._telemetry = Telemetry(self.autopilot, self.type, origin, heartbeat_s)
         self.now_ns = 0  # of the last tick
-        self._wanted, self._wanted_yaw_rate = STILL, 0.0
+        self._target, self._target_yaw_rate = STILL, 0.0
         self._setpoint_ns: int | None = None  # time of the last one
         self._since_ns = 0  # start of set-points without a gap
         self._rise_to: float | None = None
@@ -287,7 +287,7 @@ class Vehicle:
         if self.mode == self.autopilot.follows:
             if self._rise_to is not None:
                 return Velocity(linear=(0.0, 0.0, TAKEOFF_MPS))
-            return Velocity(linear=self._wanted, yaw_rate=self._wanted_yaw_rate)
+            return Velocity(linear=self._target, yaw_rate=self._target_yaw_rate)
         if self._flies and self.mode == "LAND":
             return Velocity(linear=(0.0, 0.0, -LAND_MPS))
         if self._flies and self.mode == "TAKEOFF":
@@ -302,7 +302,7 @@ class Vehicle:
     def _tick(self) -> None:
         last = self._setpoint_ns
         if self.mode == self.autopilot.follows and last is not None and self.now_ns - last > LOSS_NS[self.autopilot.kind]:
-            self._wanted, self._wanted_yaw_rate, self._setpoint_ns = STILL, 0.0, None
+            self._target, self._target_yaw_rate, self._setpoint_ns = STILL, 0.0, None
             if self.autopilot.kind == "px4":
                 self.say("Failsafe: no offboard signal")
                 self._enter("HOLD")
@@ -344,10 +344,10 @@ class Vehicle:
         if self.autopilot.kind == "ardupilot":
             self._rise_to = None  # a set-point ends a take-off
         if message.coordinate_frame == mavlink.MAV_FRAME_BODY_NED:
-            self._wanted = protocol.body_flipped((message.vx, message.vy, message.vz))
+            self._target = protocol.body_flipped((message.vx, message.vy, message.vz))
         else:
-            self._wanted = protocol.world_flipped((message.vx, message.vy, message.vz))
-        self._wanted_yaw_rate = 0.0 if message.type_mask & _NO_YAW_RATE else -message.yaw_rate
+            self._target = protocol.world_flipped((message.vx, message.vy, message.vz))
+        self._target_yaw_rate = 0.0 if message.type_mask & _NO_YAW_RATE else -message.yaw_rate
 
     def _obey(self, message: Message) -> tuple[int, list[Message]]:
         match message.command:
@@ -410,7 +410,7 @@ class Vehicle:
         if mode != self.mode:
             self.mode, self._rise_to = mode, None
             if self.autopilot.kind == "ardupilot":  # PX4 follows the last set-point at once
-                self._wanted, self._wanted_yaw_rate = STILL, 0.0
+                self._target, self._target_yaw_rate = STILL, 0.0
 
 
 def _whole(number: float) -> int:

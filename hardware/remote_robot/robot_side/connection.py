@@ -43,7 +43,7 @@ class RunConnection:
             drop = zenoh.CongestionControl.DROP  # later messages replace dropped ones
             self._says = self._session.declare_publisher(up, congestion_control=drop, express=True)
             watch = Callback(self._on_hub, indirect=False)
-            self._kept: list[Any] = [
+            self._references: list[Any] = [
                 self._session.declare_subscriber(down, Callback(self._on_sample, indirect=False)),
                 self._session.liveliness().declare_subscriber(key_names.HUB_ALIVE, watch, history=True),
                 self._session.liveliness().declare_token(alive),

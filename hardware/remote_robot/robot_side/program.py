@@ -64,7 +64,7 @@ class RobotProgram:
         self._watchdog = DriverWatchdog(driver, pose, tell)
         self._driver = driver
         self._robot = secrets.token_hex(8)
-        self._told = ""
+        self._last_text = ""
         self._ending = ""  # reason to end
         self._lost_ns: int | None = None  # start of the loss of a run
         self._echo = (0, 0, 0)  # newest order: number, its time, its arrival
@@ -98,7 +98,7 @@ class RobotProgram:
         welcome = self._greeted(connection)
         if welcome is None:
             return
-        self._told, self._lost_ns = "", None
+        self._last_text, self._lost_ns = "", None
         self._echo = (0, 0, 0)
         watchdog = self._watchdog
 
@@ -239,8 +239,8 @@ class RobotProgram:
                 return
 
     def _say_once(self, text: str) -> None:
-        if text != self._told:
-            self._told = text
+        if text != self._last_text:
+            self._last_text = text
             self._tell(text)
 
     def _rest(self, seconds: float) -> None:

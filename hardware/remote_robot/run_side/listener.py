@@ -71,7 +71,7 @@ class RobotListener:
             advice = "check that no other run uses this port, and give each vehicle its own port"
             raise PortError(listen, f"cannot listen there ({happened})", advice) from None
         alive, watch = f"vcmvsp/robot/*/{vehicle}/*/alive", Callback(self._on_token, indirect=False)
-        self._kept: list[Any] = [
+        self._references: list[Any] = [
             self._session.liveliness().declare_subscriber(alive, watch),
             self._session.declare_queryable(key_names.GREET, Callback(self._on_greeting, indirect=False)),
             self._session.liveliness().declare_token(key_names.HUB_ALIVE),

@@ -225,8 +225,8 @@ def _new_work(world: RayWorld, reflections: int, *, diffraction: bool, transmiss
         **dict.fromkeys(("path_element", "path_x", "path_y", "path_z"), _PATHS * most),
     }
     row = facets + edges
-    kept = facets * row <= _MOST_PAIRS
-    sees = np.zeros(facets * row, np.uint8) if kept else np.full(row, search.SEEN, np.uint8)  # zeros take no memory yet
+    is_small = facets * row <= _MOST_PAIRS
+    sees = np.zeros(facets * row, np.uint8) if is_small else np.full(row, search.SEEN, np.uint8)  # zeros take no memory yet
     fields: dict[str, Any] = {
         name: np.zeros(sizes.get(name, 0), np.float64 if kind == Floats else np.int64)
         for name, kind in get_type_hints(Work).items()
@@ -237,7 +237,7 @@ def _new_work(world: RayWorld, reflections: int, *, diffraction: bool, transmiss
             "reflections": reflections,
             "diffraction": int(diffraction),
             "transmission": int(transmission),
-            "sees_row": row * kept,
+            "sees_row": row * is_small,
             "sees": sees,
         },
     )

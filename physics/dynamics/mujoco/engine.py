@@ -356,7 +356,7 @@ class _Robots:
         )
         # Of the speeds that the motors hold: order among the constraints is that of the joints.
         order = np.argsort(self._dof.ravel())
-        self._order, self._wanted = order, np.zeros((len(models), 2))
+        self._order, self._speeds = order, np.zeros((len(models), 2))
         self._rate = 2.0 / (MOTOR_IMPEDANCE * MOTOR_STEPS * model.opt.timestep)  # 1/s, see `drive`
         self._before: Array | None = None
         self._zones = _Zones(model, [*specs], world) if world.zones and specs else None
@@ -368,7 +368,7 @@ class _Robots:
         for place, v, w in self.firmware.cycle(step_s):
             radius, half_track = self._sizes[place]
             across = w * half_track
-            self._wanted[place] = (v - across) / radius, (v + across) / radius
+            self._speeds[place] = (v - across) / radius, (v + across) / radius
 
     def save_velocities(self) -> None:
         """Save the velocities before a step, for its accelerations; without this call they are zero."""
@@ -381,8 +381,8 @@ class _Robots:
         """
         if self.place_of:
             first = self._data.ne
-            wanted = (self._signs * self._wanted).ravel()[self._order]
-            self._data.efc_aref[first : first + len(wanted)] += self._rate * wanted
+            speeds = (self._signs * self._speeds).ravel()[self._order]
+            self._data.efc_aref[first : first + len(speeds)] += self._rate * speeds
 
     def encode(self) -> None:
         """Read the encoders; a robot in another zone of the floor gets its friction."""
