@@ -106,7 +106,7 @@ class Own(Settings, frozen=True, kw_only=True, tag="own"):
         def make(body: Body, period_s: float) -> Method:
             offered = {"body": body, "period_s": period_s}
             params = {name: value for name, value in offered.items() if name in parameters(factory)}
-            return call(factory, self.params, key="avoidance.params", given=params)
+            return call(factory, self.params, key="avoidance.params", arguments=params)
 
         return make
 

@@ -158,7 +158,7 @@ def _federate(
         "numbers": numbers,
         "notify": tell,
     }
-    federate: RadioFederate = binding.call(RadioFederate, own, key=key, origin=source, given=arguments)
+    federate: RadioFederate = binding.call(RadioFederate, own, key=key, origin=source, arguments=arguments)
     resolution.tables["radio"] = {**binding.complete(RadioFederate, own, without=arguments), **resolved}
     return federate
 

@@ -66,7 +66,7 @@ def _described(
         tables["localisation"] = {"kind": where, **known}
     position, yaw = vehicle.start
     start = (position[0], position[1], yaw)
-    binding.call(Fusion, vehicle.fusion, key=f"{key}.fusion", origin=source, given={"start": start})
+    binding.call(Fusion, vehicle.fusion, key=f"{key}.fusion", origin=source, arguments={"start": start})
     tables["fusion"] = binding.complete(Fusion, vehicle.fusion, without=("start",))
     safety = _safety(scenario.safety, vehicle, model, source)
     tables["safety"] = binding.plain(safety)

@@ -49,7 +49,7 @@ class Resolution:
         content: Mapping[str, Any],
         key: str,
         *,
-        given: Mapping[str, Any] | None = None,
+        arguments: Mapping[str, Any] | None = None,
         offered: Mapping[str, Any] | None = None,
         guard: Callable[[Any], Any] = lambda kind: kind,
     ) -> tuple[Any, dict[str, Any]]:
@@ -60,7 +60,7 @@ class Resolution:
             key=key,
             source=self._source,
             portable=self.portable,
-            given=given,
+            arguments=arguments,
             offered=offered,
             keep=self.keep,
             guard=guard,

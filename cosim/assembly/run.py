@@ -338,7 +338,7 @@ def _physics(scenario: Scenario, resolution: Resolution, tell: Tell, **arguments
     if "kind" not in scenario.physics and content["kind"] != "bullet":
         tell(f'PyBullet is not installed: physics.kind is "{content["kind"]}"')
     physics: Federate
-    physics, resolution.tables["physics"] = resolution.component("physics", content, "physics", given=arguments)
+    physics, resolution.tables["physics"] = resolution.component("physics", content, "physics", arguments=arguments)
     return physics
 
 

@@ -114,7 +114,7 @@ class Fleet:
             from vcmvsp.cosim.estimation.fusion import Fusion  # slow import: SciPy
 
             at = {"start": (position[0], position[1], heading)}
-            fusion = binding.call(Fusion, vehicle.fusion, key=f"{key}.fusion", origin=self._source, given=at)
+            fusion = binding.call(Fusion, vehicle.fusion, key=f"{key}.fusion", origin=self._source, arguments=at)
             self._resolution.real[vehicle.name] = {"fusion": binding.complete(Fusion, vehicle.fusion, without=at)}
         simulated = self.sensors[vehicle.name]
         if vehicle.is_real:  # a real robot carries its own sensors
@@ -129,7 +129,7 @@ class Fleet:
             "fusion": fusion,
             "sensors": simulated,
         }
-        return binding.call(VehicleSpec, {}, key=key, origin=self._source, given=arguments)
+        return binding.call(VehicleSpec, {}, key=key, origin=self._source, arguments=arguments)
 
     def _check_defaults_taken(self) -> None:
         known = {key for each in self._scenario.vehicle for key in binding.parameters(self._class(each))}

@@ -72,27 +72,27 @@ def call(
     *,
     key: str = "",
     origin: Source = NOWHERE,
-    given: Mapping[str, Any] | None = None,
+    arguments: Mapping[str, Any] | None = None,
     also: Iterable[str] = (),
 ) -> T:
     """Call ``target`` with the table's values, checked and converted by their annotations.
 
     Args:
-        given: arguments from the program instead of the table.
+        arguments: values from the program instead of the table.
         also: other keys allowed in this table, for messages.
 
     Raises:
         ScenarioError: unknown or missing key, wrong type or range, or any error of ``target``.
     """
-    given = given or {}
-    known = {name: each for name, each in parameters(target).items() if name not in given}
+    arguments = arguments or {}
+    known = {name: each for name, each in parameters(target).items() if name not in arguments}
     for name in table:
         if name not in known:
             where = join(key, name)
             raise origin.error(unknown("key", name, [*known, *also]), where)
     values = dict(_values(known, table, key, origin))
     try:
-        return target(**given, **values)
+        return target(**arguments, **values)
     except ScenarioError as error:
         if error.source:
             raise

@@ -182,7 +182,7 @@ def build(
     key: str,
     source: Source,
     portable: Portable = str,
-    given: Mapping[str, Any] | None = None,
+    arguments: Mapping[str, Any] | None = None,
     offered: Mapping[str, Any] | None = None,
     absent: Mapping[str, Any] | None = None,
     keep: Keep = name_of,
@@ -192,7 +192,7 @@ def build(
 
     Args:
         portable: maps the kind to its name in the resolved scenario.
-        given: arguments from the program instead of the table.
+        arguments: values from the program instead of the table.
         offered: further such arguments, passed only to classes with these parameters.
         absent: arguments for parameters with default None that the table does not give.
         keep: keeps the files that the table names.
@@ -207,15 +207,15 @@ def build(
         raise source.error(f"must be a string, one of {allowed}", f"{key}.kind")
     maker = guard(find(group, kind, folder=source.folder, key=f"{key}.kind", origin=source))
     known = binding.parameters(maker)
-    given = {**(given or {}), **{name: value for name, value in (offered or {}).items() if name in known}}
+    arguments = {**(arguments or {}), **{name: value for name, value in (offered or {}).items() if name in known}}
     params = found(maker, source.kept(content, key, known), source, key)
-    unset = {name for name, each in known.items() if each.default is None and not each.required} - {*params, *given}
-    given |= {name: value for name, value in (absent or {}).items() if name in unset}
-    built = binding.call(maker, params, key=key, origin=source, given=given)
+    unset = {name for name, each in known.items() if each.default is None and not each.required} - {*params, *arguments}
+    arguments |= {name: value for name, value in (absent or {}).items() if name in unset}
+    built = binding.call(maker, params, key=key, origin=source, arguments=arguments)
     for path in getattr(built, "files", tuple)():  # files named inside its files
         if path.is_file():  # a missing file is reported by its reader
             keep(path)
-    return built, {"kind": portable(kind), **kept(maker, binding.complete(maker, params, without=given), keep)}
+    return built, {"kind": portable(kind), **kept(maker, binding.complete(maker, params, without=arguments), keep)}
 
 
 def found(target: Callable[..., Any], params: Mapping[str, Any], source: Source, key: str) -> dict[str, Any]:

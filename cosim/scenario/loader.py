@@ -179,7 +179,7 @@ def parse(raw: Mapping[str, Any], source: Source) -> Scenario:
         },
     }
     rest = {name: value for name, value in raw.items() if name not in arguments}
-    parsed = binding.call(Scenario, rest, origin=source, given=arguments, also=binding.parameters(Scenario))
+    parsed = binding.call(Scenario, rest, origin=source, arguments=arguments, also=binding.parameters(Scenario))
     _check_window(parsed, source)
     return parsed
 
@@ -317,7 +317,7 @@ def _open_table(kind: Callable[..., T], raw: object, rest: str, key: str, source
     own = {name for name in binding.parameters(kind) if name != rest}
     content = _mapping(raw, key, source)
     others = {name: value for name, value in content.items() if name not in own}
-    return binding.call(kind, {n: v for n, v in content.items() if n in own}, key=key, origin=source, given={rest: others})
+    return binding.call(kind, {n: v for n, v in content.items() if n in own}, key=key, origin=source, arguments={rest: others})
 
 
 def _check_named(raw: object, here: str, source: Source) -> None:
@@ -359,7 +359,7 @@ def _station(raw: dict[str, Any], source: Source) -> StationTable:
     here = f"station.{raw['name']}"
     own = {name: value for name, value in raw.items() if name != "agent"}
     agent = _open_table(AgentTable, raw["agent"], "params", f"{here}.agent", source) if "agent" in raw else None
-    return binding.call(StationTable, own, key=here, origin=source, given={"agent": agent}, also=["agent"])
+    return binding.call(StationTable, own, key=here, origin=source, arguments={"agent": agent}, also=["agent"])
 
 
 def _as_vehicle(station: StationTable) -> VehicleTable:

@@ -236,7 +236,7 @@ def _built(part: PartSpec, mission: StationMission) -> Any:
         kind = registry.find(part.group, part.kind, folder=folder, key=f"{part.group}.kind")
         accepted = binding.parameters(kind)
         offered = {"vehicle": mission.vehicle, "folder": mission.folder}
-        return binding.call(kind, part.params, key=part.group, given={n: v for n, v in offered.items() if n in accepted})
+        return binding.call(kind, part.params, key=part.group, arguments={n: v for n, v in offered.items() if n in accepted})
 
 
 if __name__ == "__main__":

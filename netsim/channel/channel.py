@@ -119,7 +119,7 @@ class RuntimeChanges:
         layer = layers[name]
         rest = {name: value for name, value in _parameters(layer).items() if name != parameter}
         try:
-            new = binding.call(type(layer), {parameter: value}, key=f"{self.table}.{name}", given=rest)
+            new = binding.call(type(layer), {parameter: value}, key=f"{self.table}.{name}", arguments=rest)
         except ScenarioError as error:
             raise ValueError(str(error)) from error
         return {**layers, name: new}

@@ -111,8 +111,8 @@ def test_a_refusal_inside_a_list_of_tables_says_in_which(drop: Any, key: str, wo
 
 
 def test_what_the_program_gives_is_no_key() -> None:
-    assert binding.call(Rain, {}, given={"db_per_km": "anything"}).content == ("anything", 0, None, False, (), "wet")
-    assert "unknown key 'db_per_km'" in refusal({"db_per_km": 1}, given={"db_per_km": 2}).problem
+    assert binding.call(Rain, {}, arguments={"db_per_km": "anything"}).content == ("anything", 0, None, False, (), "wet")
+    assert "unknown key 'db_per_km'" in refusal({"db_per_km": 1}, arguments={"db_per_km": 2}).problem
 
 
 @pytest.mark.parametrize(

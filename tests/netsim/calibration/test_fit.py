@@ -269,7 +269,7 @@ def test_the_table_builds_layers_with_the_mean_and_spread_that_were_found() -> N
     assert kinds == {"path_loss": "log_distance", "shadowing": "gudmundson", "walls": "fixed", "fading": "nakagami"}
     path_loss, fading = call(LogDistance, table["path_loss"]), call(Nakagami, table["fading"])
     call(Shadowing, table["shadowing"])
-    call(FixedWalls, table["walls"], given={"sightline": Sightline(BOXES)})
+    call(FixedWalls, table["walls"], arguments={"sightline": Sightline(BOXES)})
     assert table["walls"]["materials_db"] == {"brick": 5.0, "glass": 0.0}
     assert fading.m == pytest.approx(1.0, abs=0.002)
 

@@ -191,7 +191,7 @@ HEAD = "time_s,sender,receiver,loss\n"
 )
 def test_bad_traces_are_refused_with_their_line(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(ScenarioError, match=message) as raised:
-        binding.call(Trace, {"file": written(tmp_path, text)}, key="radio.trace", given={"noise_dbm": NOISE})
+        binding.call(Trace, {"file": written(tmp_path, text)}, key="radio.trace", arguments={"noise_dbm": NOISE})
     assert raised.value.key == "radio.trace.file"
 
 
