@@ -21,7 +21,7 @@ from vcmvsp.cosim.util.text import plain, stdout_to_stderr
 from vcmvsp.cosim.view import HOST, PORT
 
 if TYPE_CHECKING:
-    from vcmvsp.cosim.hosts.observers import Check, Seen
+    from vcmvsp.cosim.hosts.observers import Check, TopicValue
     from vcmvsp.cosim.security.certificates import Bundle
 
 
@@ -133,7 +133,7 @@ def _watch_page(endpoint: str, page: tuple[str, int], connection: dict[str, Any]
             station.stay()
 
 
-def line(sample: "Seen") -> str:
+def line(sample: "TopicValue") -> str:
     """An event as a line of text."""
     return plain(f"{sample.time_ns / 1e9:9.3f} s  {sample.topic:<16}  {words(sample.type, sample.value)}") + "\n"
 
@@ -154,12 +154,12 @@ def _json_or(value: object) -> str:
         return "(cannot be shown)"
 
 
-def _newest(batch: Iterable["Seen"]) -> list["Seen"]:
+def _newest(batch: Iterable["TopicValue"]) -> list["TopicValue"]:
     newest = {sample.topic: sample for sample in batch}
     return [newest[topic] for topic in sorted(newest)]
 
 
-def _as_json(sample: "Seen") -> str:
+def _as_json(sample: "TopicValue") -> str:
     about = {"time_ns": sample.time_ns, "topic": sample.topic, "type": sample.type, "value": sample.value}
     return msgspec.json.encode(about).decode() + "\n"
 

@@ -92,7 +92,7 @@ def observed(
         yield Observed(session, endpoint, about, _Presence(session, endpoint, bundle), on_state)
 
 
-class Seen(NamedTuple):
+class TopicValue(NamedTuple):
     """An event of the run on arrival."""
 
     time_ns: int  # simulated
@@ -115,7 +115,7 @@ def watch(
     *,
     every_s: float = 0.0,  # batch interval
     **connection: Any,  # as of `observed`
-) -> Generator[list[Seen], None, None]:
+) -> Generator[list[TopicValue], None, None]:
     """Events of a run, until it ends; waits for a run that has not begun.
 
     Raises:
@@ -129,7 +129,7 @@ def watch(
             raise UsageError(f"--topic {topic}: {problem}") from error
     with observed(endpoint, **connection) as run:
         for samples in run.samples([key_names.TOPIC + topic for topic in topics], every_s):
-            if batch := [item for sample in samples if (item := _seen(sample))]:
+            if batch := [item for sample in samples if (item := _topic_value(sample))]:
                 yield batch
 
 
@@ -180,13 +180,13 @@ def _batch(inbox: "queue.SimpleQueue[zenoh.Sample]", every_s: float) -> list[zen
     return found
 
 
-def _seen(sample: zenoh.Sample) -> Seen | None:
+def _topic_value(sample: zenoh.Sample) -> TopicValue | None:
     key, when = str(sample.key_expr), sample.attachment
     if "*" in key or when is None or len(when) != stamp.size:
         return None  # not a sample of a run
     (time_ns,) = stamp.unpack(when.to_bytes())
     kind = str(sample.encoding).rpartition(";")[2]
-    return None if kind == "echo" else Seen(time_ns, key.removeprefix(key_names.TOPIC), kind, sample.payload.to_bytes())
+    return None if kind == "echo" else TopicValue(time_ns, key.removeprefix(key_names.TOPIC), kind, sample.payload.to_bytes())
 
 
 def ask(session: zenoh.Session, name: str, payload: bytes = b"") -> About | None:

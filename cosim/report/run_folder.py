@@ -38,7 +38,7 @@ class _Line(msgspec.Struct):
 
 
 @dataclass(frozen=True)
-class Left:
+class RunContent:
     """The content of a run's folder."""
 
     folder: Path
@@ -55,7 +55,7 @@ class Left:
     recorded_s: float | None = None  # length of the recording, if the run left no tables
 
 
-def left_in(folder: Path) -> Left:
+def content_of(folder: Path) -> RunContent:
     """Read the folder of a run; an empty one is a UsageError."""
     if not any((folder / name).is_file() for name in FILES):
         raise UsageError(f"{folder}: no results of a run or study here; name its folder (runs/<name>-<seed> or its --out)")
@@ -77,7 +77,7 @@ def left_in(folder: Path) -> Left:
         recording = read("states.parquet", lambda path: load_tables(path.parent, ()), None)
     radio = None if recording is None else read("radio.parquet", TableFile, None)
     links = None if recording is None or radio is None else read("radio.parquet", lambda _: _links(recording, radio), None)
-    return Left(
+    return RunContent(
         folder,
         text,
         read("scenario.toml", lambda _: read_toml(text), {}),

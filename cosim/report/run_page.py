@@ -11,7 +11,7 @@ from typing import Any
 
 from vcmvsp.cosim.errors import words_of
 from vcmvsp.cosim.report.page import Code, Facts, Figure, Part, Rows, Section, Words, page
-from vcmvsp.cosim.report.run_folder import FILES, Left, left_in
+from vcmvsp.cosim.report.run_folder import FILES, RunContent, content_of
 from vcmvsp.cosim.report.tables import expectation_table, fault_table, link_table, loss_table, number_tables, vehicle_table
 from vcmvsp.cosim.util.files import write_whole
 
@@ -50,91 +50,91 @@ def write(folder: Path, drawings: Mapping[str, str], out: Path | None = None) ->
         UsageError: the folder contains no files of a run.
     """
     path = out or folder / FILE
-    write_whole(path, _page_of(left_in(folder), drawings))
+    write_whole(path, _page_of(content_of(folder), drawings))
     return path
 
 
-def _page_of(left: Left, drawings: Mapping[str, str]) -> str:
+def _page_of(content: RunContent, drawings: Mapping[str, str]) -> str:
     """Build the page; on an error, without metrics and facts, which another version may have written."""
     try:
-        return run_page(left, drawings)
+        return run_page(content, drawings)
     except (LookupError, TypeError, ValueError, AttributeError) as error:
         why = f"cannot be shown: {words_of(error)}"
-        missing = [*left.missing, *((name, why) for name in ("metrics.json", "about.json"))]
-        return run_page(replace(left, metrics={}, about={}, missing=missing), drawings)
+        missing = [*content.missing, *((name, why) for name in ("metrics.json", "about.json"))]
+        return run_page(replace(content, metrics={}, about={}, missing=missing), drawings)
 
 
-def run_page(left: Left, drawings: Mapping[str, str]) -> str:
+def run_page(content: RunContent, drawings: Mapping[str, str]) -> str:
     """The page as HTML."""
     figures = [Figure(svg, FIGURES.get(name, name)) for name, svg in drawings.items()]
     sections = [
-        Section("What is missing", _missing(left)),
+        Section("What is missing", _missing(content)),
         Section("Figures", figures),
-        Section("Expected and measured", expectation_table(left)),
-        *(Section(title, parts) for title, parts in number_tables(left.metrics)),
-        Section("Vehicles", vehicle_table(left)),
-        Section("Links", [] if left.links is None else link_table(left.links)),
-        Section("What was lost, and why", [] if left.links is None else loss_table(left.links, left.folder)),
-        Section("Agents and incidents", list(_incidents(left))),
-        Section("Again", list(_again(left))),
-        Section("Scenario", [Code(left.scenario_toml, folded="with everything filled in")] if left.scenario_toml else []),
-        Section(MACHINE, list(_machine(left.about))),
+        Section("Expected and measured", expectation_table(content)),
+        *(Section(title, parts) for title, parts in number_tables(content.metrics)),
+        Section("Vehicles", vehicle_table(content)),
+        Section("Links", [] if content.links is None else link_table(content.links)),
+        Section("What was lost, and why", [] if content.links is None else loss_table(content.links, content.folder)),
+        Section("Agents and incidents", list(_incidents(content))),
+        Section("Again", list(_again(content))),
+        Section("Scenario", [Code(content.scenario_toml, folded="with everything filled in")] if content.scenario_toml else []),
+        Section(MACHINE, list(_machine(content.about))),
     ]
-    return page(_title(left), " ".join(_sentences(left)), [each for each in sections if each.parts])
+    return page(_title(content), " ".join(_sentences(content)), [each for each in sections if each.parts])
 
 
-def _missing(left: Left) -> list[Part]:
-    if not left.missing:
+def _missing(content: RunContent) -> list[Part]:
+    if not content.missing:
         return []
-    rows = [[name, why, FILES[name]] for name, why in left.missing]
+    rows = [[name, why, FILES[name]] for name, why in content.missing]
     parts: list[Part] = [Rows(["file", "", "what it would tell"], rows)]
-    if left.recorded_s is not None:
+    if content.recorded_s is not None:
         cut = "The run was cut before its tables were written, or they are gone."
-        parts.append(Words(f"{cut} Its recording, run.mcap, goes to {left.recorded_s:g} s."))
+        parts.append(Words(f"{cut} Its recording, run.mcap, goes to {content.recorded_s:g} s."))
     return parts
 
 
-def _incidents(left: Left) -> Iterator[Part]:
-    if "agents" in left.metrics:
-        yield from fault_table(left.metrics["agents"])
-    if error := left.about.get("error"):
+def _incidents(content: RunContent) -> Iterator[Part]:
+    if "agents" in content.metrics:
+        yield from fault_table(content.metrics["agents"])
+    if error := content.about.get("error"):
         yield Words(f"What ended the run: {error['message']}")
         if error.get("details"):
             yield Code(error["details"], folded="details")
-    if left.log:
-        yield Rows(["time [s]", "", "what"], [[time_s, level, text] for time_s, level, text in left.log[:TOLD]])
-        if len(left.log) > TOLD:
-            yield Words(f"And {len(left.log) - TOLD} more lines, in run.mcap.")
+    if content.log:
+        yield Rows(["time [s]", "", "what"], [[time_s, level, text] for time_s, level, text in content.log[:TOLD]])
+        if len(content.log) > TOLD:
+            yield Words(f"And {len(content.log) - TOLD} more lines, in run.mcap.")
 
 
-def _again(left: Left) -> Iterator[Part]:
-    if not left.scenario_toml:
+def _again(content: RunContent) -> Iterator[Part]:
+    if not content.scenario_toml:
         return
     yield Words("In this folder:")
-    lines = [f"vcmvsp run scenario.toml --out again    # {_repetition(left)}"]
-    if (left.folder / "hardware.mcap").is_file():
+    lines = [f"vcmvsp run scenario.toml --out again    # {_repetition(content)}"]
+    if (content.folder / "hardware.mcap").is_file():
         lines = ["vcmvsp replay .    # what happened, again; no real vehicle moves"]
-    if left.links is not None and left.links.losses:
-        a, b = next(pair for pair in left.links.pairs if left.links.lost_to(*pair))
-        link = shlex.quote(f"{left.links.names[a]}/{left.links.names[b]}")
+    if content.links is not None and content.links.losses:
+        a, b = next(pair for pair in content.links.pairs if content.links.lost_to(*pair))
+        link = shlex.quote(f"{content.links.names[a]}/{content.links.names[b]}")
         lines.append(f"vcmvsp radio . --link {link} --frame lost    # why a frame was lost")
     yield Code("\n".join(lines))
-    if "digest" in left.metrics:
-        window = left.scenario.get("metrics", {})
+    if "digest" in content.metrics:
+        window = content.scenario.get("metrics", {})
         until = f"to {window['to_s']:g} s" if "to_s" in window else "to the end"
         yield Facts(
             [
-                ("seed", left.metrics.get("seed")),
-                ("digest of all that was recorded", left.metrics["digest"]),
+                ("seed", content.metrics.get("seed")),
+                ("digest of all that was recorded", content.metrics["digest"]),
                 ("window of the numbers", f"{window.get('from_s', 0.0):g} s {until}"),
             ]
         )
 
 
-def _repetition(left: Left) -> str:
-    if left.about.get("error"):
+def _repetition(content: RunContent) -> str:
+    if content.about.get("error"):
         return "from the start"
-    differs = "; ".join(map(str, left.about.get("unrepeatable", ())))
+    differs = "; ".join(map(str, content.about.get("unrepeatable", ())))
     return f"differs: {differs}" if differs else "the same run: the digest is the same"
 
 
@@ -167,21 +167,21 @@ def _machine(about: Mapping[str, Any]) -> Iterator[Part]:
         yield Facts([(name, str(value)) for name, value in about["cuts_s"].items()])
 
 
-def _title(left: Left) -> str:
-    found = left.metrics or left.scenario or left.head
+def _title(content: RunContent) -> str:
+    found = content.metrics or content.scenario or content.head
     name = found.get("scenario") or found.get("name") or "A run"
     seed = found.get("seed")
     return str(name) if seed is None else f"{name}, seed {seed}"
 
 
-def _sentences(left: Left) -> Iterator[str]:
-    yield _what(left)
-    if error := left.about.get("error"):
+def _sentences(content: RunContent) -> Iterator[str]:
+    yield _what(content)
+    if error := content.about.get("error"):
         yield f"It ended before its time: {error['message'].rstrip('.')}."
-    if not left.metrics:
+    if not content.metrics:
         yield "It has left no numbers."
         return
-    metrics = left.metrics
+    metrics = content.metrics
     yield from radio_sentences(metrics["radio"])
     yield from _formation(metrics["formation"])
     if mission := metrics.get("mission"):
@@ -189,15 +189,15 @@ def _sentences(left: Left) -> Iterator[str]:
     yield from _safety(metrics)
 
 
-def _what(left: Left) -> str:
-    names = left.recording.facts.vehicles if left.recording else left.head.get("vehicles", "").split()
-    vehicles = len(names or left.scenario.get("vehicle", []))
-    lasted = left.metrics.get("duration_s", left.recorded_s)
-    duration_s = left.scenario.get("duration_s")
+def _what(content: RunContent) -> str:
+    names = content.recording.facts.vehicles if content.recording else content.head.get("vehicles", "").split()
+    vehicles = len(names or content.scenario.get("vehicle", []))
+    lasted = content.metrics.get("duration_s", content.recorded_s)
+    duration_s = content.scenario.get("duration_s")
     times = "" if lasted is None else f", {lasted:g} s simulated"
     if lasted is not None and duration_s is not None and lasted < duration_s:
         times = f", {lasted:g} of {duration_s:g} s simulated"
-    real = sum("driver" in each for each in left.scenario.get("vehicle", []))
+    real = sum("driver" in each for each in content.scenario.get("vehicle", []))
     words = f"{vehicles} vehicle{'' if vehicles == 1 else 's'}" + (f", {real} of them real" if real else "")
     return f"{words}{times}." if vehicles else f"A run that was cut{times}."
 

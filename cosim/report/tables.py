@@ -15,7 +15,7 @@ from vcmvsp.cosim.metrics.catalogue import GROUPS, MANY, metric_of, unit_of
 from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.report.laws import Expected, MeasuredRun, laws
 from vcmvsp.cosim.report.page import Part, Rows, Words, cell
-from vcmvsp.cosim.report.run_folder import Left
+from vcmvsp.cosim.report.run_folder import RunContent
 
 LISTED_VEHICLES = 200
 LISTED_LINKS = 150
@@ -79,23 +79,23 @@ def _explained(group: str, of: Mapping[str, Mapping[str, Any]]) -> Sequence[Part
     return [Words("; ".join(f"{name}: {metric_of((group, '*', name)).meaning}" for name in names) + ".")]
 
 
-def vehicle_table(left: Left) -> Sequence[Part]:
+def vehicle_table(content: RunContent) -> Sequence[Part]:
     """One row per vehicle."""
-    table_of = {each["name"]: each for each in left.scenario.get("vehicle", []) if "name" in each}
-    names = list(table_of) if left.recording is None else list(left.recording.facts.vehicles)
-    names = names or left.head.get("vehicles", "").split()
+    table_of = {each["name"]: each for each in content.scenario.get("vehicle", []) if "name" in each}
+    names = list(table_of) if content.recording is None else list(content.recording.facts.vehicles)
+    names = names or content.head.get("vehicles", "").split()
     if not names:
         return []
     leaders: dict[str, str] = {}
-    for each in () if left.recording is None else left.recording.follows:
+    for each in () if content.recording is None else content.recording.follows:
         leaders[each.vehicle] = each.follows.leader or ""
-    ways, air = _ways(left), _air(left)
-    kind = left.scenario.get("vehicles", {}).get("kind", "")
+    ways, air = _ways(content), _air(content)
+    kind = content.scenario.get("vehicles", {}).get("kind", "")
     rows: list[list[Any]] = []
     for name in names[:LISTED_VEHICLES]:
         own = table_of.get(name, {})
         what = own.get("kind", kind) + (f", real ({own['driver'].get('kind', '')})" if "driver" in own else "")
-        agent = own["agent"].get("kind", left.scenario.get("agents", {}).get("kind", "")) if "agent" in own else ""
+        agent = own["agent"].get("kind", content.scenario.get("agents", {}).get("kind", "")) if "agent" in own else ""
         rows.append([name, what, agent, leaders.get(name, ""), *ways.get(name, [None] * 3), *air.get(name, [None] * 3)])
     head = ["vehicle", "kind", "agent", "follows", "way [m]", "mean speed [m/s]", "ends at [m]"]
     parts: list[Part] = [Rows([*head, "frames sent", "delivered of these [%]", "heard of others [%]"], rows)]
@@ -104,10 +104,10 @@ def vehicle_table(left: Left) -> Sequence[Part]:
     return parts
 
 
-def _ways(left: Left) -> dict[str, list[Any]]:
-    if left.recording is None:
+def _ways(content: RunContent) -> dict[str, list[Any]]:
+    if content.recording is None:
         return {}
-    moved = motion(left.recording.states)
+    moved = motion(content.recording.states)
     found: dict[str, list[Any]] = {}
     for i, name in enumerate(moved.names):
         there = np.isfinite(moved.position[:, :, i]).all(axis=0)
@@ -121,10 +121,10 @@ def _ways(left: Left) -> dict[str, list[Any]]:
     return found
 
 
-def _air(left: Left) -> dict[str, list[Any]]:
-    if left.links is None or left.recording is None:
+def _air(content: RunContent) -> dict[str, list[Any]]:
+    if content.links is None or content.recording is None:
         return {}
-    links, found = left.links, {}
+    links, found = content.links, {}
     decided = links.sent - links.under_way
     for i, name in enumerate(links.names):
         shares = [(links.received[part].sum(), decided[part].sum()) for part in (np.s_[i, :], np.s_[:, i])]
@@ -190,13 +190,14 @@ def _percent(share: float | None) -> float | None:
     return None if share is None else round(100.0 * share, 1)
 
 
-def expectation_table(left: Left) -> list[Part]:
+def expectation_table(content: RunContent) -> list[Part]:
     """Expected and measured values; empty if no law applies.
 
     The half-widths hold for 95 % of all runs that differ in random draws alone; without randomness there is none.
     """
     rows = [
-        [each.quantity, each.unit, each.expected, _range(each), each.measured, each.law, each.holds] for each in _expected(left)
+        [each.quantity, each.unit, each.expected, _range(each), each.measured, each.law, each.holds]
+        for each in _expected(content)
     ]
     if not rows:
         return []
@@ -207,14 +208,14 @@ def expectation_table(left: Left) -> list[Part]:
     ]
 
 
-def _expected(left: Left) -> Iterator[Expected]:
-    recording, radio, links = left.recording, left.radio, left.links
-    if recording is None or radio is None or links is None or not left.scenario or not left.metrics:
+def _expected(content: RunContent) -> Iterator[Expected]:
+    recording, radio, links = content.recording, content.radio, content.links
+    if recording is None or radio is None or links is None or not content.scenario or not content.metrics:
         return
-    if left.scenario.get("intervention"):  # the operator intervened
+    if content.scenario.get("intervention"):  # the operator intervened
         return
     with contextlib.suppress(KeyError):  # a scenario of another version may lack a key of a law
-        yield from laws(MeasuredRun(left.scenario, left.metrics, recording, radio, links, motion(recording.states)))
+        yield from laws(MeasuredRun(content.scenario, content.metrics, recording, radio, links, motion(recording.states)))
 
 
 def _range(each: Expected) -> str | None:

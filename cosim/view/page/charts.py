@@ -13,7 +13,7 @@ from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.view.messages import Scenery
 from vcmvsp.cosim.view.page.controls import picked
 from vcmvsp.cosim.view.page.drawing import Every, css_of
-from vcmvsp.cosim.view.page.state import Known
+from vcmvsp.cosim.view.page.state import PageState
 from vcmvsp.cosim.view.page.vehicles import errors_of
 
 POINTS = 300  # of each curve
@@ -26,7 +26,7 @@ LARGEST_RATIO = 1e4  # of the ends of a logarithmic axis
 HEIGHT_PX = 190
 
 DELIVERY = "Received of the last 5 s [%]"
-QUANTITIES: Mapping[str, Callable[[Known], Array]] = {
+QUANTITIES: Mapping[str, Callable[[PageState], Array]] = {
     "Speed [m/s]": lambda known: known.speed,
     "Formation error [m]": errors_of,
     "Time since the last message [s]": lambda known: known.age_s,
@@ -55,7 +55,7 @@ class History:
         self.numbers: dict[str, deque[Array]] = {title: deque(maxlen=POINTS) for title in (*QUANTITIES, DELIVERY)}
         self._counts: deque[tuple[int, Array, Array]] = deque(maxlen=POINTS)
 
-    def sample(self, known: Known) -> bool:
+    def sample(self, known: PageState) -> bool:
         """Add the present values; returns whether time has advanced. A step back in time clears the history."""
         if known.times_back != self._times_back:
             self._times_back = known.times_back
@@ -75,7 +75,7 @@ class History:
             numbers.append(now.get(title, unknown))
         return True
 
-    def _noted(self, known: Known) -> dict[str, Array]:
+    def _noted(self, known: PageState) -> dict[str, Array]:
         """The newest number that each vehicle has noted under each name; NaN without one."""
         found: dict[str, Array] = {}
         for vehicle, notes in known.now.notes.items():
@@ -86,7 +86,7 @@ class History:
                     found.setdefault(title, np.full(self._count, np.nan))[known.row[vehicle]] = value
         return found
 
-    def _delivery(self, known: Known) -> Array:
+    def _delivery(self, known: PageState) -> Array:
         """Delivery ratio at each vehicle over the last 5 s, in percent; NaN without frames."""
         if known.now.sent is None or known.now.received is None:
             return np.full(self._count, np.nan)
@@ -176,7 +176,7 @@ class Charts:
     def _options(self) -> tuple[str, ...]:
         return NOTHING, *self._history.numbers
 
-    def sample(self, known: Known, now_s: float) -> None:
+    def sample(self, known: PageState, now_s: float) -> None:
         """Add the present values, twice a second."""
         if self._names and self._often.due(now_s):
             self._new |= self._history.sample(known)

@@ -19,7 +19,7 @@ from vcmvsp.cosim.view.page.panel import SORTED, log_page, run_page, team_page, 
 from vcmvsp.cosim.view.page.ray_paths import RayPaths
 from vcmvsp.cosim.view.page.scene import Follower, Scene
 from vcmvsp.cosim.view.page.sensors import GROUNDS, Ground, Pictures, Scans
-from vcmvsp.cosim.view.page.state import Known
+from vcmvsp.cosim.view.page.state import PageState
 from vcmvsp.cosim.view.page.vehicles import WHICH, Fixes, Ghosts, Links, Trails, Vehicles, legend
 
 LEFT_PX, RIGHT_PX = 300.0, 360.0
@@ -42,7 +42,7 @@ class Station:
         self._server, self._clock = server, clock
         self._order, self._ordering = order, threading.Lock()
         self._drawing, self._drawn = threading.RLock(), threading.Event()
-        self._known = Known(scenery)
+        self._known = PageState(scenery)
         self._aimed = False
         self._words, self._often, self._line_count = Every(WORDS_S), Every(TABLE_S), -1
         with server.atomic():

@@ -16,11 +16,11 @@ from vcmvsp.cosim.frames import quaternion_from_yaw, yaw_of
 from vcmvsp.cosim.scenario.schema import HaltTable, MoveTable, OutageTable, SetTable
 from vcmvsp.cosim.view.messages import End, Go, Order, Pace, Scenery, Seek, Sensors
 from vcmvsp.cosim.view.page.drawing import Every
-from vcmvsp.cosim.view.page.state import Known
+from vcmvsp.cosim.view.page.state import PageState
 
 T = TypeVar("T")
 Give = Callable[[Order], None]
-Draw = Callable[[Known], None]
+Draw = Callable[[PageState], None]
 """Updates which controls are enabled."""
 
 ALL = "all vehicles"
@@ -75,7 +75,7 @@ def controls(server: viser.ViserServer, scenery: Scenery, give: Give, clock: Cal
 def _until_over(*buttons: viser.GuiButtonHandle) -> Draw:
     """Enable these buttons until the run ends."""
 
-    def draw(known: Known) -> None:
+    def draw(known: PageState) -> None:
         for button in buttons:
             button.disabled = bool(known.now.pace.over)
 
@@ -89,7 +89,7 @@ def _stops(gui: viser.GuiApi, give: Give) -> Draw:
     stop.on_click(lambda _: give(HaltTable(at_s=0.0, halted=True)))
     go.on_click(lambda _: give(HaltTable(at_s=0.0, halted=False)))
 
-    def draw(known: Known) -> None:
+    def draw(known: PageState) -> None:
         stop.disabled = bool(known.now.pace.over)
         go.disabled = stop.disabled or not known.now.halted
 
@@ -159,7 +159,7 @@ class Pacing:
         if self._step is not None:
             self._step.on_click(lambda _: self._order(paused=True, step_ns=STEP_NS))
 
-    def draw(self, known: Known) -> None:
+    def draw(self, known: PageState) -> None:
         """Update the enabled controls, and the target speed if it has changed."""
         pace = known.now.pace
         over = bool(pace.over) and self._live
@@ -215,7 +215,7 @@ class Timeline:
             events = gui.add_button_group("Event", EVENTS)
             events.on_click(lambda _: self._go_to_event(later=events.value == EVENTS[1]))
 
-    def draw(self, known: Known) -> None:
+    def draw(self, known: PageState) -> None:
         """Move the slider with the recording, unless the user drags it."""
         self._now_ns = known.now.time_ns
         now_s = self._clock()
@@ -256,7 +256,7 @@ class Mover:
         self._gizmo.on_update(self._drag)
         self._begin()
 
-    def draw(self, known: Known) -> None:
+    def draw(self, known: PageState) -> None:
         """Update the poses of obstacles and whether the run is over."""
         for name, pose in known.now.obstacles.items():
             if name in self._pose:
@@ -341,7 +341,7 @@ class Choice:
         """Choose another vehicle."""
         write(self._which, self._scenery.vehicles[row].name)
 
-    def draw(self, known: Known) -> None:
+    def draw(self, known: PageState) -> None:
         """Update the enabled controls."""
         for button, stops in zip(self._stops, (True, False), strict=False):
             button.disabled = bool(known.now.pace.over) or (self.name in known.now.halted) is stops

@@ -1,4 +1,4 @@
-"""Text panels on the chosen vehicle and on the run: HTML made from `Known` alone.
+"""Text panels on the chosen vehicle and on the run: HTML made from `PageState` alone.
 
 Texts from agents and hosts are escaped: they cannot add markup to a page.
 """
@@ -11,7 +11,7 @@ import numpy as np
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.util.text import plain
 from vcmvsp.cosim.view.page.drawing import css_of
-from vcmvsp.cosim.view.page.state import Known
+from vcmvsp.cosim.view.page.state import PageState
 from vcmvsp.cosim.view.page.vehicles import errors_of
 
 LINKS, LINES, NOTES = 12, 60, 12  # rows shown; of more, the count is shown
@@ -24,7 +24,7 @@ BOX = "padding: 0.1em 0.75em 0.4em; font-size: 0.82em; line-height: 1.45"
 Rows = list[tuple[str, str]]
 
 
-def vehicle_page(known: Known, row: int) -> str:
+def vehicle_page(known: PageState, row: int) -> str:
     """All data on a vehicle except curves and pictures."""
     if not known.names:
         return _boxed("There are no vehicles.")
@@ -42,7 +42,7 @@ SORTED = "name", "error", "speed", "age", "status"
 """Columns of `team_page` by which its rows can be sorted: the largest numbers first."""
 
 
-def team_page(known: Known, by: str) -> str:
+def team_page(known: PageState, by: str) -> str:
     """A table of all vehicles, sorted by a column."""
     numbers = {"error": errors_of(known), "speed": known.speed, "age": known.age_s}
     statuses = [_status(known, name) for name in known.names]
@@ -59,7 +59,7 @@ def team_page(known: Known, by: str) -> str:
     return _boxed(f"<table><tr>{head}</tr>{''.join(body)}</table>")
 
 
-def _status(known: Known, name: str) -> str:
+def _status(known: PageState, name: str) -> str:
     note = known.now.notes.get(name, {})
     return "stopped" if name in known.now.halted else ", ".join(str(note[key]) for key in STATUS if note.get(key))
 
@@ -68,7 +68,7 @@ def _number(value: float) -> str:
     return f"{value:.3g}" if math.isfinite(value) else ""
 
 
-def run_page(known: Known) -> str:
+def run_page(known: PageState) -> str:
     """Name, time and speed of the run."""
     scenery, pace = known.scenery, known.now.pace
     now, end = known.now.time_ns / SECOND_NS, scenery.duration_ns / SECOND_NS
@@ -91,7 +91,7 @@ def run_page(known: Known) -> str:
     return _boxed(_table(rows))
 
 
-def log_page(known: Known) -> str:
+def log_page(known: PageState) -> str:
     """The log, the newest line first."""
     newest = list(known.lines)[: -LINES - 1 : -1]
     lines = "".join(
@@ -102,7 +102,7 @@ def log_page(known: Known) -> str:
     return _boxed(f'<div style="max-height: 12em; overflow-y: auto">{lines or "Nothing yet."}</div>')
 
 
-def _who(known: Known, row: int) -> Rows:
+def _who(known: PageState, row: int) -> Rows:
     craft = known.scenery.vehicles[row]
     mark = f'<span style="color: {css_of(row)}; -webkit-text-stroke: 0.5px #888">&#9632;</span>'
     period = f", every {craft.period_s:g} s" if craft.period_s else ""
@@ -125,7 +125,7 @@ def _who(known: Known, row: int) -> Rows:
     return rows
 
 
-def _motion(known: Known, row: int) -> Rows:
+def _motion(known: PageState, row: int) -> Rows:
     x, y, z = (known.position[row].round(2) + 0.0).tolist()  # no -0.00
     if not math.isfinite(x):
         return [("position", "not known yet")]
@@ -138,7 +138,7 @@ def _motion(known: Known, row: int) -> Rows:
     ]
 
 
-def _health(known: Known, row: int) -> Rows:
+def _health(known: PageState, row: int) -> Rows:
     name, rows = known.names[row], []
     if name in known.now.halted:
         rows.append(("stopped", '<b style="color: #c92a2a">by the operator</b>'))
@@ -161,13 +161,13 @@ def _health(known: Known, row: int) -> Rows:
     return rows
 
 
-def _notes(known: Known, name: str) -> Rows:
+def _notes(known: PageState, name: str) -> Rows:
     notes = [(key, value) for key, value in known.now.notes.get(name, {}).items() if key not in COMMANDING]
     rows = [(_text(key), f"{value:.4g}" if isinstance(value, float) else _text(value)) for key, value in notes[:NOTES]]
     return rows + ([("...", f"and {len(notes) - NOTES} more")] if len(notes) > NOTES else [])
 
 
-def _links(known: Known, row: int) -> Rows:
+def _links(known: PageState, row: int) -> Rows:
     sent, received = known.now.sent, known.now.received
     if sent is None or received is None:
         return []

@@ -17,7 +17,7 @@ from vcmvsp.cosim.view.messages import Scenery
 from vcmvsp.cosim.view.page.controls import picked
 from vcmvsp.cosim.view.page.drawing import Segments, rssi_colors
 from vcmvsp.cosim.view.page.panel import paths_page
-from vcmvsp.cosim.view.page.state import Known
+from vcmvsp.cosim.view.page.state import PageState
 
 NOBODY = "nobody"
 MOST, LEGS = 40, 6  # drawn paths of a link, and the greatest number of straight pieces of each
@@ -50,7 +50,7 @@ class RayPaths:
         self._words = server.gui.add_html("")
         threading.Thread(target=self._trace, name="paths", daemon=True).start()
 
-    def draw(self, known: Known, chosen: int) -> None:
+    def draw(self, known: PageState, chosen: int) -> None:
         """Draw what has been traced, and ask for the paths at the present places."""
         if not self._site:
             return

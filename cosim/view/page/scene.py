@@ -12,7 +12,7 @@ from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.view.messages import Obstacle, Scenery
 from vcmvsp.cosim.view.page.drawing import EDGE_RGB, SKY, SKY_DARK, SUN, TARGET_RGB, Every, disc
 from vcmvsp.cosim.view.page.floor import DrawnFloor
-from vcmvsp.cosim.view.page.state import Known
+from vcmvsp.cosim.view.page.state import PageState
 
 MOST_COLORS = 48  # of the solids; with more, similar colours are merged
 VEIL, VEIL_S = 0.22, 0.3  # opacity of solids before vehicles, and period of looking for them
@@ -43,7 +43,7 @@ class Scene:
         self._obstacles = {each.name: _add_obstacle(server, each) for each in scenery.obstacles}
         self._targets = {name: _add_target(server, name, x, y) for name, x, y in scenery.targets}
 
-    def draw(self, known: Known, now_s: float) -> None:
+    def draw(self, known: PageState, now_s: float) -> None:
         """Update obstacles, targets and veils, and extend the floor under all vehicles."""
         places = known.position[np.isfinite(known.position).all(axis=1), :2]
         if len(places):
@@ -62,7 +62,7 @@ class Scene:
         sky = SKY_DARK if dark else SKY
         self._server.scene.set_background_image(np.full((1, 1, 3), sky, np.uint8), format="png")
 
-    def aim(self, known: Known) -> bool:
+    def aim(self, known: PageState) -> bool:
         """Set the initial camera to show all vehicles, also on open pages.
 
         Returns:
@@ -76,7 +76,7 @@ class Scene:
         initial.look_at = middle
         return found or not known.names
 
-    def fit(self, known: Known) -> bool:
+    def fit(self, known: PageState) -> bool:
         """Show all vehicles on the open pages, from the direction of the initial camera.
 
         Returns:
@@ -93,7 +93,7 @@ class Scene:
                 camera.look_at = middle  # after the position, which moves it
         return bool(np.isfinite(known.position).all(axis=1).any())
 
-    def _places(self, known: Known) -> Array:
+    def _places(self, known: PageState) -> Array:
         places = known.position[np.isfinite(known.position).all(axis=1)]
         west, south, east, north = self.floor.extent
         return places if len(places) else np.array([(west, south, 0.0), (east, north, 0.0)])

@@ -13,7 +13,7 @@ from vcmvsp.cosim.util import pictures
 from vcmvsp.cosim.util.palette import PROBABILITY, rgb
 from vcmvsp.cosim.view.messages import Scenery
 from vcmvsp.cosim.view.page.drawing import TARGET_RGB, Every, colors_of, rotated
-from vcmvsp.cosim.view.page.state import Known
+from vcmvsp.cosim.view.page.state import PageState
 
 GROUNDS = MAP, MOSAIC, NOTHING = "map of targets", "mosaic", "nothing"
 OVER_FLOOR_M = 0.01
@@ -34,7 +34,7 @@ class Scans:
         self._fans: dict[str, viser.MeshHandle] = {}
         self._drawn: dict[str, Scan] = {}
 
-    def draw(self, known: Known, names: tuple[str, ...]) -> None:
+    def draw(self, known: PageState, names: tuple[str, ...]) -> None:
         """Draw new scans of the wanted sensors (vehicle/sensor) and hide the others."""
         for key, node in self._nodes.items():
             node.visible = self._fans[key].visible = key in names and key in known.now.scans
@@ -78,13 +78,13 @@ class Pictures:
         self._drawn: dict[str, Image | Sightings] = {}
         self._often = Every(0.15)
 
-    def draw(self, known: Known, chosen: str, names: tuple[str, ...], now_s: float) -> None:
+    def draw(self, known: PageState, chosen: str, names: tuple[str, ...], now_s: float) -> None:
         """Show new pictures of the chosen vehicle."""
         if self._often.due(now_s):
             self._renew(known, chosen, names)
         self._frusta.draw(known)
 
-    def _renew(self, known: Known, chosen: str, names: tuple[str, ...]) -> None:
+    def _renew(self, known: PageState, chosen: str, names: tuple[str, ...]) -> None:
         pictures: dict[str, Image | Sightings] = {key: known.now.images[key] for key in names if key in known.now.images}
         sightings = known.now.sightings.get(chosen)
         if sightings is not None and sightings.jpeg:
@@ -143,7 +143,7 @@ class Frusta:
         for key, node in self._nodes.items():
             node.visible = key in keys
 
-    def draw(self, known: Known) -> None:
+    def draw(self, known: PageState) -> None:
         """Move the visible pyramids with their vehicles."""
         for key, node in self._nodes.items():
             row, lens = self._lenses[key]
@@ -164,7 +164,7 @@ class Ground:
         self._frame: tuple[float, ...] = ()
         self._often = Every(0.5)
 
-    def draw(self, known: Known, chosen: str, now_s: float) -> None:
+    def draw(self, known: PageState, chosen: str, now_s: float) -> None:
         """Draw the map or mosaic of the chosen vehicle if it is new."""
         layers: dict[str, Mapping[str, ProbabilityMap | Mosaic]] = {MAP: known.now.maps, MOSAIC: known.now.mosaics}
         ground = layers.get(self.kind, {}).get(chosen)

@@ -18,7 +18,7 @@ MAPPINGS = tuple(each.name for each in msgspec.structs.fields(PageUpdate) if get
 """Fields of `PageUpdate` that keep the newest value of each key."""
 
 
-class Known:
+class PageState:
     """The newest values of a run. A step back in time, in a recording, clears all but the values of that update.
 
     Rows are vehicles in the order of the scenery; the position of a vehicle that was never shown is NaN.

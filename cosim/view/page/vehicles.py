@@ -33,7 +33,7 @@ from vcmvsp.cosim.view.page.drawing import (
     turned,
     wheel,
 )
-from vcmvsp.cosim.view.page.state import Known
+from vcmvsp.cosim.view.page.state import PageState
 
 LABELS = 200  # vehicles with a name beside them
 NAMED = 24  # up to this many vehicles, names are shown at first
@@ -67,7 +67,7 @@ class Places(NamedTuple):
     error_m: Array  # (k,), the formation error: see `cosim.types.Follows`
 
 
-def places_of(known: Known) -> Places:
+def places_of(known: PageState) -> Places:
     """The present slots of followers whose positions are known."""
     names = [
         (known.row[name], known.row[each.leader], *each.slot, each.handle_m)
@@ -88,7 +88,7 @@ def places_of(known: Known) -> Places:
     return Places(*(part[known_both] for part in (row, leader, place, own, np.hypot(off[:, 0], off[:, 1]))))
 
 
-def errors_of(known: Known) -> Array:
+def errors_of(known: PageState) -> Array:
     """Formation error of each vehicle, (n,) m; NaN: it follows no other, or a position is unknown."""
     places = places_of(known)
     error_m = np.full(len(known.names), np.nan)
@@ -139,7 +139,7 @@ class Vehicles:
         self._server, self._label = server, 0
         self._slow = Every(0.1)
 
-    def draw(self, known: Known, chosen: int, now_s: float) -> None:
+    def draw(self, known: PageState, chosen: int, now_s: float) -> None:
         """Update all vehicles."""
         if not len(self._size):
             return
@@ -167,7 +167,7 @@ class Vehicles:
             self._draw_stopped(known, floor, reach)
         self._draw_labels(centre)
 
-    def _draw_stopped(self, known: Known, floor: Array, reach: Array) -> None:
+    def _draw_stopped(self, known: PageState, floor: Array, reach: Array) -> None:
         radius = np.full(len(reach), TINY)
         rows = [known.row[name] for name in known.now.halted if name in known.row]
         radius[rows] = 1.5 * reach[rows]
@@ -253,7 +253,7 @@ class Trails:
         self._often = Every(0.25)
         self._new = False
 
-    def sample(self, known: Known) -> None:
+    def sample(self, known: PageState) -> None:
         """Add the present positions, if due."""
         if known.times_back != self._times_back:
             self._times_back, self._next_ns = known.times_back, 0
@@ -290,7 +290,7 @@ class Ghosts:
         self._leaders = Segments(server, "/places/leaders", grey, 2.0)
         self.nodes = [*self._marks.nodes, *self._lines.nodes, *self._leaders.nodes]
 
-    def draw(self, known: Known) -> None:
+    def draw(self, known: PageState) -> None:
         """Update the slots."""
         places, count = places_of(known), len(self._reach)
         position, scale = np.zeros((count, 3)), np.full((count, 3), TINY)
@@ -315,7 +315,7 @@ class Fixes:
         self._flies = [each.flies for each in scenery.vehicles]
         self._often, self._any = Every(0.1), False
 
-    def draw(self, known: Known, now_s: float) -> None:
+    def draw(self, known: PageState, now_s: float) -> None:
         """Update the fixes."""
         if not (known.now.fixes or self._any) or not self._often.due(now_s):
             return
@@ -346,7 +346,7 @@ class Links:
         self._up = np.array([(0.0, 0.0, each.offset[2] + 0.5 * each.size[2]) for each in scenery.vehicles]).reshape(-1, 3)
         self.which = ALL if count <= FEW else OWN
 
-    def draw(self, known: Known, chosen: int) -> None:
+    def draw(self, known: PageState, chosen: int) -> None:
         """Draw the links with fresh frames."""
         if not self._room:
             return
@@ -378,7 +378,7 @@ def arrows(here: Array, there: Array) -> Array:
     return np.stack([np.stack([start, last], axis=1) for start in (first, *ends)], axis=1)
 
 
-def fresh_links(known: Known, most: int, of: int | None = None) -> tuple[Array, Array]:
+def fresh_links(known: PageState, most: int, of: int | None = None) -> tuple[Array, Array]:
     """Senders and receivers (rows) with a frame in the last second, newest ``most``, in steady order; ``of``: a vehicle."""
     age = known.now.time_ns - known.link_sent_ns
     placed = np.isfinite(known.position).all(axis=1)

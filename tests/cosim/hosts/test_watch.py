@@ -21,7 +21,7 @@ from tests.support.cosim.teams import FOLLOWER, LEADER, team
 from tests.support.cosim.view_pages import browser
 from tests.support.paths import ROOT
 from vcmvsp.cosim.cli import remote
-from vcmvsp.cosim.hosts.observers import Seen
+from vcmvsp.cosim.hosts.observers import TopicValue
 from vcmvsp.cosim.security import authority
 
 pytestmark = [pytest.mark.processes, pytest.mark.sockets]
@@ -252,12 +252,12 @@ WORDS = [
 
 @pytest.mark.parametrize(("kind", "value", "words"), WORDS)
 def test_words_for_people(kind: str, value: Any, words: str) -> None:
-    line = remote.line(Seen(12_300_000_000, "car2/x", kind, json.dumps(value).encode()))
+    line = remote.line(TopicValue(12_300_000_000, "car2/x", kind, json.dumps(value).encode()))
     assert line == f"   12.300 s  car2/x            {words}\n"
 
 
 def test_what_is_no_json_is_shown_as_nothing() -> None:
-    assert remote.line(Seen(0, "car2/x", "note", b"\xff{")) == "    0.000 s  car2/x            null\n"
+    assert remote.line(TopicValue(0, "car2/x", "note", b"\xff{")) == "    0.000 s  car2/x            null\n"
     assert len(remote.words("x", "y" * 1000)) == remote.WIDTH
 
 

@@ -16,7 +16,7 @@ from vcmvsp.cosim.types import Presence, RealStatus
 from vcmvsp.cosim.view.messages import Craft, Pace, PageUpdate
 from vcmvsp.cosim.view.page.charts import DELIVERY, POINTS, History, limits_of, round_above
 from vcmvsp.cosim.view.page.panel import log_page, run_page, team_page, vehicle_page
-from vcmvsp.cosim.view.page.state import Known
+from vcmvsp.cosim.view.page.state import PageState
 from vcmvsp.cosim.view.page.vehicles import places_of
 
 pytestmark = pytest.mark.sockets
@@ -89,7 +89,7 @@ def test_the_run_says_when_and_how_fast_it_is() -> None:
 def test_delivery_is_that_of_the_last_five_seconds() -> None:
     scene = scenery(2)
     history = History(scene)
-    known = Known(scene)
+    known = PageState(scene)
     for second in range(21):  # all is received in the first ten seconds, nothing in the next ten
         sent, received = np.full((2, 2), 10 * second), np.full((2, 2), 10 * min(second, 10))
         known.take(PageUpdate(time_ns=second * SECOND_NS, sent=sent, received=received))
@@ -101,7 +101,7 @@ def test_delivery_is_that_of_the_last_five_seconds() -> None:
 
 def test_curves_are_bounded_and_begin_anew_where_time_goes_back() -> None:
     scene = scenery(2)
-    history, known = History(scene), Known(scene)
+    history, known = History(scene), PageState(scene)
     for second in range(2 * POINTS):
         known.take(shown(scene, float(second)))
         assert history.sample(known)

@@ -16,7 +16,7 @@ from vcmvsp.cosim.recording.run_state import LogLine
 from vcmvsp.cosim.types import Array, Follows, Image, Scan, States
 from vcmvsp.cosim.view.messages import Craft, Lens, LinkStatus, Obstacle, Order, Pace, PageUpdate, Scenery
 from vcmvsp.cosim.view.page.control_station import Station
-from vcmvsp.cosim.view.page.state import Known
+from vcmvsp.cosim.view.page.state import PageState
 from vcmvsp.cosim.view.web_server import close_server, open_server
 
 T = TypeVar("T")
@@ -152,9 +152,9 @@ def scan(range_m: float = 1.0) -> Scan:
     )
 
 
-def known_of(scene: Scenery, *messages: PageUpdate) -> Known:
+def known_of(scene: Scenery, *messages: PageUpdate) -> PageState:
     """What a station knows that was told these."""
-    known = Known(scene)
+    known = PageState(scene)
     for message in messages:
         known.take(message)
     return known
