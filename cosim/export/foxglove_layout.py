@@ -77,8 +77,8 @@ class _Content:
         known = (np.abs([low, high]) < FARTHEST_M).all()
         self.middle: list[float] = (0.5 * (low + high)).tolist() if known else [0.0, 0.0]
         self.size_m = max(LEAST_VIEW_M, float((high - low).max())) if known else LEAST_VIEW_M
-        word = [name for name in WORDS if any(isinstance(values.get(name), str) for values in noted.values())][:1]
-        self.words = [(vehicle, name) for name in word for vehicle in self.vehicles if name in noted.get(vehicle, {})]
+        keys = [name for name in WORDS if any(isinstance(values.get(name), str) for values in noted.values())][:1]
+        self.words = [(vehicle, name) for name in keys for vehicle in self.vehicles if name in noted.get(vehicle, {})]
 
     def curves(self, paths: Sequence[tuple[str, str]]) -> list[dict[str, Any]]:
         """Curves of vehicles, given vehicle and path of the number after its name."""

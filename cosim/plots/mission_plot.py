@@ -74,7 +74,8 @@ def mosaic(log: MissionLog, moved: Motion, targets: Sequence[Target]) -> Figure:
             axes.imshow(np.dstack((each.pixels, alpha)), **_extent(each.left, each.bottom, each.cell_m, each.pixels))
         for index, name in enumerate(log.vehicles):
             _track(axes, moved, name, index, log.end_ns, halo=True)
-            places = np.array([found.place for _, alpha in log.sightings.get(name, ()) for found in alpha.found]).reshape(-1, 2)
+            sightings = [found for _, each in log.sightings.get(name, ()) for found in each.found]
+            places = np.array([each.place for each in sightings]).reshape(-1, 2)
             axes.plot(*places.T, color=color_of(index), **DOT)
         _true_places(axes, targets, log.end_ns, named=True)
         _square(axes)
@@ -263,9 +264,8 @@ def _boxes(axes: Axes, sightings: Sightings) -> None:
         axes.add_patch(Polygon(corners, fill=False, edgecolor=EDGE, linewidth=3.0))
         axes.add_patch(Polygon(corners, fill=False, edgecolor=TARGET, linewidth=1.4))
         axes.plot(*corners[:2].T, color=TARGET, linewidth=3.0)
-        middle = float(
-            np.clip(each.centre_px[0], 0.14 * sightings.width, 0.86 * sightings.width)
-        )  # so that the text stays inside
+        left, right = 0.14 * sightings.width, 0.86 * sightings.width  # between them the text stays inside
+        middle = float(np.clip(each.centre_px[0], left, right))
         place, low = (middle, corners[:, 1].min() - 4.0), corners[:, 1].min() > 0.12 * sightings.height
         axes.annotate(
             label_of(each),

@@ -320,9 +320,8 @@ def _opened(path: Path, columns: Collection[str] | None = None) -> "tuple[pq.Par
     with pq.ParquetFile(path) as file:
         fields, texts = list(file.schema_arrow), _checked(file.metadata, path.name)
     selection = [field for field in fields if columns is None or field.name in columns]
-    return pq.ParquetFile(
-        path, read_dictionary=texts
-    ), selection  # dictionary encoding: a text of all rows takes the space of one
+    dictionaries = pq.ParquetFile(path, read_dictionary=texts)  # so a text of all rows takes the space of one
+    return dictionaries, selection
 
 
 def _as_written(table: pa.Table, fields: "Sequence[pa.Field[Any]]", name: str) -> pa.Table:

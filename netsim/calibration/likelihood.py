@@ -180,17 +180,15 @@ def maximise(survey: Survey, start: Floats) -> FittedModel:
         information[k] = (beneath.gradient - above.gradient) / (2.0 * _STEP)
         drift[k] = (above.coefficients - beneath.coefficients) / (2.0 * _STEP)
         swing[k] = np.diagonal(above.spread - beneath.spread) / (2.0 * _STEP)
-    is_determined = inside & (np.diagonal(information) > _TOLD)
+    usable = inside & (np.diagonal(information) > _TOLD)
     spread = np.diag(np.full(len(best), math.inf))
-    curvature, axes = np.linalg.eigh(0.5 * (information + information.T)[np.ix_(is_determined, is_determined)])
-    spread[np.ix_(is_determined, is_determined)] = axes / np.maximum(curvature, _TOLD) @ axes.T
+    curvature, axes = np.linalg.eigh(0.5 * (information + information.T)[np.ix_(usable, usable)])
+    spread[np.ix_(usable, usable)] = axes / np.maximum(curvature, _TOLD) @ axes.T
 
     point = restricted(survey, best)
     # R. Kackar, D. Harville, JASA 79, 1984: variance of beta due to estimated parameters.
-    carried = drift[is_determined].T @ spread[np.ix_(is_determined, is_determined)] @ drift[is_determined]
-    unsure = np.einsum(
-        "kp,kl,lp->p", swing[is_determined], spread[np.ix_(is_determined, is_determined)], swing[is_determined]
-    )  # variance of the variance
+    carried = drift[usable].T @ spread[np.ix_(usable, usable)] @ drift[usable]
+    unsure = np.einsum("kp,kl,lp->p", swing[usable], spread[np.ix_(usable, usable)], swing[usable])  # variance of the variance
     freedom = 2.0 / np.maximum(unsure / np.diagonal(point.spread) ** 2, 2e-9)
     likelihood = log_likelihood(survey, best, point.coefficients)
     return FittedModel(best, spread, point.coefficients, point.spread + carried, freedom, likelihood)

@@ -192,11 +192,11 @@ def _word(speed: float | None) -> str:
 
 def apart(times_s: Sequence[float], least_s: float) -> tuple[float, ...]:
     """The increasing times without those that follow the last one kept by less than ``least_s``."""
-    heights: list[float] = []
+    instants: list[float] = []
     for time_s in times_s:
-        if not heights or time_s - heights[-1] >= least_s:
-            heights.append(time_s)
-    return tuple(heights)
+        if not instants or time_s - instants[-1] >= least_s:
+            instants.append(time_s)
+    return tuple(instants)
 
 
 class Timeline:

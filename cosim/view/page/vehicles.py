@@ -69,12 +69,12 @@ class Places(NamedTuple):
 
 def places_of(known: PageState) -> Places:
     """The present slots of followers whose positions are known."""
-    names = [
+    rows = [
         (known.row[name], known.row[each.leader], *each.slot, each.handle_m)
         for name, each in known.now.places.items()
         if name in known.row and each.leader in known.row
     ]
-    table = np.array(names, float).reshape(-1, 5)
+    table = np.array(rows, float).reshape(-1, 5)
     row, leader = table[:, 0].astype(int), table[:, 1].astype(int)
     slot, handle = table[:, 2:4], table[:, 4]
     yaw, own = known.yaw[leader], known.yaw[row]
