@@ -303,7 +303,7 @@ class Ledger(MapExchange):
         n, tiles, cells = len(self._places), tiling.tiles, tiling.per_tile
         self._own = np.zeros((n, tiles, 2, cells), np.uint16)  # hits and misses from each contributor itself
         self._changed = np.full((n, tiles), NEVER)  # ms: when these last changed,
-        self._sent_s = np.full((n, tiles), NEVER)  # time of its last message
+        self._sent_ms = np.full((n, tiles), NEVER)  # time of its last message
         self._others = np.zeros((n, tiles, 2, cells), np.uint16)  # relayed hits and misses
         self._others_changed = np.full((n, tiles), NEVER)
         self._times = np.zeros((n, tiles), int)  # messages with the change, own and received
@@ -360,7 +360,7 @@ class Ledger(MapExchange):
         if who == place:
             np.maximum(self._own[who, tile], counts, out=self._own[who, tile])
             self._changed[who, tile] = max(self._changed[who, tile], changed)
-            self._sent_s[who, tile] = max(self._sent_s[who, tile], ms)
+            self._sent_ms[who, tile] = max(self._sent_ms[who, tile], ms)
         elif who != self._me and self.relay:  # of relayed counts the newer; of equal times, the first received
             self._times[who, tile] += changed == self._times_of[who, tile]  # already sent by another member: lower priority
             before = self._others_changed[who, tile]
@@ -369,7 +369,7 @@ class Ledger(MapExchange):
 
     def _newer(self) -> Array:
         """(members, tiles): whether relayed counts are newer than the contributor's own; of this vehicle itself never."""
-        return self._others_changed > self._sent_s
+        return self._others_changed > self._sent_ms
 
 
 def exchange(

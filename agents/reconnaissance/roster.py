@@ -89,8 +89,8 @@ class Roster:
         self._status_of: dict[str, MemberStatus] = {}
         self._there_ns: dict[str, int] = {}  # time of the newest message of its agent
         self._start_ns: int | None = None
-        self._note: tuple[Task, str | None] | None = None
-        self._note_ns = 0
+        self._own_status: tuple[Task, str | None] | None = None
+        self._own_status_ns = 0
 
     def hear(self, obs: Observation) -> None:
         """Process received statuses, once a tick. Any message of a member is a sign of life, except one of bytes."""
@@ -107,9 +107,9 @@ class Roster:
     def tell(self, obs: Observation, radio: Radio, task: Task, claim: Claim | None) -> None:
         """Send the own status if it is due, once a tick."""
         now = task, None if claim is None else claim.target
-        if now == self._note and obs.clock_ns - self._note_ns < self._report_ns:
+        if now == self._own_status and obs.clock_ns - self._own_status_ns < self._report_ns:
             return
-        self._note, self._note_ns = now, obs.clock_ns
+        self._own_status, self._own_status_ns = now, obs.clock_ns
         body: dict[str, Any] = {"do": task, "ms": obs.clock_ns // 1_000_000}
         if claim is not None:
             body |= {"tg": claim.target, "at": list(claim.place), "since": claim.since_ns // 1_000_000}

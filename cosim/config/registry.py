@@ -26,6 +26,7 @@ from vcmvsp.cosim.config.binding import show, unknown
 from vcmvsp.cosim.config.builtin_kinds import KINDS, NOTHING, VERBS
 from vcmvsp.cosim.config.provenance import NOWHERE, Source
 from vcmvsp.cosim.errors import ScenarioError, place_of, words_of
+from vcmvsp.cosim.util.documents import parts_of
 
 _folder: contextvars.ContextVar[Path | None] = contextvars.ContextVar("folder", default=None)
 
@@ -238,10 +239,7 @@ def classes_in(value: object) -> list[str]:
     """All ``module:Class`` and ``file.py:Class`` strings in a TOML value."""
     if isinstance(value, str):
         return [value] if is_file_kind(value) or _MODULE_KIND.fullmatch(value) else []
-    if not isinstance(value, Mapping | list | tuple):
-        return []
-    inside = value.values() if isinstance(value, Mapping) else value
-    return list(dict.fromkeys(found for each in inside for found in classes_in(each)))
+    return list(dict.fromkeys(found for each in parts_of(value) for found in classes_in(each)))
 
 
 def host_options(tables: object, folder: str) -> list[str]:

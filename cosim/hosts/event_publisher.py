@@ -80,7 +80,7 @@ class Topics:
         self.session, self._about, self._keys = session, about, keys
         self._version = metadata.version("vcmvsp")
         self._now_ns: int | None = None
-        self._has_readers: dict[str, bool] = {}  # whether a key has subscribers
+        self._has_subscribers: dict[str, bool] = {}  # whether a key has subscribers
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._each: tuple[tuple[str, ...], tuple[str, ...]] = (), ()  # vehicles, and the keys of their states
         self._queryable = session.declare_queryable(key_names.ABOUT, Callback(self._on_question, indirect=False))
@@ -91,8 +91,8 @@ class Topics:
         if type(event.value) is Receptions:
             self._on_receptions(event.time_ns, event.value)
             return
-        has_readers = self._has_readers.get(event.key)
-        if has_readers or (has_readers is None and self._declare(event.key)):
+        has_subscribers = self._has_subscribers.get(event.key)
+        if has_subscribers or (has_subscribers is None and self._declare(event.key)):
             self._publish(event.key, event.time_ns, event.value)
         if type(event.value) is States:
             self._on_states(event.time_ns, event.value)
@@ -106,10 +106,10 @@ class Topics:
 
     def _declare(self, key: str) -> bool:
         """Declare a topic when its key first appears; returns whether it has subscribers."""
-        self._has_readers[key] = False
+        self._has_subscribers[key] = False
 
         def on_matching(status: zenoh.MatchingStatus) -> None:
-            self._has_readers[key] = status.matching
+            self._has_subscribers[key] = status.matching
 
         if set(key).isdisjoint("*$?#"):  # keys of user-defined events may contain reserved characters
             with contextlib.suppress(zenoh.ZError):
@@ -118,7 +118,7 @@ class Topics:
                 )
                 self._publishers[key] = publisher
                 publisher.declare_matching_listener(Callback(on_matching, indirect=False))
-        return self._has_readers[key]
+        return self._has_subscribers[key]
 
     def _on_states(self, time_ns: int, states: States) -> None:
         """Publish the state of each vehicle under its own key, as in the recording."""
@@ -126,8 +126,8 @@ class Topics:
             self._each = states.names, tuple(f"{name}/state" for name in states.names)
         columns: list[Any] = []
         for row, key in enumerate(self._each[1]):
-            has_readers = self._has_readers.get(key)
-            if has_readers or (has_readers is None and self._declare(key)):
+            has_subscribers = self._has_subscribers.get(key)
+            if has_subscribers or (has_subscribers is None and self._declare(key)):
                 columns = columns or [
                     column.tolist() for column in (states.position, states.velocity, states.attitude, states.angular_velocity)
                 ]
@@ -140,7 +140,7 @@ class Topics:
         rows = {
             row
             for row, key in keys.items()
-            if self._has_readers.get(key) or (key not in self._has_readers and self._declare(key))
+            if self._has_subscribers.get(key) or (key not in self._has_subscribers and self._declare(key))
         }
         if not rows:
             return

@@ -235,7 +235,7 @@ class RemoteHost:
         self.lookahead_ns = min(info.latency_ns for info in self.agents)
         self._crews = list(crews)  # hosts that receive steps
         self._others: list[Crew] = []  # hosts that owe an answer before their next step
-        self._requests: deque[_OpenStep] = deque()
+        self._open_steps: deque[_OpenStep] = deque()
         self._missing = tuple(missing)
         self._away: dict[str, Absence] = {}
         self._newest: dict[str, Event] = {}  # newest events that absent vehicles have received
@@ -265,8 +265,8 @@ class RemoteHost:
 
     def ask(self, now_ns: int, inbox: Sequence[Event]) -> int | None:
         """Send the step. The next wake-up follows from the agents' ticks, independent of the answer."""
-        request = _OpenStep(now_ns, self._due(now_ns))
-        self._requests.append(request)
+        open_step = _OpenStep(now_ns, self._due(now_ns))
+        self._open_steps.append(open_step)
         batches = [event.value for event in inbox if isinstance(event.value, Receptions)]
         for batch in batches:
             self._mail.put(batch)
@@ -278,10 +278,10 @@ class RemoteHost:
             self._mail.take(now_ns, self._away)  # lost
         if self._missing:
             self.losses += [(spec.vehicle, now_ns / SECOND_NS, "it has no host yet") for spec in self._missing]
-            request.events += self._leave(self._missing, now_ns, "it has no host yet")
+            open_step.events += self._leave(self._missing, now_ns, "it has no host yet")
             self._missing = ()
         if self._away:
-            inbox = self._look_around(request, inbox)
+            inbox = self._look_around(open_step, inbox)
         whole = len(self._crews) == 1 and not self._away
         for crew in self._crews:
             mine = list(inbox) if whole else [event for event in inbox if _vehicle(event) in crew.vehicles]
@@ -289,23 +289,23 @@ class RemoteHost:
             if received is not None:
                 mine.append(Event(RECEPTIONS, now_ns, pruned(received)))
             crew.send(protocol.Act(now_ns, mine))
-            request.crews.append(crew)
+            open_step.crews.append(crew)
         return min([train.after(now_ns) for train in self._trains])
 
     def answer(self) -> Sequence[Event]:
         """The events of the oldest open step."""
-        request = self._requests.popleft()
-        events, now_ns = request.events, request.now_ns
-        for crew in request.crews:
-            effects = {vehicle: now_ns + self._latency_ns[vehicle] for vehicle in crew.vehicles if vehicle in request.due}
+        open_step = self._open_steps.popleft()
+        events, now_ns = open_step.events, open_step.now_ns
+        for crew in open_step.crews:
+            effects = {vehicle: now_ns + self._latency_ns[vehicle] for vehicle in crew.vehicles if vehicle in open_step.due}
             try:
-                step = crew.stepped(effects, self._names)
+                answer = crew.stepped(effects, self._names)
             except FederateError as error:
                 events += self._lose(crew, now_ns, error)
             else:
-                events += [event for event in step if _vehicle(event) not in self._away] if self._away else step
+                events += [event for event in answer if _vehicle(event) not in self._away] if self._away else answer
                 if self._may_go_on:
-                    self._note(step, crew)
+                    self._note(answer, crew)
         for vehicle, absence in self._away.items():
             events += absence.go_on(now_ns + self._latency_ns[vehicle])
         return events
@@ -355,8 +355,8 @@ class RemoteHost:
             raise error
         self.losses.append((", ".join(crew.vehicles), now_ns / SECOND_NS, error.cause))
         self._crews.remove(crew)
-        for request in self._requests:
-            request.crews = [each for each in request.crews if each is not crew]
+        for open_step in self._open_steps:
+            open_step.crews = [each for each in open_step.crews if each is not crew]
         if crew.alive and any(spec.on_lost == "hold" for spec in crew.specs):
             self._others.append(crew)
         else:
@@ -380,13 +380,13 @@ class RemoteHost:
             elif isinstance(event.value, Presence):
                 self._failed[_vehicle(event)] = crew
 
-    def _look_around(self, request: "_OpenStep", inbox: Sequence[Event]) -> Sequence[Event]:
+    def _look_around(self, open_step: "_OpenStep", inbox: Sequence[Event]) -> Sequence[Event]:
         """Reinstate vehicles whose agents answer again; returns the events that all present hosts receive."""
         self._door()
         for crew in list(self._others):
             try:
                 if self._is_ready(crew):
-                    inbox = self._take_back(crew, request, inbox)
+                    inbox = self._take_back(crew, open_step, inbox)
             except VcmvspError as error:
                 self._tell(f"{error}")
                 self._dismiss(crew, str(error))
@@ -407,7 +407,7 @@ class RemoteHost:
                 crew.send(protocol.Begin(self._run))
         return True
 
-    def _take_back(self, crew: Crew, request: "_OpenStep", inbox: Sequence[Event]) -> Sequence[Event]:
+    def _take_back(self, crew: Crew, open_step: "_OpenStep", inbox: Sequence[Event]) -> Sequence[Event]:
         self._others.remove(crew)
         self._crews.append(crew)
         for vehicle in crew.vehicles:
@@ -417,8 +417,8 @@ class RemoteHost:
             if self._failed.get(vehicle) is crew:
                 continue  # the host is back, the agent is not
             self._failed.pop(vehicle, None)
-            since_ns, when = info.ticks.after(request.now_ns - 1), request.now_ns + info.latency_ns
-            request.events.append(absence.back(since_ns, when, crew.late))
+            since_ns, when = info.ticks.after(open_step.now_ns - 1), open_step.now_ns + info.latency_ns
+            open_step.events.append(absence.back(since_ns, when, crew.late))
             newest = [event for key, event in self._newest.items() if key.startswith(f"{vehicle}/")]
             inbox = [*newest, *(event for event in inbox if _vehicle(event) != vehicle)]
         crew.late = 0

@@ -59,9 +59,9 @@ def informed(radio: pa.Table) -> ReceptionRows:
     rows = np.flatnonzero(numbers(radio, "received_ns", null=-1) >= 0)
     (origins, by), (destinations, only) = names_of(radio, "origin"), names_of(radio, "destination")
     by, only = by[rows], only[rows]
-    has_origin, anybody = np.array(origins) != "", np.array(destinations) == ""
+    has_origin, is_broadcast = np.array(origins) != "", np.array(destinations) == ""
     is_addressee = has_origin[by] & (codes_of(got.receivers, origins)[by] != got.to)
-    is_addressee &= anybody[only] | (codes_of(got.receivers, destinations)[only] == got.to)
+    is_addressee &= is_broadcast[only] | (codes_of(got.receivers, destinations)[only] == got.to)
     sent_ns = numbers(radio, "origin_sent_ns")[rows]
     return ReceptionRows(
         got.receivers, origins, got.to[is_addressee], by[is_addressee], sent_ns[is_addressee], got.received_ns[is_addressee]

@@ -141,13 +141,13 @@ def _apart(group: Sequence[tuple[int, str, Sightings]], count: int) -> list[tupl
 
 def _timeline(axes: Axes, log: MissionLog, targets: Sequence[Target]) -> None:
     end_s = log.end_ns / SECOND_NS
-    labels: set[str] = set()
+    commanders: set[str] = set()
     for row, name in enumerate(log.vehicles):
         changes = [*log.noted.of(name, "commander"), (log.end_ns, "")]
         for (begin, commander), (end, _) in pairwise(changes):
             if not commander:  # its agent has failed or is lost
                 continue
-            labels.add(commander)
+            commanders.add(commander)
             span = begin / SECOND_NS, (end - begin) / SECOND_NS
             axes.broken_barh([span], (row - 0.3, 0.6), **_band(commander))
         for time_ns, target in log.noted.lost(name):
@@ -163,8 +163,8 @@ def _timeline(axes: Axes, log: MissionLog, targets: Sequence[Target]) -> None:
     for side in ("left", "top", "right"):
         axes.spines[side].set_visible(False)
     axes.tick_params(axis="y", length=0.0)
-    shown: list[Artist] = [Patch(**_band(name), label=name) for name in COMMANDERS if name in labels]
-    shown += [Patch(**_band("other"), label="other")] if labels - COMMANDERS.keys() else []
+    shown: list[Artist] = [Patch(**_band(name), label=name) for name in COMMANDERS if name in commanders]
+    shown += [Patch(**_band("other"), label="other")] if commanders - COMMANDERS.keys() else []
     for mark, words in ((MARKED, "found"), (FALSE, "no target there"), (GIVEN_UP, "given up")):
         shown.append(Line2D([], [], label=words, **mark))
     axes.legend(handles=shown, ncols=len(shown), **ABOVE)

@@ -214,8 +214,9 @@ class Frames:
         for name, dtype in PER_ROW.items():
             packed[name] = joined(list(columns[name]), (0,), dtype)
         for name, dtype in BUDGET.items():
-            packed[name] = np.zeros(sum(counts), dtype)
-            if any(part is not None for part in columns[name]):
+            if all(part is None for part in columns[name]):
+                packed[name] = np.zeros(sum(counts), dtype)
+            else:
                 parts = zip(columns[name], counts, strict=True)
                 packed[name] = joined([np.zeros(n, dtype) if part is None else part for part, n in parts], (0,), dtype)
         for name, dtype in PATHS.items():

@@ -69,8 +69,8 @@ def silence(name: str) -> str:
 def hub_security(keys: "Keys") -> Config:
     """Security part of the hub's configuration: certificates on both ends, limits, and an access rule for each machine."""
     config = merge(_listening(keys), LIMITS)
-    queries = {"id": "asked", "flows": ["ingress"], "messages": ["query"], "key_exprs": [JOIN, ABOUT], "size_limit": MAX_JOIN}
-    config["low_pass_filter"] = [queries]
+    rule = {"id": "asked", "flows": ["ingress"], "messages": ["query"], "key_exprs": [JOIN, ABOUT], "size_limit": MAX_JOIN}
+    config["low_pass_filter"] = [rule]
     by_role = {role: [entry.name for entry in keys.members if entry.role == role] for role in ("host", "observer")}
     return config | {"access_control": _access(by_role["host"], by_role["observer"])}
 

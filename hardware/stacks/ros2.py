@@ -179,7 +179,7 @@ class Ros2Stack:
             for topic, kind in INPUTS.items():
                 endpoint = Endpoint("MS", f"{namespace}/{topic}", kind)
                 node.add(endpoint)
-                node.hear(endpoint, partial(self._hand_over, vehicle, topic), whatever=True)
+                node.hear(endpoint, partial(self._hand_over, vehicle, topic), any_type=True)
             if mounted := self._mounted(vehicle):
                 latched = Endpoint("MP", f"{namespace}/tf_static", TRANSFORMS, latched=True)
                 node.add(latched)

@@ -77,6 +77,7 @@ class Standard(NamedTuple):
 
 
 LEGACY, HT, HE = Standard(MODES, 36, 20), Standard(HT_MODES, 38, 36), Standard(HE_MODES, 42, 44)
+STANDARD_OF = {rate_bps: each for each in (LEGACY, HT, HE) for rate_bps in each.modes}
 ALL_MODES = MODES | HT_MODES | HE_MODES
 CODE_RATES = {"1/2": 1.0 / 2.0, "2/3": 2.0 / 3.0, "3/4": 3.0 / 4.0, "5/6": 5.0 / 6.0}
 
@@ -186,7 +187,7 @@ class Ofdm:
     @property
     def standard(self) -> Standard:
         """`LEGACY` (802.11a or g), `HT` (n) or `HE` (ax)."""
-        return next(each for each in (LEGACY, HT, HE) if self.rate_bps in each.modes)
+        return STANDARD_OF[self.rate_bps]
 
     @property
     def is_ht(self) -> bool:
@@ -229,7 +230,7 @@ class Ofdm:
         bits, symbol_ns = self._symbol
         return bits * over_frames(size_bytes, LARGEST_MSDU_BYTES, self._payload_ns) // symbol_ns
 
-    @property
+    @cached_property
     def _symbol(self) -> tuple[int, int]:
         """Data bits of a symbol, and its length in ns."""
         if self.standard is not HE:

@@ -216,7 +216,7 @@ class Ros2Driver(ThreadedDriver):
     def _work(self) -> None:
         with contextlib.closing(Node(self._endpoint, self._mode, self._mapping, (self._command, self._odometry))) as node:
             self._publish = node.publisher(self._command, self._news.put)
-            node.hear(self._odometry, self._hand_over, whatever=True)
+            node.hear(self._odometry, self._hand_over, any_type=True)
             try:
                 self._converse(node)
             finally:

@@ -50,4 +50,4 @@ def tell(teller: MapExchange, hearers: dict[str, MapExchange], me: str, now_ns: 
 
 def everything(mind: Ledger) -> tuple[bytes, ...]:
     """All that can make a difference later, but how often what was sent."""
-    return tuple(each.tobytes() for each in (mind._own, mind._changed, mind._sent_s, mind._others, mind._others_changed))
+    return tuple(each.tobytes() for each in (mind._own, mind._changed, mind._sent_ms, mind._others, mind._others_changed))
