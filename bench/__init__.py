@@ -1,1 +1,1 @@
-"""``make bench``: what the platform costs beside what it is built on, both measured in the same run."""
+"""``make bench``: cost of the platform beside its building blocks and peers, measured in one run."""

@@ -1,7 +1,7 @@
-"""Times the platform and what it is built on in turn, in one run, and prints the ratios.
+"""Times the platform beside its building blocks and peers in one run, and prints the ratios.
 
 CPU seconds wherever one process does the work; wall-clock time only for the round trip between two processes. Medians of
-pairs: read the ratios, since machines differ and drift. Exit code 1 if a demand is missed. ``--help`` names the parts.
+pairs: compare the ratios, since machines differ and drift. Exit code 1 if a demand is missed. ``--help`` names the parts.
 """
 
 import argparse
@@ -58,7 +58,7 @@ ROUNDS = 5
 
 
 def kernel_row() -> Row:
-    """Ten kinematic vehicles, everything on: against SimPy alone."""
+    """Ten kinematic vehicles with all services, beside SimPy alone."""
     duration_s = 60.0
     scenario = star(10, physics="kinematic", duration_s=duration_s)
     ours, other, ratio = in_turn(lambda: run_cpu_s(scenario), lambda: bare.simpy_cpu_s(10, duration_s), ROUNDS)
@@ -70,7 +70,7 @@ def kernel_row() -> Row:
 
 
 def bullet_row() -> Row:
-    """Three Pioneers with radio and agents: against stepSimulation alone."""
+    """Three Pioneers with radio and agents, beside stepSimulation alone."""
     duration_s = 30.0
     scenario = star(3, physics="bullet", duration_s=duration_s)
     ours, other, ratio = in_turn(lambda: run_cpu_s(scenario), lambda: bare.bullet_cpu_s(3, duration_s), ROUNDS)
@@ -82,7 +82,7 @@ def bullet_row() -> Row:
 
 
 def federation_row() -> Row:
-    """What a round costs because its ten agents are in another process: against a bare request and answer of the same bytes."""
+    """A round with ten agents in another process, beside a bare query and reply of the same sizes."""
     rounds, scenario = 300, star(10, physics="kinematic", duration_s=10.0)
     scenario["agents"] = {"period_s": 0.1, "processes": 1}
     with _after_run(scenario, "inprocess") as (local, _, _), _after_run(scenario, "process") as (remote, inboxes, sizes):
@@ -91,7 +91,7 @@ def federation_row() -> Row:
 
         def ours() -> float:
             elsewhere_s = here_s = 0.0
-            for tick in itertools.islice(ticks, rounds):  # time goes on, so that agents have ticks; inboxes repeat
+            for tick in itertools.islice(ticks, rounds):  # time advances, so that agents have ticks; inboxes repeat
                 question = (round(tick * 1e8), inboxes[tick % len(inboxes)])
                 begin = time.perf_counter()
                 remote.step(*question)
@@ -124,7 +124,7 @@ def federation_row() -> Row:
 def _after_run(
     scenario: dict[str, object], runs: Literal["inprocess", "process"]
 ) -> Iterator[tuple[RemoteHost | AgentHost, list[Sequence[Event]], tuple[int, int]]]:
-    """The host of the agents after a run; what it was given at each tick; the median bytes of question and answer, if sent."""
+    """Agent host after a run; its inbox at each tick; median size, bytes, of query and reply, if sent."""
     inboxes: list[Sequence[Event]] = []
     asked, answered = [0], [0]
     parsed, source = scenarios.load(scenario)
@@ -160,7 +160,7 @@ def _after_run(
 
 
 def rows() -> list[Row]:
-    """The core's own."""
+    """Rows of the core."""
     return measured((kernel_row, bullet_row, federation_row))
 
 
@@ -212,7 +212,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         complete = False
     machine = f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
     if given.json:
-        told = [finite({"part": name, **row._asdict()}) for name, row in found]  # no ratio to what is not there
+        told = [finite({"part": name, **row._asdict()}) for name, row in found]  # no ratio to a missing peer
         print(json.dumps({"schema": "vcmvsp.bench/1", "machine": machine, "rows": told}, indent=2))
     else:
         print(f"{machine}\n\n{table([row for _, row in found])}")

@@ -1,4 +1,4 @@
-"""Peers as programs of their own: each does a stretch of its work whenever it is asked, and says what that cost."""
+"""Peers as separate programs: each does a stretch of its work on request, and reports its cost."""
 
 import contextlib
 import os
@@ -13,15 +13,14 @@ from bench.measure import Timed
 
 
 class SilentError(Exception):
-    """A program did not answer; the message is the last that it said."""
+    """A program did not answer; the message is its last line."""
 
 
 @contextlib.contextmanager
 def program(module: str, python: Path, **options: Any) -> Iterator[Timed]:
-    """A program of `bench.peers` that has warmed up; each call runs a stretch and gives its cost.
+    """A program of `bench.peers` after its warm-up; each call runs a stretch and returns its cost.
 
-    Raises:
-        SilentError: it ended instead of answering.
+    Raises: SilentError: it ended instead of answering.
     """
     command = [str(python), "-m", f"bench.peers.{module}"]
     for name, value in options.items():
@@ -46,7 +45,7 @@ def program(module: str, python: Path, **options: Any) -> Iterator[Timed]:
 
 @contextlib.contextmanager
 def _process(command: list[str], said: Any) -> Iterator[tuple[Any, Any]]:
-    """Its pipes; on the way out it and what it has started are gone."""
+    """Pipes of a process; leaving the block ends it and its children."""
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     child = subprocess.Popen(command, text=True, stderr=said, start_new_session=True, **pipes)  # type: ignore[call-overload]
     try:
@@ -63,10 +62,9 @@ def _process(command: list[str], said: Any) -> Iterator[tuple[Any, Any]]:
 
 
 def installed(python: Path) -> Path:
-    """The Python of an environment that has some peers.
+    """The Python of an environment with some peers.
 
-    Raises:
-        SilentError: there is none.
+    Raises: SilentError: there is none.
     """
     if not python.exists():
         raise SilentError(f"it is not installed: make {python.parts[0]}/.ready")

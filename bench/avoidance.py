@@ -1,6 +1,6 @@
-"""Avoidance: one decision on a scan of 512 beams, beside loops as textbooks have them: VFH, and the dynamic window.
+"""Avoidance: one decision on a scan of 512 beams, beside textbook loops: VFH, and the dynamic window.
 
-``python -m bench.avoidance`` prints the table. CPU time of this process, medians of pairs: read the ratios.
+``python -m bench.avoidance`` prints the table. CPU time of this process, medians of pairs: compare the ratios.
 """
 
 import math
@@ -22,14 +22,14 @@ ROBOT = Body(width_m=0.33, radius_m=0.216)
 PERIOD_S = 0.1
 LIMIT_S = 0.5e-3
 
-# What stands in the room: x and y of the lower and the upper corner, m. The robot is at the origin, its aim behind the pillar.
+# Obstacles of the room: x and y of the lower and the upper corner, m. The robot is at the origin, its goal behind the pillar.
 ROOM = ((0.8, -0.3, 1.3, 0.3), (0.3, 0.7, 2.0, 0.9), (0.1, -1.2, 2.0, -1.0), (3.0, -3.0, 3.2, 3.0), (-3.0, 2.0, 3.0, 2.2))
 AIM = (2.5, 0.1)
 TASK = Task((0.3, 0.0), 0.0, AIM)
 
 
 def rows() -> list[Row]:
-    """All of them."""
+    """All rows."""
     room = _view(_ranges())
     ranges, bearings, points = room.ranges.tolist(), room.bearings.tolist(), room.units * room.ranges[:, None]
     beams, window = lambda: loop_of_vfh(ranges, bearings), lambda: loop_of_window(points)
@@ -40,7 +40,7 @@ def rows() -> list[Row]:
 
 
 def _row(settings: Settings, room: View, beside: str, loop: Callable[[], object]) -> Row:
-    """One method; each round begins anew, from a free way."""
+    """One method; each round starts afresh, with a free path."""
     free = _view(np.full(BEAMS, math.inf))
 
     def ours() -> float:
@@ -60,7 +60,7 @@ def _row(settings: Settings, room: View, beside: str, loop: Callable[[], object]
 
 
 def loop_of_vfh(ranges: Sequence[float], bearings: Sequence[float], keep: float = 0.266, near: float = 1.2) -> float | None:
-    """The direction that VFH takes, rad, without hysteresis or turning circles: loops over beams, sectors and openings."""
+    """Direction of VFH, rad, without hysteresis or turning circles: loops over beams, sectors and openings."""
     sectors, wide = 72, 16
     width = math.tau / sectors
     density = [0.0] * sectors
@@ -117,7 +117,7 @@ def _view(ranges: Array) -> View:
 
 
 def _ranges() -> Array:
-    """The room as it is seen."""
+    """Scan of the room."""
     bearings = np.linspace(-0.5 * math.pi, 0.5 * math.pi, BEAMS)
     rays = np.stack([np.cos(bearings), np.sin(bearings)])[:, None]
     boxes = np.array(ROOM).reshape(-1, 2, 2).transpose(1, 2, 0)[..., None]  # (corner, axis, box, beam)

@@ -1,4 +1,4 @@
-"""What the platform is built on, by itself: SimPy, PyBullet, and Zenoh as they are used without us."""
+"""Building blocks alone: SimPy, PyBullet, and Zenoh without the platform."""
 
 import contextlib
 import json
@@ -16,7 +16,7 @@ from bench.measure import cpu
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.federate import Event, Instants, RunInfo
 from vcmvsp.cosim.types import Velocity
-from vcmvsp.physics.dynamics.bullet import p as pybullet  # there it is imported without its greeting
+from vcmvsp.physics.dynamics.bullet import p as pybullet  # imported there without its greeting
 from vcmvsp.physics.federate import BulletPhysics
 from vcmvsp.physics.vehicles.models import P2DX
 from vcmvsp.physics.vehicles.specification import VehicleSpec
@@ -24,7 +24,7 @@ from vcmvsp.physics.world.world import World
 
 
 def simpy_cpu_s(vehicles: int, duration_s: float) -> float:
-    """As many SimPy processes that wake ten times a second and do nothing."""
+    """SimPy processes that wake ten times a second and do nothing."""
 
     def work() -> None:
         env = simpy.Environment()
@@ -41,7 +41,7 @@ def simpy_cpu_s(vehicles: int, duration_s: float) -> float:
 
 
 def bullet_cpu_s(vehicles: int, duration_s: float) -> float:
-    """Bullet's stepSimulation alone, in the world of the same robots driving circles."""
+    """Bullet's stepSimulation alone, in the world of the same robots on circles."""
     cars = [VehicleSpec(name=f"car{n}", model=P2DX(), position=(0.0, 1.0 * n, 0.0)) for n in range(vehicles)]
     physics = BulletPhysics(world=World(), vehicles=cars)
     names = tuple(car.name for car in cars)
@@ -63,7 +63,7 @@ def bullet_cpu_s(vehicles: int, duration_s: float) -> float:
 
 @contextlib.contextmanager
 def zenoh_echo(endpoint: str, answer_bytes: int) -> Iterator[None]:
-    """Another process that answers each query with so many bytes."""
+    """Another process that answers each query with a number of bytes."""
     config = {
         "mode": "client",
         "connect": {"endpoints": [endpoint]},
@@ -92,7 +92,7 @@ def zenoh_echo(endpoint: str, answer_bytes: int) -> Iterator[None]:
 
 
 def ask(session: zenoh.Session, question: bytes) -> bytes:
-    """One bare request and its answer."""
+    """One bare query and its reply."""
     for reply in session.get("bench/echo", payload=question):
         if reply.ok is not None:
             return reply.ok.payload.to_bytes()
@@ -100,5 +100,5 @@ def ask(session: zenoh.Session, question: bytes) -> bytes:
 
 
 def payload(size: int) -> bytes:
-    """Bytes that do not compress."""
+    """Incompressible bytes."""
     return np.random.default_rng(1).bytes(size)

@@ -1,8 +1,8 @@
-"""The bridge at wall pace: how late datagrams leave, and how many it carries. ``python -m bench.bridge``, within a minute.
+"""The bridge at wall pace: lateness and capacity for datagrams. ``python -m bench.bridge``, within a minute.
 
-Each row is a run of its own in a process of its own, with the bridge process beside it, both on one core where the row says so;
-who sends and who hears are two more processes on the other. A datagram that neither the emulated radio lost nor a program had
-no room for must arrive: what is missing beyond that is counted.
+Each row is a run in a process of its own, with the bridge process beside it, both on one core where the row says so; sender
+and receiver are two more processes on the other. A datagram that is not lost on the emulated radio and has room in the
+program's socket must arrive: the rest is counted as missing.
 """
 
 import json
@@ -20,8 +20,8 @@ from bench.measure import Row, measured, table
 
 SIZE = 100  # bytes
 READY_S = 30.0
-HEAR = 99  # of a vehicle's hundred ports: where its program hears
-RATES = (20_000, 40_000)  # datagrams/s: one that is to be carried, one beyond the limit
+HEAR = 99  # port, within a vehicle's hundred, on which its program receives
+RATES = (20_000, 40_000)  # datagrams/s: a rate to be carried, and one beyond the limit
 
 
 class Load(NamedTuple):
@@ -35,7 +35,7 @@ class Load(NamedTuple):
 
 
 class Carried(NamedTuple):
-    """What became of it."""
+    """Result of one run."""
 
     sent: int
     heard: int
@@ -45,34 +45,34 @@ class Carried(NamedTuple):
 
     @property
     def missing(self) -> int:
-        """What was sent and not heard, though nobody has counted it."""
+        """Datagrams sent and not received, without being counted anywhere."""
         counted = sum(sum(each.values()) for each in self.about["counts"].values())
         return self.sent - self.heard - counted
 
 
 def rows() -> list[Row]:
-    """How late, and how much: beside it a bare relay, which takes a datagram from one socket and gives it to another."""
+    """Lateness and capacity, beside a bare relay, which forwards datagrams from one socket to another."""
     return measured([delayed, jittered, much, too_much])
 
 
 def delayed() -> Row:
-    """A delay, at a rate at which it can be kept."""
+    """Constant delay, at a rate at which it can be kept."""
     return _on_time(Load("delay 20 ms", 1_000, 6.0, {"seconds": 0.02}, one_core=False))
 
 
 def jittered() -> Row:
-    """The same, with jitter."""
+    """Constant delay with jitter."""
     return _on_time(Load("delay 20 ms, jitter 10 ms", 1_000, 6.0, {"seconds": 0.02, "jitter_s": 0.01}, one_core=False))
 
 
 def much() -> Row:
-    """What is to be carried on one core."""
+    """The rate to be carried on one core."""
     load = Load("ideal, run and bridge on one core", RATES[0], 5.0, {}, one_core=True)
     return _whole(load, "all arrive", lambda carried: carried.heard == carried.sent)
 
 
 def too_much() -> Row:
-    """Beyond the limit: what is lost is counted."""
+    """A rate beyond the limit: every loss is counted."""
     load = Load("ideal, run and bridge on one core", RATES[1], 5.0, {}, one_core=True)
     return _whole(load, "what does not arrive is counted", lambda carried: carried.missing == 0)
 
@@ -100,7 +100,7 @@ def _row(load: Load, carried: Carried, ours: str, demand: str, *, holds: bool) -
 
 
 def _bare_us(load: Load) -> float:
-    """CPU time per datagram of a program that does nothing but pass on."""
+    """CPU time per datagram of a program that only forwards."""
     cores = sorted(os.sched_getaffinity(0))
     first = _free_ports()
     hearing = _started("hear", str(first + 1), on=cores[-1:])
@@ -167,7 +167,7 @@ def _free_ports() -> int:
 
 
 def _wait_for_port(port: int) -> None:
-    """Until somebody has it."""
+    """Wait until a program has bound a port."""
     until = time.monotonic() + READY_S
     while time.monotonic() < until:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as tried:
@@ -183,7 +183,7 @@ def _wait_for_port(port: int) -> None:
 
 
 def run(given: str) -> None:
-    """Two vehicles that stand, at wall pace."""
+    """Two vehicles at rest, at wall pace."""
     import vcmvsp
 
     wanted = json.loads(given)
@@ -200,7 +200,7 @@ def run(given: str) -> None:
 
 
 def hear(port: str) -> None:
-    """Count what comes, until nothing has for a while."""
+    """Count datagrams until none arrives for a while."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as heard:
         heard.setsockopt(socket.SOL_SOCKET, 33, 64 * 2**20)  # SO_RCVBUFFORCE
         heard.bind(("127.0.0.1", int(port)))
@@ -218,7 +218,7 @@ def hear(port: str) -> None:
 
 
 def relay(port: str) -> None:
-    """Pass on what comes, to the port after this one."""
+    """Forward datagrams to the next port."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taking:
         taking.bind(("127.0.0.1", int(port)))
         following = "127.0.0.1", int(port) + 1
@@ -227,7 +227,7 @@ def relay(port: str) -> None:
 
 
 def send(port: str, rate: str, seconds: str) -> None:
-    """Send steadily; prints how many."""
+    """Send at a constant rate; prints the number sent."""
     count, period = round(float(rate) * float(seconds)), 1.0 / float(rate)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sending:
         sending.connect(("127.0.0.1", int(port)))

@@ -1,6 +1,6 @@
-"""Cameras beside PyBullet's own software renderer (``getCameraImage``), in the same worlds from the same places, in one run.
+"""Cameras beside PyBullet's own software renderer (``getCameraImage``), with equal worlds and views, in one run.
 
-``python -m bench.camera`` prints more than is in the table of all. CPU time of the process, medians of pairs.
+``python -m bench.camera`` prints more rows than the common table. CPU time of the process, medians of pairs.
 """
 
 import math
@@ -12,7 +12,7 @@ import numpy as np
 
 from bench.measure import Row, cpu, in_turn, table
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.dynamics.bullet import p as pybullet  # there it is imported without its greeting
+from vcmvsp.physics.dynamics.bullet import p as pybullet  # imported there without its greeting
 from vcmvsp.physics.render.renderer import render
 from vcmvsp.physics.render.triangles import View
 from vcmvsp.physics.world.solids import Box
@@ -23,14 +23,14 @@ BOXES = (100, 500, 2000)
 KINDS = ("from 40 m straight down", "from 25 m ahead", "in a street")
 ROUNDS = 3
 VIEWS = 4
-MOST = 0.2  # times what Bullet takes
-REPEATS = 5  # of our pictures: the first of a kind finds nothing in the processor's caches
+MOST = 0.2  # times the time of Bullet
+REPEATS = 5  # of our pictures: the first of a kind meets cold processor caches
 FOV = 1.2  # rad, horizontal
 PITCH_M = 20.0  # of the street grid
 
 
 def city(number: int) -> World:
-    """Buildings on a grid, as many as wanted."""
+    """A number of buildings on a grid."""
     rng, edge = np.random.default_rng(number), math.ceil(math.sqrt(number))
     boxes = []
     for n in range(number):
@@ -49,14 +49,14 @@ def city(number: int) -> World:
 
 
 def crossings(number: int) -> list[tuple[float, float]]:
-    """Where the streets of such a city cross, m, those in the middle first."""
+    """Street crossings of such a city, m, the central ones first."""
     edge = math.ceil(math.sqrt(number))
     at = [PITCH_M * (n + 0.5 - 0.5 * edge) for n in range(edge - 1)]
     return sorted(((x, y) for x in at for y in at), key=lambda place: math.hypot(*place))
 
 
 def views(kind: str, number: int) -> list[tuple[Array, float, float]]:
-    """Places, headings and how far the camera looks down, rad."""
+    """Positions, headings and downward pitch, rad."""
     rng, places = np.random.default_rng(1), crossings(number)
     height, down = dict(zip(KINDS, ((40.0, 0.5 * math.pi), (25.0, 0.3), (2.0, 0.0)), strict=True))[kind]
     found = []
@@ -116,7 +116,7 @@ def bullet_of(world: World) -> int:
 
 
 def rows(boxes: Sequence[int] = (500,), sizes: Sequence[tuple[int, int]] = (SIZES[0], SIZES[2])) -> list[Row]:
-    """All kinds of views of these worlds in these sizes."""
+    """Every kind of view of these worlds, in these sizes."""
     found = []
     for number in boxes:
         print(f"measuring: pictures of {number} boxes ...", file=sys.stderr, flush=True)

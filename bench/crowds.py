@@ -1,4 +1,4 @@
-"""Crowds of vehicles that tell each other where they are, and how many of them one core carries at real time."""
+"""Crowds of vehicles that broadcast their positions, and how many of them one core carries at real time."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -8,8 +8,8 @@ from bench.growth import HANDOVER_S, crowd
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.types import Positive, Velocity
 
-MOST = 1024  # vehicles: more are not tried
-TICK_S = 0.1  # between two instants at which all of them act
+MOST = 1024  # vehicles: the largest number tried
+TICK_S = 0.1  # between two instants of all agents
 ITERATIONS = 20  # of Bullet's solver
 RADIOS: Mapping[str, Mapping[str, Any]] = {
     "ideal radio": {"preset": "ideal"},
@@ -18,21 +18,20 @@ RADIOS: Mapping[str, Mapping[str, Any]] = {
 
 
 class Teller(Agent):
-    """Drives or flies a small circle, and broadcasts where it is: not all at once.
+    """Drives or flies a small circle and broadcasts its position, at a phase of its own.
 
-    Args:
-        report_s: time between two broadcasts, s.
+    Args: report_s: time between two broadcasts, s.
     """
 
     def __init__(self, report_s: Positive) -> None:
         self._report_s = report_s
 
     def start(self, info: VehicleInfo) -> None:
-        """Note when to report first."""
+        """Note the time of the first report."""
         self._next_s = info.stream("report").uniform(0.0, self._report_s) - TICK_S
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
-        """Go on."""
+        """Continue the circle."""
         if obs.time_s >= self._next_s:
             self._next_s += self._report_s
             x, y, z = obs.state.position
@@ -54,7 +53,7 @@ def team(kinds: Mapping[str, int], hz: float, radio: Mapping[str, Any], duration
 
 
 class Reached(NamedTuple):
-    """How many vehicles cost as much time as they live, from what was measured: CPU s per simulated s by their number."""
+    """Number of vehicles at real time, from measurements: CPU s per simulated s by number."""
 
     number: int
     measured: Mapping[int, float]
@@ -75,11 +74,9 @@ class Reached(NamedTuple):
 
 
 def reach(cost: Callable[[int], float], first: int) -> Reached:
-    """Doubles or halves the number until the cost passes 1, and looks once more between the last two.
+    """Doubles or halves the number until the cost passes 1, and measures once more between the last two.
 
-    Args:
-        cost: CPU s per simulated s of so many vehicles.
-        first: how many to begin with.
+    Args: cost: CPU s per simulated s of a number of vehicles. first: number to begin with.
     """
     measured = {first: cost(first)}
     number = first
@@ -103,7 +100,7 @@ def reach(cost: Callable[[int], float], first: int) -> Reached:
 
 
 def _around(measured: Mapping[int, float]) -> tuple[int, int]:
-    """The least number that costs 1 or more, and the most below it; 0: there is none."""
+    """The least number with a cost of 1 or more, and the largest below it; 0: there is none."""
     above = min((n for n, seconds in measured.items() if seconds >= 1.0), default=0)
     below = max((n for n, seconds in measured.items() if seconds < 1.0 and (not above or n < above)), default=0)
     return below, above

@@ -1,8 +1,8 @@
 """Quadrotors beside PyFlyt and gym-pybullet-drones, which also use PyBullet, and beside crazyflow, in one run.
 
-``python -m bench.drones``. All step at 240 Hz, crazyflow at 250 Hz, and are given new velocities and yaw rates ten times a
+``python -m bench.drones``. All step at 240 Hz, crazyflow at 250 Hz, and receive new velocities and yaw rates ten times a
 second or more often; our flight controllers, PyFlyt's and crazyflow's run at 120 Hz or more, those of gym-pybullet-drones at
-48 Hz, as in its examples. CPU time of each process, without what is compiled before. gym-pybullet-drones itself is not on PyPI;
+48 Hz, as in its examples. CPU time of each process, without compilation. gym-pybullet-drones itself is not on PyPI;
 swarm-drone-gym there is a fork of it, under the same names.
 """
 
@@ -16,12 +16,12 @@ from bench.measure import Row, in_turn, missing, table
 from bench.vehicles import Fleet, federate_cpu_s
 
 ROUNDS = 3
-IN_BULLET = {10: 0.25, 50: 0.1, 100: 0.1}  # of a peer's time at most, by how many fly
+IN_BULLET = {10: 0.25, 50: 0.1, 100: 0.1}  # largest share of a peer's time, by number of quadrotors
 IN_JAX = dict.fromkeys((10, 100, 1000), 0.5)
 RATE_HZ = 240.0
 WORK = 25.0  # quadrotors times seconds, of a peer's stretch
 LEAST_S = 2.0  # of a stretch
-OLD = Path(".drones/bin/python")  # with peers that need an older NumPy than we do: see the Makefile
+OLD = Path(".drones/bin/python")  # with peers that need an older NumPy than ours: see the Makefile
 JAX = Path(".crazyflow/bin/python")
 
 
@@ -44,7 +44,7 @@ PEERS = (
 
 
 def rows() -> Iterator[Row]:
-    """All of them; each is measured when it is asked for."""
+    """All rows; each is measured when it is requested."""
     for peer in PEERS:
         for count in peer.most:
             yield _row(count, peer)

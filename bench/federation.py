@@ -1,10 +1,10 @@
 """Agents in other processes, beside bare Zenoh, HELICS and mosaik, in one run: ``python -m bench.federation``.
 
-A world tells each agent where it is (200 bytes on our wire) and, in some rows, what its scanner sees (512 beams); each agent
-answers with a command (90 bytes); neither does anything else, and nothing is recorded. Wall-clock time of an agent's step: a
-stretch of steps of ours and one of its peer in turn, medians of the pairs. Both are programs of their own (`bench.peers`); what
-HELICS and mosaik need is in ``.peers`` (see the Makefile). HELICS is measured in the way of its examples, which is what ours is
-held against, and in the quickest that could be found.
+A world sends each agent its pose (200 bytes on our wire) and, in some rows, its scan (512 beams); each agent answers with a
+command (90 bytes); neither does anything else, and nothing is recorded. Wall-clock time of an agent's step: a stretch of steps
+of ours and one of its peer in turn, medians of the pairs. Both are separate programs (`bench.peers`); the packages of HELICS
+and mosaik are in ``.peers`` (see the Makefile). HELICS is measured as in its examples, to which the demand refers, and in the
+fastest way that was found.
 """
 
 import math
@@ -24,7 +24,7 @@ PYTHON = Path(".peers/bin/python")
 
 
 class Peer(NamedTuple):
-    """A program of `bench.peers`, and the way in which it does it."""
+    """A program of `bench.peers`, and its mode of operation."""
 
     module: str
     name: str
@@ -41,7 +41,7 @@ NONE = math.inf
 
 
 class Star(NamedTuple):
-    """A row's workload, and who does the same, with the largest share of its time that ours may take."""
+    """Workload of a row, its peers, and the largest allowed share of their time."""
 
     agents: int
     processes: int
@@ -99,13 +99,13 @@ def compute_row() -> Row:
 
 
 def overlap_row() -> Row:
-    """Agents and world at the same time, on two cores: what an agent says counts a step later."""
+    """Agents and world at the same time, on two cores: an agent's command takes effect a step later."""
     name = "a world that computes 40 ms, 2 agents that compute 20 ms, in one other process, commands a step later"
     return _computing(name, 0.55, 1, latency_s=0.1, world_s=0.04)
 
 
 def _computing(name: str, demanded: float, processes: int, **options: Any) -> Row:
-    """The least of each, since CPU time that others take is nobody's to compare."""
+    """The least of each, since CPU time taken by other programs is no part of the comparison."""
     print(f"measuring: federation, {name} ...", file=sys.stderr, flush=True)
     same: dict[str, Any] = {"agents": 2, "busy_s": 0.02, "stretch_s": 1.0, **options}
     with program("ours", HERE, **same, processes=processes) as apart, program("ours", HERE, **same) as together:
@@ -117,7 +117,7 @@ def _computing(name: str, demanded: float, processes: int, **options: Any) -> Ro
 
 
 def rows() -> list[Row]:
-    """All of them."""
+    """All rows."""
     more: tuple[Callable[[], Row], ...] = (compute_row, overlap_row)
     return [row for star in STARS for row in beside(star)] + [measure() for measure in more]
 

@@ -1,8 +1,8 @@
-"""How cost grows with the number of vehicles: each part of a run, its start and its memory, as N doubles.
+"""Growth of cost with the number of vehicles: each part of a run, its start and its memory, as N doubles.
 
-``python -m bench.growth [FOLDER]`` prints the table and leaves growth.csv, .json, .png and .svg in the folder. Everybody drives
-a circle of its own and broadcasts at 10 Hz: where all hear all, receptions grow as N squared. Each N is a process of its own,
-whose CPU time is read off part by part; exponents are slopes of straight lines through the logarithms.
+``python -m bench.growth [FOLDER]`` prints the table and leaves growth.csv, .json, .png and .svg in the folder. Every vehicle
+drives a circle of its own and broadcasts at 10 Hz: where all hear all, receptions grow as N squared. Each N is a process of
+its own, whose CPU time is read part by part; exponents are slopes of straight lines through the logarithms.
 """
 
 import io
@@ -25,19 +25,19 @@ from vcmvsp.cosim.scenario import loader as scenarios
 
 COUNTS = (10, 20, 40, 80)
 DURATION_S = 4.0
-HANDOVER_S = 0.05  # over which the reports of an instant are spread: in the 2 ms of a scenario that says nothing most collide
+HANDOVER_S = 0.05  # over which the reports of an instant are spread: in the default 2 ms most collide
 PARTS = {"physics": "physics", "netsim": "radio", "agents": "agents"}  # by package of the federate
 
 
 class Case(NamedTuple):
-    """What drives, over which radio, and which exponents each part may have: what it does grows by N or by N squared."""
+    """Vehicles, their radio, and the largest exponent of each part: its work grows by N or by N squared."""
 
     physics: str
     preset: str
     demands: Mapping[str, float]
 
 
-EACH, PAIRS = 1.4, 2.3  # exponents: what is done once per vehicle, and for each pair of them
+EACH, PAIRS = 1.4, 2.3  # exponents: work done once per vehicle, and for each pair of them
 SHARED = {"agents": PAIRS, "kernel": PAIRS, "recording": PAIRS}
 CASES = {
     "kinematic, ideal radio": Case("kinematic", "ideal", {"physics": EACH, "radio": PAIRS, **SHARED}),
@@ -62,10 +62,10 @@ def crowd(count: int, physics: str, preset: str, duration_s: float) -> dict[str,
 
 
 def costs(scenario: dict[str, Any]) -> dict[str, float]:
-    """Of one run in this process: CPU s per simulated s by part; of its start, s and MiB; bytes of run.mcap per event.
+    """Costs of one run in this process: CPU s per simulated s by part; of its start, s and MiB; bytes of run.mcap per event.
 
-    Beside it, what share of frames arrived, receiver by receiver. The first quarter of the run is not counted: what is used for
-    the first time is loaded then.
+    Also the share of frames that arrived, receiver by receiver. The first quarter of the run is not counted: modules and code
+    are loaded then.
     """
     begin = time.process_time()
     parsed, source = scenarios.load(scenario)
@@ -106,12 +106,12 @@ def costs(scenario: dict[str, Any]) -> dict[str, float]:
 
 
 def case_costs(count: int, case: Case) -> dict[str, float]:
-    """The same of a crowd."""
+    """Costs of a run of a crowd."""
     return costs(crowd(count, case.physics, case.preset, DURATION_S))
 
 
 def _timed(federate: Any, spent: dict[str, float]) -> Any:
-    """The federate, whose steps are clocked; those of the core itself count as the kernel's."""
+    """The federate with timed steps; those of the core itself count as the kernel's."""
     part, step = PARTS.get(type(federate).__module__.removeprefix("vcmvsp.").partition(".")[0]), federate.step
     if part is None:
         return federate
@@ -127,12 +127,12 @@ def _timed(federate: Any, spent: dict[str, float]) -> Any:
 
 
 def measured() -> dict[str, dict[str, list[float]]]:
-    """Of every case, each cost by `COUNTS`."""
+    """Each cost of every case, by `COUNTS`."""
     return {name: measured_case(name) for name in CASES}
 
 
 def measured_case(name: str) -> dict[str, list[float]]:
-    """Each cost by `COUNTS`; told as they begin."""
+    """Each cost by `COUNTS`, with progress."""
     found: dict[str, list[float]] = {}
     for count in COUNTS:
         print(f"measuring: growth, {name}, {count} vehicles ...", file=sys.stderr, flush=True)
@@ -149,7 +149,7 @@ def exponent(cost: Sequence[float]) -> float:
 
 
 def table_of(found: Mapping[str, Mapping[str, Sequence[float]]]) -> list[Row]:
-    """Cost at most and at fewest vehicles, and the exponent between them."""
+    """Cost at the most and at the fewest vehicles, and the exponent between them."""
     made = []
     for name, costs_of in found.items():
         for part, most in CASES[name].demands.items():
@@ -186,13 +186,13 @@ def draw(found: Mapping[str, Mapping[str, Sequence[float]]], folder: Path) -> li
     figure = Figure("Cost by the number of vehicles, each of which broadcasts at 10 Hz", panels, ())
     written = drawing.write("growth", figure, folder)
     for path in written:
-        if path.suffix == ".png":  # for a page: no more colours than it needs
+        if path.suffix == ".png":  # for a page: no more colours than needed
             Image.open(path).convert("RGB").quantize(64).save(path, optimize=True)
     return written
 
 
 def rows() -> list[Row]:
-    """All of them."""
+    """All rows."""
     return table_of(measured())
 
 

@@ -1,6 +1,6 @@
-"""Whole runs whose agents are in two other processes, beside the same with all in one: ``python -m bench.hosts``.
+"""Whole runs whose agents are in two other processes, beside the same run in one: ``python -m bench.hosts``.
 
-The agents are light, so that what is seen is what the way between processes costs. Wall-clock seconds from the first instant to
+The agents are light, so that the cost of communication between processes shows. Wall-clock seconds from the first instant to
 the last, without start and end.
 """
 
@@ -22,7 +22,7 @@ def swarm() -> Row:
 
 
 def circle() -> Row:
-    """Three robots that talk ten times a second."""
+    """Three robots that send ten times a second."""
     return _row("formation-circle", "3 robots", 20.0)
 
 
@@ -45,7 +45,7 @@ ALL: Sequence[Callable[[], Row]] = (swarm, circle, column)
 
 
 def rows() -> list[Row]:
-    """All of them."""
+    """All rows."""
     return measured(ALL)
 
 

@@ -23,7 +23,7 @@ CONTENTION: dict[str, Any] = {"physics": {"kind": "flight", "rate_hz": 240.0}, "
 
 
 def rows() -> Iterator[Row]:
-    """All of them; each is measured when it is asked for."""
+    """All rows; each is measured when it is requested."""
     for count in (4, 10):
         yield from _beside_pyflyt(count)
     yield _side_by_side("kinematic robots", "formation", {}, 10_000)
@@ -115,7 +115,7 @@ def _environment() -> Callable[[], None]:
 
 
 def _integers() -> Callable[[], None]:
-    """Work that needs nothing but a processor."""
+    """Work that needs only a processor."""
 
     def add() -> None:
         total = 0
@@ -150,7 +150,7 @@ def _wall_s(prepare: Callable[[], Callable[[], None]], cores: Sequence[int]) -> 
 
 
 def _two_processes() -> Row:
-    """What a second process brings, beside what it brings to a loop of integers: shared machines have less than two cores."""
+    """Gain by a second process, beside the gain of an integer loop: shared machines have less than two cores."""
     cores = sorted(os.sched_getaffinity(0))
     name = "steps of two processes with an environment each, beside one process; beside it the same of a loop over integers"
     if len(cores) < 2:

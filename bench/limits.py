@@ -1,8 +1,8 @@
-"""How far one core, one hub and one disk carry, and what the ways past that bring: the tables of ``cosim/SCALING.md``.
+"""Limits of one core, one hub and one disk, and the gain of each way past them: the tables of ``cosim/SCALING.md``.
 
-``python -m bench.limits`` prints them; with ``--markdown`` they are put into the document, between the comments that bear their
-names, so that nobody types a figure. Vehicles cost CPU time of one process; hosts and studies are timed by the wall clock, and
-need the machine for themselves.
+``python -m bench.limits`` prints them; with ``--markdown`` they are put into the document, between the comments that bear
+their names, so that no figure is typed. Vehicles cost CPU time of one process; hosts and studies are timed by the wall clock,
+and need the machine for themselves.
 """
 
 import argparse
@@ -33,7 +33,7 @@ from bench.workloads import run_cpu_s
 
 DOCUMENT = Path(__file__).resolve().parent.parent / "cosim" / "SCALING.md"
 KINDS = ("kinematic", "p2dx", "quadrotor")
-FIRST = {10.0: 96, 1.0: 160}  # how many vehicles are tried first, by broadcasts a second
+FIRST = {10.0: 96, 1.0: 160}  # number of vehicles tried first, by broadcasts a second
 RUN_S = 1.5
 HOSTS = ((1, 1), (2, 2), (4, 4), (8, 8), (16, 16), (32, 32), (8, 1), (32, 1), (128, 1), (512, 1))  # agents, host processes
 STRETCHES = 3
@@ -45,19 +45,19 @@ TOWNS = ((1, 3), (2, 4), (5, 5), (9, 8), (16, 16))  # blocks of four buildings
 class Section(NamedTuple):
     """A table of the document."""
 
-    name: str  # of its place there
+    name: str  # of its place in the document
     columns: Sequence[str]
     lines: Sequence[Sequence[str]]
 
     @property
     def markdown(self) -> str:
-        """As it stands in the document."""
+        """The section in Markdown."""
         rows = [self.columns, ["---"] * len(self.columns), *self.lines]
         return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
     @property
     def rows(self) -> list[Row]:
-        """As lines of the table that all parts of `bench` have in common."""
+        """Lines of the table that all parts of `bench` share."""
         return [self._row(line) for line in self.lines]
 
     def _row(self, line: Sequence[str]) -> Row:
@@ -66,7 +66,7 @@ class Section(NamedTuple):
 
 
 def vehicles() -> Section:
-    """How many vehicles cost a core as much time as they live."""
+    """Number of vehicles that cost a core as much time as is simulated."""
     lines = []
     for kind in KINDS:
         for hz, first in FIRST.items():
@@ -79,12 +79,12 @@ def vehicles() -> Section:
 
 
 def _cost(kind: str, hz: float, radio: str, count: int) -> float:
-    """CPU s per simulated s of so many."""
+    """CPU s per simulated s of a number of vehicles."""
     return run_cpu_s(team({kind: count}, hz, RADIOS[radio], RUN_S)) / RUN_S
 
 
 def _shares(found: Reached, kind: str, hz: float, radio: str) -> tuple[str, str]:
-    """The three parts that cost most at the number nearest to it that was measured; the share of frames that arrived."""
+    """The three most expensive parts at the nearest measured number; the share of frames that arrived."""
     count = min(found.measured, key=lambda each: abs(each - found.number))
     spent = costs(team({kind: count}, hz, RADIOS[radio], RUN_S))
     parts = sorted((*PARTS.values(), "recording", "kernel"), key=lambda part: -spent[part])[:3]
@@ -92,7 +92,7 @@ def _shares(found: Reached, kind: str, hz: float, radio: str) -> tuple[str, str]
 
 
 def hosts() -> Section:
-    """The wall-clock time of a step whose agents are elsewhere."""
+    """Wall-clock time of a step with agents in other processes."""
     lines = []
     for agents, processes in HOSTS:
         name = f"{processes} x {agents // processes}"
@@ -105,7 +105,7 @@ def hosts() -> Section:
 
 
 def frames() -> Section:
-    """Frames and receptions a CPU second: the channel alone, and in a whole run that is recorded."""
+    """Frames and receptions a CPU second: the channel alone, and a whole recorded run."""
     lines = []
     for name, radio in (("ideal radio", messages.IDEAL), ("802.11b levels, no contention", messages.LEVELS)):
         _tell(f"frames, {name}")
@@ -133,7 +133,7 @@ def _speeds(what: str, count: int, seconds: float) -> tuple[str, str, str]:
 
 
 def files() -> Section:
-    """Bytes that a run leaves, and what it holds in memory until then."""
+    """Size of a run's files, and its memory during the run."""
     _tell("files")
     found: Sizes = sizes()
     _tell("memory")
@@ -153,7 +153,7 @@ def files() -> Section:
 
 
 def buildings() -> Section:
-    """What the rays of thirty vehicles cost by the number of buildings."""
+    """Cost of the rays of thirty vehicles by the number of buildings."""
     lines = []
     for blocks in TOWNS:
         count = 4 * blocks[0] * blocks[1]
@@ -161,7 +161,7 @@ def buildings() -> Section:
         scenario = town_of(blocks)
         short = {**scenario, "duration_s": 1.0}
         plain = {**short, "radio": {"preset": "wifi-g-6"}}
-        run_cpu_s(short)  # compiles where nothing is in the cache
+        run_cpu_s(short)  # compiles if the cache is empty
         begin, whole, rest = run_cpu_s(short), run_cpu_s(scenario), run_cpu_s(plain)
         each_s = (whole - begin) / (scenario["duration_s"] - 1.0)
         lines.append((f"{count}", f"{each_s:.2f} CPU s", f"{rest:.2f} CPU s", f"{max(begin - each_s, 0.0):.1f} CPU s"))
@@ -170,7 +170,7 @@ def buildings() -> Section:
 
 
 def changes() -> Section:
-    """What the ways past the limits bring."""
+    """Gain of each way past the limits."""
     lines = [(way.what, way.ours, way.other, f"{way.ratio:.2f}") for way in ways(_tell)]
     return Section("changes", ("", "so", "beside it", "ratio"), lines)
 
@@ -179,16 +179,15 @@ SECTIONS: Sequence[Callable[[], Section]] = (vehicles, hosts, frames, buildings,
 
 
 def rows() -> Iterator[Row]:
-    """All of them; each section is measured when it is asked for."""
+    """All rows; each section is measured when it is requested."""
     for section in SECTIONS:
         yield from section().rows
 
 
 def placed(text: str, contents: Mapping[str, str]) -> str:
-    """The document with this in the places of these names.
+    """The document with these texts at their places.
 
-    Raises:
-        ValueError: one has no place there.
+    Raises: ValueError: a name has no place there.
     """
     for name, content in contents.items():
         mark = f"(<!-- measured: {name} -->\n).*?(<!-- end -->)"
@@ -209,7 +208,7 @@ def _tell(what: str) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Print the tables, and put them into the document if that is wanted."""
+    """Print the tables, and put them into the document on request."""
     parser = argparse.ArgumentParser(prog="python -m bench.limits", description="How far one core and one hub carry.")
     names = {section.__name__: section for section in SECTIONS}
     parser.add_argument("sections", nargs="*", metavar="SECTION", help=f"of {', '.join(names)} [all]")

@@ -1,4 +1,4 @@
-"""How large the files of a run are, and its memory, for each vehicle and for each frame at each of its receivers."""
+"""Size of a run's files, and its memory, per vehicle and per frame and receiver."""
 
 import subprocess
 import sys
@@ -18,7 +18,7 @@ OFTEN_S, RARELY_S = 0.01, 1e3  # between recorded states
 
 
 class Sizes(NamedTuple):
-    """Bytes: of vehicles that are silent, per vehicle and simulated second; and what each frame adds at each receiver."""
+    """Bytes: of silent vehicles, per vehicle and simulated second; and the increase by each frame at each receiver."""
 
     mcap_state: float
     mcap_reception: float
@@ -27,7 +27,7 @@ class Sizes(NamedTuple):
 
 
 class Left(NamedTuple):
-    """What a run left: bytes, and rows of ``radio.parquet``."""
+    """Result of a run: bytes, and rows of ``radio.parquet``."""
 
     mcap: int
     states: int
@@ -36,7 +36,7 @@ class Left(NamedTuple):
 
 
 def sizes() -> Sizes:
-    """Of kinematic vehicles that all hear each other by 802.11g, once silent and once not."""
+    """Sizes of runs of kinematic vehicles that all hear each other by 802.11g, one silent, one not."""
     silent, talking = left(SILENT_HZ), left(TALKING_HZ)
     lived = VEHICLES * DURATION_S
     return Sizes(
@@ -48,7 +48,7 @@ def sizes() -> Sizes:
 
 
 def left(hz: float) -> Left:
-    """What a run of them leaves when each broadcasts so often."""
+    """Result of a run in which each broadcasts at this rate."""
     scenario = team({"kinematic": VEHICLES}, hz, RADIOS["802.11g with contention"], DURATION_S)
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "run"
@@ -58,14 +58,14 @@ def left(hz: float) -> Left:
 
 
 class Resident(NamedTuple):
-    """Bytes of resident memory that a run takes at most, its figures and its report included, for each of these."""
+    """Peak resident memory of a run, bytes, its figures and its report included, per row of each table."""
 
     state: float
     reception: float
 
 
 def resident() -> Resident:
-    """From what longer runs take more: one that records often and is silent, and one that talks and records rarely."""
+    """From the increase in longer runs: one that records often and is silent, and one that sends and records rarely."""
     per_row = []
     for column, hz, period_s in ((0, SILENT_HZ, OFTEN_S), (1, TALKING_HZ, RARELY_S)):
         short, long = (_fresh(hz, period_s, duration_s) for duration_s in (SHORT_S, LONG_S))
@@ -80,7 +80,7 @@ def _fresh(hz: float, period_s: float, duration_s: float) -> tuple[float, ...]:
 
 
 def taken(hz: float, period_s: float, duration_s: float) -> tuple[int, int, float]:
-    """Rows of states, rows of receptions, and the bytes that this process has held at most when the run is over."""
+    """Rows of states, rows of receptions, and the peak memory of this process, bytes, at the end of the run."""
     scenario = team({"kinematic": VEHICLES}, hz, RADIOS["802.11g with contention"], duration_s)
     with tempfile.TemporaryDirectory() as folder:
         api.run(scenario | {"record": {"period_s": period_s}}, agents="inprocess", out=Path(folder) / "run")

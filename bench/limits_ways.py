@@ -1,4 +1,4 @@
-"""What each way past a limit brings, beside the same without it."""
+"""Gain of each way past a limit, beside the same run without it."""
 
 import importlib
 import time
@@ -22,7 +22,7 @@ SCANNERS = 20
 
 
 class Way(NamedTuple):
-    """A line: with it, without it, and the median of the ratios."""
+    """A line: with the way, without it, and the median of the ratios."""
 
     what: str
     ours: str
@@ -31,14 +31,14 @@ class Way(NamedTuple):
 
 
 def ways(tell: Callable[[str], None]) -> Iterator[Way]:
-    """All of them; each is told, and measured when it is asked for."""
+    """All ways; each is named, then measured."""
     for way in (bodies, states_less_often, without_mcap, on_demand, compiled, processes, jobs, workers):
         tell(way.__name__.replace("_", " "))
         yield way()
 
 
 def bodies() -> Way:
-    """Bodies only for those that are looked at."""
+    """Bodies only for vehicles that a sensor observes."""
     ideal = RADIOS["ideal radio"]
     few = team({"p2dx": 10, "kinematic": 90}, 1.0, ideal, RUN_S)
     return _runs("10 p2dx and 90 kinematic; beside it 100 p2dx", few, team({"p2dx": 100}, 1.0, ideal, RUN_S))
@@ -58,7 +58,7 @@ def without_mcap() -> Way:
 
 
 def on_demand() -> Way:
-    """Scans that nobody looks at."""
+    """Scans that no agent reads."""
     scenario = team({"p2dx": SCANNERS}, 1.0, RADIOS["ideal radio"], RUN_S)
     for vehicle in scenario["vehicle"]:
         vehicle["sensors"] = {"scan": {"kind": "lms"}}
@@ -83,20 +83,20 @@ def processes() -> Way:
 
 
 def jobs() -> Way:
-    """Runs side by side."""
+    """Runs in parallel."""
     ours, other = _study_s(STUDY_RUNS, jobs=JOBS), _study_s(STUDY_RUNS, jobs=1)
     return Way(f"study, {STUDY_RUNS} runs, {JOBS} at once; beside it 1", f"{ours:.1f} wall s", f"{other:.1f}", ours / other)
 
 
 def workers() -> Way:
-    """The same on a Dask cluster."""
+    """Studies on a Dask cluster."""
     ours, other = _cluster_s(JOBS), _cluster_s(1)
     what = f"the same on a Dask cluster of this machine with {JOBS} workers; beside it 1"
     return Way(what, f"{ours:.1f} wall s", f"{other:.1f}", ours / other)
 
 
 def _cluster_s(count: int) -> float:
-    """The same on so many workers of Dask, which have each made a run."""
+    """A study on a number of Dask workers, each of which has made a run."""
     distributed: Any = importlib.import_module("distributed")
     with distributed.LocalCluster(n_workers=count, threads_per_worker=1, processes=True, dashboard_address=":0") as cluster:
         _study_s(4 * count, cluster=cluster)

@@ -1,4 +1,4 @@
-"""Timing two things in turn, so that a machine whose speed drifts drifts for both."""
+"""Timing two things in turn, so that a drift of the machine affects both."""
 
 import math
 import statistics
@@ -19,7 +19,7 @@ class Row(NamedTuple):
     ours: str
     other: str
     ratio: float
-    demand: str  # a ratio to what runs beside it; "goal: ...": a speed, which depends on the machine
+    demand: str  # a ratio to the peer of the row; "goal: ...": a speed, which depends on the machine
     holds: bool
 
     @property
@@ -36,7 +36,7 @@ class Row(NamedTuple):
 
 
 def missing(name: str, demand: str, why: object) -> Row:
-    """The line of a peer that is not there: no number, and nothing that fails."""
+    """The line of a missing peer: no number, no failure."""
     return Row(name, "", f"not measured: {why}", math.nan, demand, True)
 
 
@@ -48,18 +48,18 @@ def cpu(work: Callable[[], object]) -> float:
 
 
 def peak_mib() -> float:
-    """The most memory that this process has held: what `resource` tells begins with that of whoever started it."""
+    """Peak memory of this process: `resource` starts with that of its parent."""
     (line,) = (each for each in Path("/proc/self/status").read_text("ascii").splitlines() if each.startswith("VmHWM"))
     return int(line.split()[1]) / 1024.0
 
 
 def in_turn(ours: Timed, other: Timed, rounds: int) -> tuple[float, float, float]:
-    """Median costs of both and the median of the ratios ours / other, pair by pair, after one round that does not count."""
+    """Median costs of both and the median of the ratios ours / other, pair by pair, after an uncounted round."""
     return medians([(ours(), other()) for _ in range(rounds + 1)][1:])
 
 
 def medians(pairs: Sequence[tuple[float, float]]) -> tuple[float, float, float]:
-    """Of ours, of the other, and of the ratio of each pair."""
+    """Medians of ours, of the other, and of the ratio of each pair."""
     return (
         statistics.median(a for a, _ in pairs),
         statistics.median(b for _, b in pairs),
@@ -68,7 +68,7 @@ def medians(pairs: Sequence[tuple[float, float]]) -> tuple[float, float, float]:
 
 
 def measured(measures: Sequence[Callable[[], Row]]) -> list[Row]:
-    """The rows that these measure, one after the other, told as they begin."""
+    """Rows of these measurements, in order, with progress."""
     found = []
     for measure in measures:
         print(f"measuring: {measure.__module__.rpartition('.')[2]}, {measure.__name__} ...", file=sys.stderr, flush=True)

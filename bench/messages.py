@@ -1,8 +1,8 @@
-"""Vehicles that only talk, beside gradysim and a SimPy programme, in one run: ``python -m bench.messages``.
+"""Vehicles that only communicate, beside gradysim and a SimPy program, in one run: ``python -m bench.messages``.
 
-Everybody stands still, broadcasts twenty bytes ten times a second over a channel that loses a fifth, and counts what it
-hears. gradysim keeps no record of a run, so ours keeps none in the rows beside it; a row says what tables and metrics add.
-UavNetSim is not on PyPI: a SimPy programme in its way stands for it (`bench.peers.simpy_air`). CPU seconds of each process.
+Vehicles are at rest, broadcast twenty bytes ten times a second over a channel that loses a fifth, and count their receptions.
+gradysim keeps no record of a run, so ours keeps none in the rows beside it; one row adds tables and metrics. UavNetSim is not
+on PyPI: a SimPy program of the same design stands in for it (`bench.peers.simpy_air`). CPU seconds of each process.
 """
 
 import sys
@@ -32,11 +32,11 @@ WORK = 100_000  # receptions that each round is about
 PEERS = Path(".peers/bin/python")
 STILL = Velocity(linear=(0.0, 0.0, 0.0), yaw_rate=0.0)
 IDEAL: dict[str, Any] = {"preset": "ideal"}
-LEVELS: dict[str, Any] = {"preset": "wifi-b-1", "mac": {"kind": "ideal"}}  # whoever sends has the air for itself
+LEVELS: dict[str, Any] = {"preset": "wifi-b-1", "mac": {"kind": "ideal"}}  # every sender has the air for itself
 
 
 class Counter(Agent):
-    """Stays where it is, broadcasts, and counts what it hears."""
+    """Stays in place, broadcasts, and counts receptions."""
 
     def __init__(self) -> None:
         self.heard = 0
@@ -78,7 +78,7 @@ def beside(count: int, radio: dict[str, Any], kept: Kept, what: str, peer: str, 
 
 
 def decisions(radio: dict[str, Any], what: str) -> Row:
-    """A hundred radios, of which one after the other sends; all have moved before they do so again."""
+    """A hundred radios that send in turn; all move between two of their frames."""
     print(f"measuring: messages, decisions, {what} ...", file=sys.stderr, flush=True)
     count, ticks = COUNTS[-1], 10
     name = f"decisions of the channel (frame and receiver), {count} radios, {what}, by `Channel.send`; beside it gradysim's"
@@ -94,7 +94,7 @@ def decisions(radio: dict[str, Any], what: str) -> Row:
 
 
 def sends(count: int, radio: dict[str, Any], ticks: int) -> Callable[[], float]:
-    """Each call has all send so often, every time from other places, and gives the CPU seconds."""
+    """Each call lets all send a number of times, every time from other places, and returns the CPU seconds."""
     parsed, source = scenarios.load(talk(count, radio, 1.0))
     with assemble(parsed, source) as assembled:
         (channel,) = (each._channel for each in assembled.federates if isinstance(each, RadioFederate))
@@ -115,7 +115,7 @@ def sends(count: int, radio: dict[str, Any], ticks: int) -> Callable[[], float]:
 
 
 def rows() -> Iterator[Row]:
-    """All of them; each is measured when it is asked for."""
+    """All rows; each is measured when it is requested."""
     for count in COUNTS:
         name = f"{count} that stand, broadcast at 10 Hz, a fifth lost, nothing recorded; beside it gradysim 0.8.2"
         yield beside(count, IDEAL, "nothing", name, "gradysim_broadcast", PEERS, f"{LEAST[count]} times less")

@@ -1,6 +1,6 @@
-"""Reconnaissance: one picture looked at, beside SIFT features as textbooks match them; and a whole mission against the clock.
+"""Reconnaissance: recognition in one picture, beside textbook matching of SIFT features; and a whole mission.
 
-``python -m bench.mission`` prints the table. CPU time of this process, medians of pairs: read the ratios.
+``python -m bench.mission`` prints the table. CPU time of this process, medians of pairs: compare the ratios.
 """
 
 import math
@@ -25,11 +25,11 @@ PICTURES, ROUNDS = 40, 5
 HEIGHT_M, FOCAL_PX = 22.0, 0.5 * 640.0 / math.tan(0.5 * 1.35)  # of the first vehicle, and of its camera
 WITH_MS, WITHOUT_MS = 25.0, 8.0
 RUN_S, SPEED = 60.0, 5.0
-NEAREST, FEWEST = 0.75, 6  # of descriptors: the best match as near as that of the second best; so many make a target
+NEAREST, FEWEST = 0.75, 6  # largest ratio of the distances of the two best matches, and matches that make a target
 
 
 def rows() -> list[Row]:
-    """All of them."""
+    """All rows."""
     return measured((with_a_target, without_one, run))
 
 
@@ -39,7 +39,7 @@ def with_a_target() -> Row:
 
 
 def without_one() -> Row:
-    """Pictures of streets and roofs alone."""
+    """Pictures of streets and roofs without a target."""
     return _row("without one", [each for each in _pictures() if not each.targets], WITHOUT_MS)
 
 
@@ -90,14 +90,14 @@ def _median(look: Callable[[Snapshot], object], pictures: list[Snapshot]) -> flo
 
 
 class Sift:
-    """Which of some targets are in a picture, by features that no turn or scale changes (Lowe 2004)."""
+    """Targets of a list in a picture, by features that are invariant to rotation and scale (Lowe 2004)."""
 
     def __init__(self, targets: list[Array]) -> None:
         self._sift, self._matcher = cv2.SIFT_create(), cv2.BFMatcher()  # type: ignore[attr-defined]
         self._targets = [self._sift.detectAndCompute(each, None) for each in targets]
 
     def found(self, picture: Array) -> list[bool]:
-        """By target: whether enough of its features are there, in one place and turned alike."""
+        """By target: whether enough of its features are there, in one place and with one rotation."""
         points, features = self._sift.detectAndCompute(picture, None)
         if features is None:
             return [False] * len(self._targets)

@@ -1,4 +1,4 @@
-"""What the radio costs: beside ns-3 on the same network, and for a thousand vehicles."""
+"""Cost of the radio: beside ns-3 on the same network, and for a thousand vehicles."""
 
 import functools
 import json
@@ -30,7 +30,7 @@ finally:
 
 
 def rows() -> Iterator[Row]:
-    """All of them; each is measured when it is asked for."""
+    """All rows; each is measured when it is requested."""
     for phy in ("b-1", "g-6"):
         yield _beside_ns3(phy, least=30.0)
     yield _real_time()
@@ -51,9 +51,9 @@ def _beside_ns3(phy: str, *, least: float) -> Row:
 
 @functools.cache
 def _hundred(phy: str) -> tuple[float, float, float]:
-    """CPU seconds of both, and their ratio; two rows tell of one of them."""
+    """CPU seconds of both, and their ratio; two rows use one of the measurements."""
     print(f"measuring: radio, {phy}, beside ns-3 ...", file=sys.stderr, flush=True)
-    program()  # before anything else is measured
+    program()  # before any other measurement
     case = Case(phy, 100, 10.0)
     return in_turn(partial(_ours_s, case, compiled=True), partial(_ns3_s, case), ROUNDS)
 
@@ -69,7 +69,7 @@ def _real_time() -> Row:
 
 
 def _thousand() -> Row:
-    """A thousand vehicles, whose frames go by shadowed levels; the wall-clock time of the whole command, and its memory."""
+    """A thousand vehicles with shadowed levels; wall-clock time of the whole command, and its memory."""
     print("measuring: radio, a thousand ...", file=sys.stderr, flush=True)
     case = Case("b-1", 1000, 10.0, side_m=500.0)
     settings = ["mac.kind=ideal", "shadowing.sigma_db=4"]
@@ -95,7 +95,7 @@ def _ours_s(case: Case, compiled: bool) -> float:
 def _command(
     positions: Floats, preset: str, settings: list[str], *, duration_s: float, compiled: bool
 ) -> tuple[Any, float, float]:
-    """Run ``vcmvsp channel``: what it prints, its CPU seconds, and the most MiB that it held."""
+    """Run ``vcmvsp channel``: its output, CPU seconds, and peak memory, MiB."""
     with tempfile.TemporaryDirectory() as folder:
         places = _written(positions, folder)
         words = ["channel", "--preset", preset, "--positions", str(places), "--rate", "10", "--size", "100"]

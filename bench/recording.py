@@ -1,4 +1,4 @@
-"""What it costs to record: time and bytes per event, and memory per receiver of a frame.
+"""Cost of recording: time and bytes per event, and memory per receiver of a frame.
 
 ``python -m bench.recording`` prints the table. CPU time of this process, medians of pairs; memory is that of Python's and
 NumPy's allocations, the difference between a run and one twice as long.
@@ -24,13 +24,13 @@ from vcmvsp.cosim.util.codec import encode
 
 ROUNDS = 7
 VEHICLES, RUN_S = 10, 20.0
-HELD_VEHICLES, HELD_S, PRESET = 50, 10.0, "wifi-g-24"  # more receptions than a run keeps in memory anyway
+HELD_VEHICLES, HELD_S, PRESET = 50, 10.0, "wifi-g-24"  # more receptions than a run keeps in memory in any case
 HELD_BYTES = 40  # per receiver of a frame, while a run goes on and at its end
 TABLE_BYTES = sum(field.type.bit_width // 8 if field.type.num_fields == 0 else 4 for field in RADIO_SCHEMA)
 
 
 class Run(NamedTuple):
-    """All events of a run, and how to make a recorder of it."""
+    """All events of a run, and a way to make its recorder."""
 
     events: Sequence[Event]
     recorder: Callable[..., Recorder]
@@ -38,7 +38,7 @@ class Run(NamedTuple):
 
 
 def run_of(scenario: dict[str, Any]) -> Run:
-    """A run whose events are kept rather than recorded."""
+    """A run whose events are collected instead of recorded."""
     parsed, source = scenarios.load(scenario)
     events: list[Event] = []
     with assemble(parsed, source) as assembled:
@@ -50,7 +50,7 @@ def run_of(scenario: dict[str, Any]) -> Run:
 
 
 def recorded(run: Run, mcap: io.BytesIO | None) -> Recorder:
-    """A recorder that has seen all of it."""
+    """A recorder after all events."""
     recorder = run.recorder(mcap=mcap)
     for event in run.events:
         recorder.on(event)
@@ -59,7 +59,7 @@ def recorded(run: Run, mcap: io.BytesIO | None) -> Recorder:
 
 
 def event_s() -> Row:
-    """An event into the tables and ``run.mcap``; beside it the same events encoded and put one behind the other."""
+    """Time of an event into the tables and ``run.mcap``; beside it the same events encoded and concatenated."""
     run = run_of(crowd(VEHICLES, "kinematic", "ideal", RUN_S))
 
     def bare() -> None:
@@ -85,14 +85,14 @@ def event_bytes() -> Row:
 
 
 def held() -> Row:
-    """What a frame takes at each of its receivers while the run goes on; beside it the row of the table."""
+    """Memory of a frame at each of its receivers while the run goes on; beside it the row of the table."""
     held, _ = _bytes_per_row()
     name = f"memory of a run, {HELD_VEHICLES} vehicles, per receiver of a frame; beside it its row of the table"
     return Row(name, f"{held:.0f} B", f"{TABLE_BYTES} B", held / TABLE_BYTES, f"<= {HELD_BYTES} B", held <= HELD_BYTES)
 
 
 def peak() -> Row:
-    """The same at its end, when tables and metrics are made."""
+    """Memory at the end of the run, when tables and metrics are made."""
     _, peak = _bytes_per_row()
     name = "the same at the end of the run, when tables and metrics are made"
     return Row(name, f"{peak:.0f} B", f"{TABLE_BYTES} B", peak / TABLE_BYTES, f"<= {HELD_BYTES} B", peak <= HELD_BYTES)
@@ -100,10 +100,10 @@ def peak() -> Row:
 
 @functools.cache
 def _bytes_per_row() -> tuple[float, float]:
-    """Held at the end of a run, and the most that is held until its numbers are there."""
+    """Memory at the end of a run, and its peak until the metrics are computed."""
     tracemalloc.start()
     try:
-        _held(2.0 * HELD_S)  # whatever is made once in a process
+        _held(2.0 * HELD_S)  # objects made once in a process
         short, long = _held(HELD_S), _held(2.0 * HELD_S)
     finally:
         tracemalloc.stop()
@@ -112,7 +112,7 @@ def _bytes_per_row() -> tuple[float, float]:
 
 
 def _held(duration_s: float) -> tuple[int, int, int]:
-    """Rows of a run's table, bytes that are held when it is over, and the most until its numbers are there."""
+    """Rows of a run's table, bytes held at its end, and the peak until the metrics are computed."""
     parsed, source = scenarios.load(
         {**crowd(HELD_VEHICLES, "kinematic", PRESET, duration_s), "record": {"period_s": duration_s}}
     )
@@ -134,7 +134,7 @@ def _held(duration_s: float) -> tuple[int, int, int]:
 
 
 def rows() -> list[Row]:
-    """All of them."""
+    """All rows."""
     return measured((event_s, event_bytes, held, peak))
 
 

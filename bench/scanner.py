@@ -1,6 +1,6 @@
 """Range scanners beside Bullet's own rays, among the same buildings and vehicles, in one run.
 
-``python -m bench.scanner`` prints the table. CPU seconds of this process, medians of pairs: read the ratios.
+``python -m bench.scanner`` prints the table. CPU seconds of this process, medians of pairs: compare the ratios.
 """
 
 import math
@@ -10,21 +10,21 @@ import numpy as np
 
 from bench.measure import Row, cpu, in_turn, table
 from vcmvsp.cosim.types import Array
-from vcmvsp.physics.dynamics.bullet import p as pybullet  # there it is imported without its greeting
+from vcmvsp.physics.dynamics.bullet import p as pybullet  # imported there without its greeting
 from vcmvsp.physics.raycast.caster import caster_of
 from vcmvsp.physics.sensors.range_scanner import Lms, RangeScanner, Ring, true_ranges
 from vcmvsp.physics.world.solids import Box, Hull
 from vcmvsp.physics.world.world import Scene, World
 
 ROUNDS = 7
-AREA_M = 120.0  # edge of the town, whatever the number of its buildings: the more, the smaller
+AREA_M = 120.0  # edge of the town for any number of buildings: the more, the smaller
 VEHICLES = 60
 ROBOT = Hull(size=(0.5, 0.4, 0.2), offset=(0.0, 0.0, 0.1))
-TILT = 1e-3  # rad: a robot on wheels never stands quite level
+TILT = 1e-3  # rad: a wheeled robot is never quite level
 
 
 def rows() -> list[Row]:
-    """All of them."""
+    """All rows."""
     found = []
     for buildings in (100, 500, 2000):
         scene = town(buildings)
@@ -59,7 +59,7 @@ def _row(name: str, sensor: RangeScanner, scene: Scene, rays: "BulletRays", at_o
 
 
 def town(buildings: int) -> Scene:
-    """Lots in rows, a building on each, turned a little; robots anywhere between."""
+    """Lots in rows, a building on each, turned a little; robots between them."""
     rng = np.random.default_rng(buildings)
     side = math.ceil(math.sqrt(buildings))
     lot = AREA_M / side
@@ -116,7 +116,7 @@ class BulletRays:
             pybullet.createMultiBody(1.0, robot, basePosition=[x, y, z], physicsClientId=self._client)
 
     def prepare(self, sensor: RangeScanner, row: int) -> tuple[list[list[float]], list[list[float]]]:
-        """The beams of a scan from 0.5 m outside of the robot's middle, so that it does not see itself."""
+        """Beams of a scan from 0.5 m outside of the robot's middle, so that it does not see itself."""
         origin, ahead, left, _ = (self._scene.rotation(row) @ sensor.mount).T
         cos, sin = sensor.circle
         toward: Array = np.outer(cos, ahead) + np.outer(sin, left)
@@ -124,7 +124,7 @@ class BulletRays:
         return (start + 0.5 * toward).tolist(), (start + sensor.range_max * toward).tolist()
 
     def cast(self, beams: tuple[list[list[float]], list[list[float]]]) -> int:
-        """All of them in one call."""
+        """All beams in one call."""
         return len(pybullet.rayTestBatch(*beams, physicsClientId=self._client))
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""Vehicles that look about in a town, beside the same ones without sensors: what scans and pictures cost, and what unread ones.
+"""Vehicles with sensors in a town, beside the same ones without: cost of scans and pictures, read and unread.
 
 Run with ``python -m bench.sensors``. CPU time of one core; robots carry a scanner of 512 beams, quadrotors one of 32, some
 also a camera that looks down, 160 x 120. Scans are taken ten times a second and pictures five times.
@@ -20,14 +20,14 @@ from vcmvsp.physics.world.world import World
 
 ROUNDS = 5
 BUILDINGS = 200
-HEIGHT_M = 8.0  # that quadrotors fly at: below most of the roofs
+HEIGHT_M = 8.0  # height of the quadrotors: below most of the roofs
 ASIDE_M = 1.5  # of the robots below them
 
 town: Callable[[int], World] = cache(city)
 
 
 def carriers(fleet: Fleet, cameras: int, *, bare: bool = False) -> list[VehicleSpec]:
-    """Robots and quadrotors between houses, ``cameras`` of the latter with one; none with anything if ``bare``."""
+    """Robots and quadrotors between houses, ``cameras`` of the latter with one; none with a sensor if ``bare``."""
     places = [(x, y + 0.5 * PITCH_M) for x, y in crossings(BUILDINGS)]
     found = []
     for n in range(fleet.robots):
@@ -44,7 +44,7 @@ def carriers(fleet: Fleet, cameras: int, *, bare: bool = False) -> list[VehicleS
 
 
 def _looked_at(name: str, fleet: Fleet, cameras: int, least: float) -> Row:
-    """All scans and pictures are looked at."""
+    """All scans and pictures are read."""
     fitted, without = carriers(fleet, cameras), carriers(fleet, cameras, bare=True)
     wanted = tuple(f"{spec.name}/{sensor}" for spec in fitted for sensor in spec.sensors)
     world = town(BUILDINGS)
@@ -73,7 +73,7 @@ def mixed_50() -> Row:
 
 
 def unread() -> Row:
-    """The same sensors, at which nobody looks."""
+    """The same sensors without a reader."""
     fleet, world = Fleet(10, 10), town(BUILDINGS)
     fitted, without = carriers(fleet, 4), carriers(fleet, 4, bare=True)
     ours, other, ratio = in_turn(
@@ -87,7 +87,7 @@ ALL: Sequence[Callable[[], Row]] = (robots_3, mixed_10, mixed_50, unread)
 
 
 def rows() -> list[Row]:
-    """All of them."""
+    """All rows."""
     return measured(ALL)
 
 

@@ -1,8 +1,8 @@
-"""Where the CPU time of whole runs goes: Bullet, the rest of physics, radio, agents, kernel, recording, start and end.
+"""CPU time of whole runs by part: Bullet, the rest of physics, radio, agents, kernel, recording, start and end.
 
 ``python -m bench.shares [FOLDER]`` prints the table and leaves shares.csv, .png and .svg in the folder. Each run is a process
-of its own, from the interpreter's start to the last file, as ``vcmvsp run`` makes it, or as a study does. What is called there
-is clocked from outside; what the clock itself takes is measured first and taken off.
+of its own, from the interpreter's start to the last file, as by ``vcmvsp run``, or as in a study. Calls are timed from
+outside; the cost of the clock itself is measured first and subtracted.
 """
 
 import csv
@@ -24,11 +24,11 @@ from vcmvsp.cosim.runs import api
 FOLDER = Path("runs") / "shares"
 PARTS = ("Bullet", "physics", "radio", "agents", "kernel", "recording", "start", "end")
 PACKAGES = {"physics": "physics", "netsim": "radio", "agents": "agents"}  # of federates; those of the core are the kernel's
-CALLS = 20_000  # that tell what the clock takes
+CALLS = 20_000  # that measure the cost of the clock
 
 
 class Case(NamedTuple):
-    """A built-in scenario, as it is or with a few keys changed."""
+    """A built-in scenario, with a few keys changed."""
 
     what: str
     settings: Mapping[str, Any] = {}
@@ -44,23 +44,23 @@ CASES = {
 
 
 class Stopwatch:
-    """CPU time of this process by part: what one part calls of another counts as the other's alone."""
+    """CPU time of this process by part: calls from one part into another count for the latter alone."""
 
     def __init__(self) -> None:
         self._spent = dict.fromkeys((*PARTS, "outside", "inside"), 0.0)
-        self._calls: Counter[tuple[str, str]] = Counter()  # by caller and called
+        self._calls: Counter[tuple[str, str]] = Counter()  # by caller and callee
         self._now, self._since = "start", 0.0  # the process's clock began with it
         self._outside_s, self._inside_s = self._own()
 
     def change(self, part: str) -> str:
-        """From here on it is this part's time; the answer is whose it was."""
+        """Count time for this part from here on; returns the part before."""
         before, now = self._now, time.process_time()
         self._spent[before] += now - self._since
         self._now, self._since = part, now
         return before
 
     def clocked(self, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        """The function, whose time is this part's."""
+        """The function, whose time counts for this part."""
         calls, change = self._calls, self.change
 
         def clocked(*args: Any, **named: Any) -> Any:
@@ -74,7 +74,7 @@ class Stopwatch:
         return clocked
 
     def spent(self) -> dict[str, float]:
-        """CPU seconds by part, without what the clock took."""
+        """CPU seconds by part, without the cost of the clock."""
         self.change(self._now)
         found = {part: self._spent[part] for part in PARTS}
         for (caller, called), count in self._calls.items():
@@ -83,7 +83,7 @@ class Stopwatch:
         return {part: max(0.0, seconds) for part, seconds in found.items()}
 
     def _own(self) -> tuple[float, float]:
-        """CPU seconds that a clocked call takes beyond the call, of its caller's time and of its own."""
+        """CPU seconds that a timed call adds to the call, to its caller's time and to its own."""
 
         def nothing() -> None:
             """No work."""
@@ -130,7 +130,7 @@ def spent(name: str) -> dict[str, float]:
 
 @functools.cache
 def measured() -> Mapping[str, Mapping[str, float]]:
-    """Of every case the CPU seconds by part; told as they begin."""
+    """CPU seconds by part of every case, with progress."""
     found = {}
     for name in CASES:
         print(f"measuring: shares, {name} ...", file=sys.stderr, flush=True)
@@ -154,7 +154,7 @@ def _row(name: str, seconds: Mapping[str, float]) -> Row:
 
 
 def write(found: Mapping[str, Mapping[str, float]], folder: Path) -> list[Path]:
-    """The CPU seconds as shares.csv, and drawn; the answer is what was written."""
+    """Write the CPU seconds as shares.csv, and draw them; returns the files."""
     from vcmvsp.cosim.plots import style
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -167,13 +167,13 @@ def write(found: Mapping[str, Mapping[str, float]], folder: Path) -> list[Path]:
 
 
 def draw(found: Mapping[str, Mapping[str, float]]) -> Any:
-    """A bar for each run, as long as all others, of its parts."""
+    """Draw a bar for each run, as long as all others, of its parts."""
     from matplotlib.figure import Figure
 
     from vcmvsp.cosim.plots.style import ABOVE, GREY, styled
     from vcmvsp.cosim.util.palette import OKABE_ITO
 
-    colors = (*OKABE_ITO[1:], "0.8", GREY)  # black would hide what is written in it
+    colors = (*OKABE_ITO[1:], "0.8", GREY)  # black would hide its label
 
     @styled
     def drawn() -> Figure:

@@ -1,7 +1,7 @@
-"""What ROS 2 nodes cost a run at wall pace: ``python -m bench.stacks``, two minutes.
+"""Cost of ROS 2 nodes in a run at wall pace: ``python -m bench.stacks``, two minutes.
 
-Ten cars with scanners of 10 Hz: processor time of the run's process while nodes subscribe to nothing, or in one more process to
-scans and odometry of all cars, beside the same run with agents that look at as much.
+Ten cars with scanners of 10 Hz: processor time of the run's process while nodes subscribe to nothing, or in one more process
+to scans and odometry of all cars, beside the same run with agents that read as much.
 """
 
 import json
@@ -23,12 +23,12 @@ from vcmvsp.hardware.drivers.ros2.node import Node
 from vcmvsp.hardware.drivers.ros2.protocol import Endpoint, RmwZenoh
 
 CARS, PORT, ROUNDS = 10, 7461, 3
-STARTS_S, SPAN_S = 6.0, 12.0  # the span that is measured begins when nodes and agents have come
+STARTS_S, SPAN_S = 6.0, 12.0  # the measurement begins when nodes and agents are connected
 KINDS = {"scan": "sensor_msgs/msg/LaserScan", "odom": "nav_msgs/msg/Odometry"}
 
 
 class Looking(Agent):
-    """Looks at its scan."""
+    """Reads its scan."""
 
     def act(self, obs: Observation, radio: Radio) -> None:
         """Ten times a second."""
@@ -36,7 +36,7 @@ class Looking(Agent):
 
 
 class Standing(Agent):
-    """Stands where it is."""
+    """Stays in place."""
 
     def act(self, obs: Observation, radio: Radio) -> None:
         """Ten times a second."""
@@ -66,7 +66,7 @@ def run(agent: str) -> None:
 
 
 def subscribe() -> None:
-    """A node that hears scans and odometry of all cars; it prints how many of each have come."""
+    """A node that receives scans and odometry of all cars; it prints the number of each."""
     counts = dict.fromkeys(KINDS, 0)
 
     def count(topic: str, *_: object) -> None:
@@ -75,7 +75,7 @@ def subscribe() -> None:
     node = None
     begin_s = time.monotonic()
     while node is None:
-        with suppress(PortError):  # the run is not there yet
+        with suppress(PortError):  # the run is not listening yet
             node = Node(f"tcp/127.0.0.1:{PORT}", "connect", RmwZenoh(0, "bench"), ())
     for number in range(CARS):
         for topic, kind in KINDS.items():
@@ -88,7 +88,7 @@ def subscribe() -> None:
 
 
 def loads(agent: str, *, heard: bool) -> tuple[float, float, str]:
-    """Shares of a core that a run with nodes and one with agents take at the same time, and what the node heard."""
+    """Shares of a core of a run with nodes and of one with agents, at the same time, and the node's receptions."""
     runs = [subprocess.Popen([sys.executable, "-m", "bench.stacks", "run", who]) for who in ("", agent)]
     node = subprocess.Popen([sys.executable, "-m", "bench.stacks", "subscribe"], stdout=subprocess.PIPE) if heard else None
     time.sleep(STARTS_S)
@@ -102,7 +102,7 @@ def loads(agent: str, *, heard: bool) -> tuple[float, float, str]:
 
 
 def rows() -> Iterator[Row]:
-    """Both rows; each is measured when it is asked for."""
+    """Both rows; each is measured when it is requested."""
     for agent, heard, most in (("Standing", False, 0.01), ("Looking", True, 0.10)):
         what = "a node hears all scans and odometry" if heard else "no topic has subscribers"
         print(f"measuring: stacks, {what} ...", file=sys.stderr, flush=True)

@@ -1,4 +1,4 @@
-"""What a run costs that simulates next to nothing, and the command that only helps: ``python -m bench.start``.
+"""Cost of a run that simulates next to nothing, and of ``--help``: ``python -m bench.start``.
 
 CPU seconds and wall-clock seconds of whole processes, from the command line to its end.
 """
@@ -21,14 +21,14 @@ IMPORTS = "import pybullet, numpy, simpy"
 
 
 class Cost(NamedTuple):
-    """Of a process that has ended, s."""
+    """Cost of a finished process, s."""
 
     cpu_s: float
     wall_s: float
 
 
 def process(arguments: Sequence[str]) -> Cost:
-    """Python with these arguments; what it imports is compiled once, whatever the environment says of bytecode."""
+    """Python with these arguments; imports are compiled once, whatever the environment says of bytecode."""
     before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     compiled = {**os.environ, "PYTHONDONTWRITEBYTECODE": ""}
     subprocess.run([sys.executable, *arguments], check=True, capture_output=True, env=compiled)
@@ -37,7 +37,7 @@ def process(arguments: Sequence[str]) -> Cost:
 
 
 def help_cpu() -> Row:
-    """The command line says what it can do."""
+    """``vcmvsp --help``."""
     ours, other, ratio = in_turn(
         lambda: process(["-m", "vcmvsp.cosim.cli.app", "--help"]).cpu_s, lambda: process(["-c", "pass"]).cpu_s, 9
     )
@@ -60,7 +60,7 @@ def run() -> list[Row]:
             "metrics.from_s=0.0",
         ]
         words += ["--quiet", "--force", "--out", str(Path(folder) / "run")]
-        pairs = [(process(words), process(["-c", IMPORTS])) for _ in range(ROUNDS + 1)][1:]  # the first compiles
+        pairs = [(process(words), process(["-c", IMPORTS])) for _ in range(ROUNDS + 1)][1:]  # the first run compiles
     name = f"vcmvsp run of {DURATION_S:g} s of {SCENARIO}, with its files and figures; beside it python -c '{IMPORTS}'"
     found = []
     for clock, place in (("CPU", 0), ("wall", 1)):
@@ -70,7 +70,7 @@ def run() -> list[Row]:
 
 
 def rows() -> list[Row]:
-    """All of them."""
+    """All rows."""
     return [*measured((help_cpu,)), *run()]
 
 

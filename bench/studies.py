@@ -1,4 +1,4 @@
-"""Studies: how quick a run is, what a study adds to it, and what a second core brings.
+"""Studies: speed of a run, overhead of the study, and gain by a second core.
 
 Run with ``python -m bench.studies``. The workload is that of a formation under loss: three points without bodies, 10 Hz.
 """
@@ -38,7 +38,7 @@ def formation(duration_s: float = DURATION_S) -> dict[str, Any]:
 
 
 def succeeded(work: Work, seed: int) -> None:
-    """One run; one that fails takes no time, and must not be timed."""
+    """One run; a failed one takes no time, and must not be timed."""
     if (error := decode(run_one(work, Job(seed, {}))).error) is not None:
         raise RuntimeError(error)
 
@@ -54,12 +54,12 @@ def wall_s(scenario: dict[str, Any], runs: int, jobs: int) -> float:
 
 
 def speed() -> Row:
-    """A run of a study, on the channel that the built-in studies have: tables and metrics, no files."""
+    """A run of a study, on the channel of the built-in studies: tables and metrics, no files."""
     return _speed("an ideal channel with loss and delay", formation() | {"radio": IDEAL})
 
 
 def speed_contended() -> Row:
-    """The same where the robots contend for the air."""
+    """The same with contention."""
     return _speed("802.11b", formation())
 
 
@@ -74,7 +74,7 @@ def _speed(radio: str, scenario: dict[str, Any]) -> Row:
 
 
 def overhead() -> Row:
-    """Runs that take no time, so that what is left is the study's: a longer one less a shorter one, without the start."""
+    """Runs that take no time, so that the study's own cost is left: a longer one less a shorter one, without the start."""
     scenario, runs = formation(0.1), 200
     work = Work(tomli_w.dumps(scenario), ".", version())
 
@@ -96,7 +96,7 @@ def overhead() -> Row:
 
 
 def efficiency() -> Row:
-    """Two workers beside one, start and end included; where there are two cores."""
+    """Two workers beside one, start and end included; if there are two cores."""
     one, two = wall_s(formation(), RUNS, 1), wall_s(formation(), RUNS, JOBS)
     share = one / (JOBS * two)
     name = f"study: {RUNS} runs of 120 s with {JOBS} jobs; beside it with one (ratio: parallel efficiency)"
@@ -104,7 +104,7 @@ def efficiency() -> Row:
 
 
 def memory() -> Row:
-    """Keep and write the rows of a large study, in a process of its own."""
+    """Collect and write the rows of a large study, in a process of its own."""
     peak_mib, columns, megabytes = map(float, _fresh("bench.studies", "fill").split())
     name = f"study: peak memory, 10 000 rows of 50 vehicles ({columns:.0f} numbers each); beside it their JSON"
     return Row(name, f"{peak_mib:.0f} MiB", f"{megabytes:.0f} MB", peak_mib / megabytes, "< 500 MiB", peak_mib < 500.0)
@@ -116,7 +116,7 @@ def _fresh(module: str, function: str) -> str:
 
 
 def fill() -> None:
-    """Print the peak memory in MiB, numbers in a row, and MB of all rows; no two rows have the same numbers."""
+    """Print the peak memory in MiB, numbers in a row, and MB of all rows; every row has other numbers."""
     values = flat(api.run(star(50, physics="kinematic", duration_s=0.2) | {"radio": IDEAL}, mcap=False).metrics)
     plan, written = Plan(scenario="", scenario_toml="", vary={"a": list(range(500))}, seeds=list(range(20))), 0
     draw = random.Random(0)
@@ -133,7 +133,7 @@ ALL: Sequence[Callable[[], Row]] = (speed, speed_contended, overhead, efficiency
 
 
 def rows() -> list[Row]:
-    """All of them."""
+    """All rows."""
     return measured(ALL)
 
 

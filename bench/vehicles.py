@@ -1,6 +1,6 @@
-"""Vehicles without sensors beside bare ``stepSimulation`` of the same world: what all that surrounds it costs.
+"""Vehicles without sensors beside bare ``stepSimulation`` of the same world: the cost of everything around it.
 
-Run with ``python -m bench.vehicles``. Everything is CPU time of one core, in turn with what it is compared to.
+Run with ``python -m bench.vehicles``. CPU time of one core, in turn with the peer.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,12 +17,12 @@ from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.world import World
 
 ROUNDS = 5
-STEADY_NS = 2 * SECOND_NS  # until then they get going, which is not timed
+STEADY_NS = 2 * SECOND_NS  # they start up until then, untimed
 TENTH_NS = SECOND_NS // 10
 
 
 class Fleet(NamedTuple):
-    """What drives and flies in a row of the table."""
+    """Vehicles of a row of the table."""
 
     robots: int
     quadrotors: int
@@ -44,7 +44,7 @@ class Fleet(NamedTuple):
         return cars + drones
 
     def commands(self, now_ns: int) -> list[Event]:
-        """New ones for all, as ten agents a second would give them: robots drive on, quadrotors weave."""
+        """New commands for all, as from ten agents a second: robots drive on, quadrotors weave."""
         turn = 1.0 if now_ns // SECOND_NS % 2 else -1.0
         cars = [Event(f"car{n}/command", now_ns, Velocity(linear=(0.3, 0.0, 0.0), yaw_rate=0.3)) for n in range(self.robots)]
         weave = Velocity(linear=(turn, 0.5 * turn, 0.0), yaw_rate=0.2)
@@ -56,11 +56,8 @@ def federate_cpu_s(
 ) -> float:
     """CPU seconds per simulated second of the federate: commands and publications ten times a second.
 
-    Args:
-        fleet: what drives and flies.
-        vehicles: the same, where they start and what they carry; default: they carry nothing.
-        world: default: nothing but a floor.
-        wanted: keys of readings that are looked at as soon as they are published.
+    Args: fleet: numbers of vehicles. vehicles: their starts and equipment; default: without equipment. world: default: only a
+    floor. wanted: keys of readings that are read as soon as they are published.
     """
     physics = _started(fleet, vehicles or fleet.specs(), world or World(), wanted)
     spans, looked_at = range(1, int(10 * fleet.duration_s) + 1), frozenset(wanted)
@@ -80,7 +77,7 @@ def federate_cpu_s(
 
 
 def bare_cpu_s(fleet: Fleet) -> float:
-    """CPU seconds per simulated second of Bullet's own steps with the same robots, and every quadrotor a body."""
+    """CPU seconds per simulated second of Bullet's own steps with the same robots, every quadrotor a body."""
     robots = Fleet(fleet.robots, 0, fleet.rate_hz, fleet.iterations)
     physics = _started(robots, robots.specs(), World(), ())
     client: int = physics._engines[0][0]._client  # type: ignore[attr-defined]
@@ -182,7 +179,7 @@ ALL: Sequence[Callable[[], Row]] = (
 
 
 def rows() -> list[Row]:
-    """All of them."""
+    """All rows."""
     return measured(ALL)
 
 

@@ -1,7 +1,7 @@
-"""What it costs a run to be looked at: with a page that reads, and with one that stands still.
+"""Cost of a control station to a run: with a page that reads, and with a stalled one.
 
-``python -m bench.view`` prints the table. Medians of pairs: read the ratios. Another core takes the process that serves the
-page: so CPU seconds of the run's process are what reading costs, and wall-clock time shows that nobody is waited for.
+``python -m bench.view`` prints the table. Medians of pairs: compare the ratios. Another core runs the process that serves the
+page: CPU seconds of the run's process are the cost of reading, and wall-clock time shows that the run waits for no page.
 """
 
 import os
@@ -43,12 +43,12 @@ with connect(
 
 
 def rows() -> list[Row]:
-    """All of them."""
+    """All rows."""
     return measured((read, stalled))
 
 
 def read() -> Row:
-    """A page is connected, and takes everything."""
+    """A page is connected, and reads everything."""
     with Viewing(port=0).open(_scenery()) as viewer:
         page = subprocess.Popen([sys.executable, "-c", PAGE, viewer.url], stdout=subprocess.PIPE)
         assert page.stdout is not None
@@ -61,7 +61,7 @@ def read() -> Row:
 
 
 def stalled() -> Row:
-    """The process that serves the page stands still."""
+    """The process that serves the page is stopped."""
     with Viewing(port=0).open(_scenery()) as viewer:
         os.kill(viewer._process.pid, signal.SIGSTOP)
         try:

@@ -1,6 +1,6 @@
-"""Whole runs with bodies: physics, radio, agents in this process and recording together, each beside what it is built on.
+"""Whole runs with bodies: physics, radio, in-process agents and recording together, each beside its building blocks.
 
-``python -m bench.whole`` prints the table. CPU time of one core, medians of pairs; neither start nor files are in it.
+``python -m bench.whole`` prints the table. CPU time of one core, medians of pairs; without start and files.
 """
 
 import tomllib
@@ -21,23 +21,23 @@ ROUNDS = 5
 
 
 class Lookout(Patrol):
-    """Patrol, and look at the scanner at every tick, in the air too."""
+    """Patrols, and reads the scanner at every tick, in the air too."""
 
     def act(self, obs: Observation, radio: Radio) -> Velocity | Waypoint:
-        """Look, and go on."""
+        """Read, and continue."""
         obs.readings.get(self.scanner)
         return super().act(obs, radio)
 
 
 class Circler(Agent):
-    """Drive a small circle as the robots of `bench.vehicles` do, and tell once a second where one is: not all at once."""
+    """Drives a small circle like the robots of `bench.vehicles`, and broadcasts its position every second, at its own phase."""
 
     def start(self, info: VehicleInfo) -> None:
-        """Note when to report first."""
+        """Note the time of the first report."""
         self._report_at_s = info.stream("report").uniform()
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
-        """Go on."""
+        """Continue."""
         if obs.time_s >= self._report_at_s:
             self._report_at_s += 1.0
             x, y, z = obs.state.position
@@ -46,14 +46,14 @@ class Circler(Agent):
 
 
 def built_in(name: str, duration_s: float, **changed: Mapping[str, Any]) -> dict[str, Any]:
-    """A built-in scenario with its agents in this process, of another length, and with some keys of its tables changed."""
+    """A built-in scenario with in-process agents, another duration, and changed keys."""
     raw = tomllib.loads(scenarios.text_of(name))
     changed = {**changed, "agents": {"runs": "inprocess", **changed.get("agents", {})}}
     return {**raw, "duration_s": duration_s, **{key: {**raw.get(key, {}), **keys} for key, keys in changed.items()}}
 
 
 def mixed_100(duration_s: float) -> dict[str, Any]:
-    """mixed-50 with twice as many of each, in a town twice as long; all have scanners at 10 Hz and look at them."""
+    """mixed-50 with twice as many of each, in a town twice as long; all have scanners at 10 Hz and read them."""
     raw = built_in("mixed-50", duration_s, world={"size": [430.0, 200.0]}, metrics={"from_s": 0.0})
     ground, air = raw["vehicle"]
     ground |= {"count": 50, "columns": 10, "position": [-212.0, -92.0, 0.0]}
@@ -80,7 +80,7 @@ def circling(fleet: Fleet) -> dict[str, Any]:
 
 
 def _speed(name: str, scenario: dict[str, Any], other: Callable[[], float], least: float) -> Row:
-    """How fast a run is; ``other`` costs so many CPU seconds for as long a time."""
+    """Speed of a run; ``other`` is the CPU time, s, of the peer for the same duration."""
     duration_s = scenario["duration_s"]
     ours, its, ratio = in_turn(lambda: run_cpu_s(scenario), other, ROUNDS)
     speed = duration_s / ours
@@ -95,7 +95,7 @@ def _swarm(report_s: float) -> Row:
 
 
 def mixed() -> Row:
-    """Fifty robots and fifty quadrotors that look about."""
+    """Fifty robots and fifty quadrotors with scanners."""
     name = (
         "whole run: 50 p2dx, 50 quadrotors in a town, scans at 10 Hz, all looked at; beside it stepSimulation on an open floor"
     )
@@ -117,7 +117,7 @@ def kinematic() -> Row:
 
 
 def thousand() -> Row:
-    """A thousand vehicles without bodies, of which each hears its thirty nearest."""
+    """A thousand vehicles without bodies; each is in range of its thirty nearest."""
     scenario = team({"kinematic": 1000}, 2.0, RADIOS["802.11g with contention"], 5.0)
     for number, vehicle in enumerate(scenario["vehicle"]):
         vehicle["position"] = (25.0 * (number % 32), 25.0 * (number // 32), 0.0)
@@ -153,7 +153,7 @@ def town_of(blocks: tuple[int, int]) -> dict[str, Any]:
 def _rays(name: str, scenario: dict[str, Any], least: float) -> Row:
     """Rays beside the same with a law of distance."""
     plain = {**scenario, "radio": {"preset": "wifi-g-6"}}
-    run_cpu_s({**scenario, "duration_s": 1.0})  # compiles where nothing is in the cache
+    run_cpu_s({**scenario, "duration_s": 1.0})  # compiles if the cache is empty
     name = f"whole run: 30 kinematic vehicles, 10 Hz, rays among {name}; beside it log-distance"
     return _speed(name, scenario, lambda: run_cpu_s(plain), least)
 
@@ -181,7 +181,7 @@ def robots() -> Row:
 
 
 def swarm_1() -> Row:
-    """swarm-100 as it is."""
+    """swarm-100 unchanged."""
     return _swarm(1.0)
 
 
@@ -194,7 +194,7 @@ ALL: Sequence[Callable[[], Row]] = (swarm_1, swarm_10, mixed, formation, kinemat
 
 
 def rows() -> list[Row]:
-    """All of them."""
+    """All rows."""
     return measured(ALL)
 
 

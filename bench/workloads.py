@@ -1,4 +1,4 @@
-"""The scenarios that are timed, and one run of them without set-up and files."""
+"""The timed scenarios, and one run of them without set-up and files."""
 
 import io
 from typing import Any, Literal

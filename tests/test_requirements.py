@@ -1,4 +1,4 @@
-"""Tests that the machine cannot run are named with what to install, and fail where CI is set."""
+"""Tests that the machine cannot run are reported with what to install, and fail with CI set."""
 
 import os
 import subprocess
@@ -41,7 +41,7 @@ def test_whole(): pass
 
 
 @pytest.mark.parametrize(("ci", "workers"), [("", "2"), ("true", "0")])
-def test_what_is_left_out_is_named_and_fails_where_ci_is_set(ci: str, workers: str, tmp_path: Path) -> None:
+def test_skipped_tests_are_named_and_fail_with_ci_set(ci: str, workers: str, tmp_path: Path) -> None:
     (tmp_path / "conftest.py").write_text(
         'import shutil\npytest_plugins = ["tests.support.requirements"]\nshutil.which = lambda name, path=None: None\n'
     )
@@ -61,5 +61,5 @@ def test_what_is_left_out_is_named_and_fails_where_ci_is_set(ci: str, workers: s
     assert "could not import 'no_such_library'" in done.stdout
 
 
-def test_make_quick_chooses_the_tests_in_which_nothing_may_be_started() -> None:
+def test_make_quick_selects_the_tests_without_processes() -> None:
     assert f'-m "{requirements.QUICK}"' in (ROOT / "Makefile").read_text("utf-8")

@@ -1,4 +1,4 @@
-"""The scenarios in which both simulators are compared."""
+"""Scenarios in which both simulators are compared."""
 
 from dataclasses import dataclass
 
@@ -15,25 +15,25 @@ _UNLOADED_MS = {"b-1": 1.33, "b-11": 0.341, "g-6": 0.264, "g-54": 0.1, "a-6": 0.
 class Case:
     """n nodes at random in a square, each sending periodically with a random phase (or, saturated, all the time).
 
-    Phases hold for a whole run: how often two nodes meet is drawn once a seed. Therefore many short runs.
+    Phases hold for a whole run: whether two nodes collide is drawn once a seed. Hence many short runs.
     """
 
     phy: str  # "b-1": the preset is wifi-b-1
     nodes: int
     hz: float
     side_m: float = 200.0
-    exponent: float = 2.0  # in 200 m: everybody hears everybody
+    exponent: float = 2.0  # in 200 m: all are in range
     nakagami: float = 0.0  # m; 0: no fading
     size: int = SIZE  # bytes of payload
     errors: str = "table"  # packet errors of OFDM: ns-3's default, or yans, nist
     unicast: bool = False  # to the next node instead of to all
-    sink: bool = False  # nodes on a circle around node 0, which they send to
+    sink: bool = False  # nodes on a circle around node 0, their destination
     ideal: bool = False  # rate control by SNR
     rts_bytes: int | None = None  # threshold of RTS/CTS; None: none
     saturated: bool = False
-    duration_s: float = 1.0  # what is sent in this time counts
+    duration_s: float = 1.0  # frames within this time count
     warmup_s: float = 0.3
-    drain_s: float = 0.3  # what still waits at the end counts as lost: more than 0.5, the lifetime, where queues are long
+    drain_s: float = 0.3  # frames that still wait at the end count as lost: more than 0.5, the lifetime, where queues are long
     seeds: int = 20
 
     @property
@@ -55,7 +55,7 @@ class Case:
 
     @property
     def hidden(self) -> bool:
-        """Some do not hear each other."""
+        """Some nodes are hidden from each other."""
         return (self.side_m, self.exponent) != (200.0, 2.0)
 
     @property
@@ -103,7 +103,7 @@ class Case:
 
 
 def square(phy: str, nodes: int, hz: float) -> Case:
-    """One collision domain; runs enough for some 10 000 frames, or that reach a steady state under overload."""
+    """One collision domain; enough runs for some 10 000 frames, or for a steady state under overload."""
     if nodes * hz * _UNLOADED_MS[phy] / 1000.0 > 0.9:
         return Case(phy, nodes, hz, duration_s=1.0, warmup_s=1.0, drain_s=0.6, seeds=40 if nodes <= 10 else 8)
     duration_s = max(2.0 / hz, min(5.0, 10_000 / (nodes * hz * 20)))

@@ -23,7 +23,7 @@ from bench.ns3.program import Floats
 from bench.ns3.sample import BIN_M, Sample, command, ns3
 
 SATURATED_MS = 20.0  # a mean delay above which looser demands hold
-ATOM_NS = 2_000  # most frames wait for nothing: their delays differ by the time of flight, 0.3 us a 100 m
+ATOM_NS = 2_000  # most frames do not wait: their delays differ by the time of flight, 0.3 us a 100 m
 
 
 class Row(NamedTuple):
@@ -77,7 +77,7 @@ def _share_within(ns: float, sample: Sample) -> float:
 
 
 def _by_distance(judge: Sequence[Sample], ours: Sequence[Sample]) -> Row:
-    """How many of the bins of distance with some deliveries agree within 0.02 (and twice what chance explains)."""
+    """Number of distance bins with deliveries that agree within 0.02 (and twice the statistical error)."""
     (a, a_error), (b, b_error) = _ratios(judge), _ratios(ours)
     filled = np.isfinite(a) & (np.maximum(a, b) > 0.0)
     agree = np.abs(a - b)[filled] <= 0.02 + 2.0 * np.hypot(a_error, b_error)[filled]

@@ -1,4 +1,4 @@
-"""Our contention core by itself, fed with the very frames that ns-3 was: the same places, the same times, other backoffs."""
+"""Our contention core alone, fed with the frames of ns-3: the same places, the same times, other backoffs."""
 
 import time
 from collections.abc import Iterator
@@ -93,7 +93,7 @@ class Air:
         return float(self._levels(sender)[0][to] / self._last[0][to])
 
     def frames(self, decided: list[Decided], n: int, case: Case) -> Frames:
-        """What became of those that count."""
+        """Outcomes of the counted frames."""
         begin_ns = round(case.warmup_s * SECOND_NS)
         end_ns = begin_ns + round(case.duration_s * SECOND_NS)
         pairs = [(self._offered[each.number], each) for each in decided]
@@ -120,7 +120,7 @@ def _to(case: Case, sender: int) -> int:
 
 
 def _periodic(case: Case, seed: int, air: Air, medium: Medium) -> Iterator[Decided]:
-    """The times of ns-3, before and after the measured time too."""
+    """Times of ns-3, before and after the measured time too."""
     frames = program.run(case.positions, case.ns3(seed)).frames
     period_ns = round(SECOND_NS / case.hz)
     until_ns = round((case.warmup_s + case.duration_s + case.drain_s) * SECOND_NS)
@@ -134,7 +134,7 @@ def _periodic(case: Case, seed: int, air: Air, medium: Medium) -> Iterator[Decid
 
 
 def _saturated(case: Case, air: Air, medium: Medium) -> Iterator[Decided]:
-    """Every frame that has been dealt with makes room for the next."""
+    """Every decided frame makes room for the next."""
     until_ns = round((case.warmup_s + case.duration_s + case.drain_s) * SECOND_NS)
     for sender in range(case.sink, case.nodes):
         for _ in range(QUEUED):

@@ -1,4 +1,4 @@
-"""IEEE 802.15.4 CSMA/CA beside ns-3.44: the same frames from the same places, ``python -m bench.ns3.lrwpan``.
+"""IEEE 802.15.4 CSMA/CA beside ns-3.44 with equal frames and places: ``python -m bench.ns3.lrwpan``.
 
 For each network the share of receptions and the mean delay of both, and the CPU time per transmission. Needs the wheel of
 `bench.ns3.program`.
@@ -27,7 +27,7 @@ Ints = NDArray[np.int64]
 
 
 class Network(NamedTuple):
-    """Nodes and what they want to send."""
+    """Nodes and their frames."""
 
     positions: Floats  # (n, 3) m
     offers: Ints  # (f, 4) time ns, sender, receiver (-1: all), payload bytes; by time
@@ -36,7 +36,7 @@ class Network(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What became of f frames."""
+    """Outcomes of f frames."""
 
     start_ns: Ints  # (f,) last attempt; -1: never
     end_ns: Ints  # (f,) decided
@@ -45,13 +45,13 @@ class Outcome(NamedTuple):
     cpu_s: float
 
     def pdr(self, network: Network) -> float:
-        """Share of the frames x receivers that they are meant for."""
+        """Share of received frames x intended receivers."""
         unicast = int((network.offers[:, 2] >= 0).sum())
         meant = unicast + (len(self.end_ns) - unicast) * (len(network.positions) - 1)
         return self.received(network).size / meant
 
     def received(self, network: Network) -> Floats:
-        """Delays of all receptions by those they are meant for, s."""
+        """Delays of all receptions at intended receivers, s."""
         to = network.offers[:, 2:3]
         meant = (self.received_ns >= 0) & ((to < 0) | (to == np.arange(len(network.positions))))
         delay_ns: Ints = (self.received_ns - network.offers[:, :1])[meant]
@@ -85,7 +85,7 @@ def judge(network: Network, seed: int) -> Outcome:
 
 
 def ours(network: Network, seed: int, mac: Csma154 | None = None) -> Outcome:
-    """Run `Csma154` by itself."""
+    """Run `Csma154` alone."""
     count, frames = len(network.positions), len(network.offers)
     offset = network.positions[:, None] - network.positions[None]
     distance = np.maximum(np.sqrt((offset**2).sum(axis=2)), 1.0)

@@ -1,8 +1,8 @@
-"""Compiles ``wifi.cc`` against the ns-3 wheel, runs it, and keeps its results.
+"""Compiles ``wifi.cc`` against the ns-3 wheel, runs it, and stores its results.
 
 The wheel (``pip install --no-deps ns3==3.44.post0``, in an environment of its own) carries headers and libraries. The variable
-``NS3_PREFIX`` names its folder ``.../site-packages/ns3``; without it the one that ``make .ns3/.ready`` has put there is taken,
-or the running interpreter's. ``NS3_RESULTS`` names the folder in which the program and the results are kept.
+``NS3_PREFIX`` names its folder ``.../site-packages/ns3``; without it the one of ``make .ns3/.ready`` is taken, or the running
+interpreter's. ``NS3_RESULTS`` names the folder in which the program and the results are stored.
 """
 
 import hashlib
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 SOURCE = Path(__file__).with_name("wifi.cc")
-RESULTS = "1"  # another number when the program computes something else: results that were kept are then not taken any more
+RESULTS = "1"  # increased when the program computes something else: stored results are then ignored
 LIBRARIES = ("wifi", "core", "network", "propagation", "spectrum", "mobility", "antenna", "stats", "energy")
 HOME = Path(".ns3")  # see the Makefile
 WHEEL = "make .ns3/.ready, or NS3_PREFIX=.../site-packages/ns3 of ns3==3.44.post0"
@@ -29,18 +29,18 @@ Floats = NDArray[np.float64]
 
 
 class MissingError(SystemExit):
-    """There is no ns-3."""
+    """ns-3 is not installed."""
 
 
 class Frames(NamedTuple):
-    """What was sent, f frames among n nodes, in the order of sending; -1: never."""
+    """Sent frames, f among n nodes, in the order of sending; -1: never."""
 
     sender: Ints  # (f,)
     to: Ints  # (f,) -1: all
     sent_ns: Ints  # (f,) handed to the device
     start_ns: Ints  # (f,) begins on the air, first attempt
     attempts: Ints  # (f,)
-    delay_ns: NDArray[np.int32]  # (f, n) from being handed over until a receiver hands it up
+    delay_ns: NDArray[np.int32]  # (f, n) from the offer to the delivery at a receiver
 
 
 class Result(NamedTuple):
@@ -51,11 +51,9 @@ class Result(NamedTuple):
 
 
 def run(positions: Floats, options: Mapping[str, str | float]) -> Result:
-    """Run ``wifi.cc`` at ``positions`` (n, 3) m, or take what an equal run left.
+    """Run ``wifi.cc`` at ``positions`` (n, 3) m, or load the result of an equal run.
 
-    Args:
-        positions: of the nodes.
-        options: the program's other ones, without dashes: ``{"hz": 10, "seed": 1}``.
+    Args: positions: of the nodes. options: the program's other ones, without dashes: ``{"hz": 10, "seed": 1}``.
     """
     lines = "".join(f"{x!r},{y!r},{z!r}\n" for x, y, z in positions.tolist())
     words = [f"--{name}={value}" for name, value in sorted(options.items())]
@@ -75,7 +73,7 @@ def run(positions: Floats, options: Mapping[str, str | float]) -> Result:
 
 
 def read(path: Path, nodes: int) -> Frames:
-    """The frames that the program wrote to ``--out``."""
+    """Frames that the program wrote to ``--out``."""
     rows = np.fromfile(path, np.int64).reshape(-1, 7 + nodes)
     received, sent = rows[:, 7:], rows[:, 3]
     delay = np.where(received < 0, -1, received - sent[:, None]).astype(np.int32)
@@ -83,7 +81,7 @@ def read(path: Path, nodes: int) -> Frames:
 
 
 def folder() -> Path:
-    """Where the program and its results are kept."""
+    """Folder of the program and its results."""
     path = Path(os.environ.get("NS3_RESULTS", Path(tempfile.gettempdir()) / "ns3-results"))
     path.mkdir(parents=True, exist_ok=True)
     return path

@@ -1,9 +1,9 @@
-"""Frame by frame: our contention core gets ns-3's frames, **its backoffs and its luck**, and must do the same.
+"""Frame by frame: our contention core gets ns-3's frames, **its backoffs and its random outcomes**, and must do the same.
 
-``python -m bench.ns3.replay``: of every frame, when its last attempt began, how many there were, and who received it. Light is
-a hundred times faster here, so that the clocks of both do not drift apart (the core knows no time of flight), and yet nothing
-happens at the same instant. Who decodes what it listens to is told by ns-3 too: a frame that was decoded has all patience
-there, any other as good as none. What is left is who sends when, and who listens to whom.
+``python -m bench.ns3.replay``: of every frame, the begin of its last attempt, the number of attempts, and its receivers. Light
+is a hundred times faster here, so that the clocks of both do not drift apart (the core has no time of flight), and yet nothing
+happens at the same instant. ns-3 also decides what a receiver decodes: a decoded frame has full patience there, any other
+practically none. The core decides the times of transmissions and the frame to which each radio listens.
 """
 
 import subprocess
@@ -26,10 +26,10 @@ from vcmvsp.netsim.mac.dcf.parameters import Dcf
 
 LIGHT = "--ns3::ConstantSpeedPropagationDelayModel::Speed=3e10"
 NEAR_NS = 8_000  # less than a slot
-UNDECIDED_NS = 3_000_000  # at the end: what ns-3 has not finished
+UNDECIDED_NS = 3_000_000  # at the end: frames that ns-3 has not finished
 AT_ONCE_NS = 1_000
-UNLUCKY = 1e-3  # a patience: a header survives where it could be noticed, but no payload that ns-3 has lost
-LUCKY = 1.0 - 2.0**-53  # the same of an acknowledgement, as the chance of less
+UNLUCKY = 1e-3  # a patience: a header survives where it could be detected, but no payload that ns-3 has lost
+LUCKY = 1.0 - 2.0**-53  # for acknowledgements, as the chance of less
 
 CASES = (
     (Case("b-1", 10, 10), 2.0),
@@ -52,17 +52,17 @@ CASES = (
 
 
 class Judged(NamedTuple):
-    """What ns-3 did."""
+    """Results of ns-3."""
 
     frames: Frames
-    last_ns: Ints  # (f,) when each began for the last time
+    last_ns: Ints  # (f,) begin of the last attempt
     draws: list[list[float]]  # of each radio, as numbers from 0 to 1
-    doubts: list[list[float]]  # beside each: small where it was for an acknowledgement that was lost
+    doubts: list[list[float]]  # beside each: small if used for a lost acknowledgement
     patience: list[list[Floats]]  # of each frame for each attempt, (n,)
 
 
 def replay(case: Case, duration_s: float, seed: int = 1) -> tuple[int, int]:
-    """How many frames agree, and of how many."""
+    """Number of frames that agree, and number of all."""
     judged = _judge(case, duration_s, seed)
     decided = _ours(case, judged, round(duration_s * SECOND_NS) - UNDECIDED_NS)
     numbers = [number for number in decided if judged.frames.attempts[number] > 0]
@@ -102,7 +102,7 @@ def _judge(case: Case, duration_s: float, seed: int) -> Judged:
         elif what == "backoff":
             judged.draws[node].append((int(more[0]) + 0.5) / (window[node] + 1))
             judged.doubts[node].append(UNLUCKY)
-        elif [what, *more] == ["tx", "control"]:  # the core draws for an acknowledgement too: whether it survives
+        elif [what, *more] == ["tx", "control"]:  # the core also draws the success of an acknowledgement
             judged.draws[node].append(0.5)
             judged.doubts[node].append(UNLUCKY)
             acked_ns[node] = int(time)
@@ -111,7 +111,7 @@ def _judge(case: Case, duration_s: float, seed: int) -> Judged:
             judged.patience[on_air[node]].append(np.full(n, UNLUCKY))
         elif [what, *more] == ["decoded", "control"]:
             answerer = (node + 1) % n
-            if int(time) - acked_ns[answerer] < ack_ns + AT_ONCE_NS:  # else it was another's
+            if int(time) - acked_ns[answerer] < ack_ns + AT_ONCE_NS:  # else another frame's
                 judged.doubts[answerer][-1] = LUCKY
         elif what == "decoded":
             judged.patience[on_air[int(more[0])]][-1][node] = np.inf
@@ -119,7 +119,7 @@ def _judge(case: Case, duration_s: float, seed: int) -> Judged:
 
 
 def _ours(case: Case, judged: Judged, until_ns: int) -> dict[int, Decided]:
-    """What the core makes of the same frames, by number."""
+    """The core's results for the same frames, by number."""
     air, n, frames = Air(case, seed=1), case.nodes, judged.frames
     store = np.full((n, max(map(len, judged.draws)) + 1_000, 2), 0.5)
     for radio, pairs in enumerate(zip(judged.draws, judged.doubts, strict=True)):

@@ -1,4 +1,4 @@
-"""What is compared of one run, whichever simulator it comes from."""
+"""Compared results of one run, from either simulator."""
 
 import json
 import subprocess
@@ -21,22 +21,22 @@ BINS = 128
 
 
 class Sample(NamedTuple):
-    """One run: frames that were handed over in the measured time."""
+    """One run: frames that were offered in the measured time."""
 
     delay_ns: Ints  # (r,) of every reception
-    wanted: Ints  # (BINS,) frames times receivers they were meant for, by distance
+    wanted: Ints  # (BINS,) frames times intended receivers, by distance
     received: Ints  # (BINS,)
     cpu_s: float
 
 
 def ns3(case: Case, seed: int) -> Sample:
-    """The judge."""
+    """Run of ns-3."""
     result = program.run(case.positions, case.ns3(seed))
     return tally(case.positions, result.frames, result.totals["cpu_s"])
 
 
 def tally(positions: Floats, frames: Frames, cpu_s: float) -> Sample:
-    """Count what n nodes at ``positions`` (n, 3) m sent."""
+    """Results of the frames of n nodes at ``positions`` (n, 3) m."""
     n = len(positions)
     distance = np.linalg.norm(positions[:, None] - positions[None], axis=2)
     place = np.minimum(distance // BIN_M, BINS - 1).astype(np.int64)

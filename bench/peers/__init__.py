@@ -1,1 +1,1 @@
-"""The same work in each of the systems that are compared: programs that `bench.asked` starts and asks."""
+"""The same work in each of the compared systems: programs that `bench.asked` starts and queries."""

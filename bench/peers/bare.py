@@ -1,8 +1,8 @@
-"""Zenoh without us: a hub and its clients exchange the same bytes, and do nothing with them.
+"""Zenoh alone: a hub and its clients exchange the same bytes.
 
-``--way query``: a query and its reply, which is Zenoh's own request and answer (a declared queryable; all are asked, by
-`Session.get` with its default handler, before any is awaited). ``--way publish``: a declared publisher each way, which is what
-our own transport uses. Direct callbacks, which hand over to a queue.
+``--way query``: a query and its reply, Zenoh's own request and answer (a declared queryable; all are queried, by `Session.get`
+with its default handler, before any is awaited). ``--way publish``: a declared publisher each way, as in our own transport.
+Direct callbacks, which put the data into a queue.
 """
 
 import json
@@ -30,7 +30,7 @@ def opened(**more: Any) -> zenoh.Session:
 
 
 def hub(wanted: Options) -> None:
-    """Ask all clients before any is awaited."""
+    """Query all clients before any is awaited."""
     pace, groups = Pace(wanted), wanted.processes
     question = bytes(wanted.asked * wanted.agents // groups)
     answers: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
@@ -60,13 +60,13 @@ def hub(wanted: Options) -> None:
 
 
 def leave(questions: "queue.SimpleQueue[zenoh.Sample | zenoh.Query | None]") -> None:
-    """No more questions when the hub is gone."""
+    """End the client when the hub is gone."""
     sys.stdin.buffer.read()
     questions.put(None)
 
 
 def client(wanted: Options) -> None:
-    """Answer until nobody asks any more; an answer to nobody says that it is there."""
+    """Answer until the hub ends; the first, unsolicited answer announces the client."""
     endpoint, _, key = wanted.at.partition(" ")
     answer = bytes(wanted.answered)
     questions: queue.SimpleQueue[zenoh.Sample | zenoh.Query | None] = queue.SimpleQueue()

@@ -1,6 +1,6 @@
-"""crazyflow (github.com/learnsyslab/crazyflow): quadrotors in JAX, each told where to be and how fast, ten times a second.
+"""crazyflow (github.com/learnsyslab/crazyflow): quadrotors in JAX, each given a position and a velocity ten times a second.
 
-``--agents``, ``--span_s``. One thread of one core; dynamics, attitude and motors at 250 Hz, positions at 100 Hz, as it comes.
+``--agents``, ``--span_s``. One thread of one core; dynamics, attitude and motors at 250 Hz, positions at 100 Hz, its defaults.
 """
 
 import os
@@ -12,11 +12,11 @@ import numpy as np
 from bench.peers.pace import Options, stretches
 
 RATE_HZ = 250
-SPEED = 0.3  # m/s; its controller tips over where 1 m/s are reversed at once, which costs as much
+SPEED = 0.3  # m/s; its controller tips over if 1 m/s are reversed at once, which costs as much
 
 
 def fleet(wanted: Options) -> Callable[[], None]:
-    """In the air; each call flies on."""
+    """A fleet in the air; each call continues the flight."""
     os.environ["JAX_PLATFORMS"] = "cpu"
     os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})

@@ -1,7 +1,7 @@
-"""gradysim (GrADyS-SIM NextGen): nodes that stand still and broadcast ten times a second.
+"""gradysim (GrADyS-SIM NextGen): nodes at rest that broadcast ten times a second.
 
-``--agents``, ``--span_s``, ``--loss``; ``--way decide``: nothing but its channel, which decides who hears a message, and puts
-its arrival into the queue of events.
+``--agents``, ``--span_s``, ``--loss``; ``--way decide``: its channel alone, which decides the receivers of a message and
+queues the arrivals.
 """
 
 from collections.abc import Callable
@@ -22,12 +22,12 @@ RATE_HZ = 10
 
 
 class Counter(IProtocol):  # type: ignore[misc]
-    """Broadcasts, and counts what it hears."""
+    """Broadcasts, and counts receptions."""
 
-    heard = 0  # by all
+    heard = 0  # of all nodes
 
     def initialize(self) -> None:
-        """At once."""
+        """Begin at once."""
         self._sent = 0
         self.handle_timer("")
 
@@ -42,7 +42,7 @@ class Counter(IProtocol):  # type: ignore[misc]
         Counter.heard += 1
 
     def handle_telemetry(self, telemetry: object) -> None:
-        """There is none: nobody moves."""
+        """Nodes are at rest: there is no telemetry."""
 
     def finish(self) -> None:
         """Nothing."""
@@ -61,7 +61,7 @@ def built(wanted: Options) -> tuple[Any, CommunicationHandler]:
 
 
 def work(wanted: Options) -> Callable[[], None]:
-    """Each call is a run of its own, which is built, or as many decisions."""
+    """Each call builds and makes a run of its own, or the same number of decisions."""
     return deciding(wanted) if wanted.way == "decide" else lambda: run(wanted)
 
 
@@ -76,7 +76,7 @@ def run(wanted: Options) -> None:
 
 
 def deciding(wanted: Options) -> Callable[[], None]:
-    """Only what its channel does when it is handed a message."""
+    """The channel's work on a message alone."""
     simulation, radio = built(wanted)
     command, events = BroadcastMessageCommand(MESSAGE), simulation._event_loop
     nodes = [simulation.get_node(number) for number in range(wanted.agents)]

@@ -1,4 +1,4 @@
-"""gym-pybullet-drones, as the fork that is on PyPI has it: quadrotors in PyBullet, each told a velocity.
+"""gym-pybullet-drones, by its fork on PyPI: quadrotors in PyBullet with commanded velocities.
 
 ``--agents``, ``--span_s``. Bullet steps at 240 Hz and the controllers at 48 Hz, as in its example of velocities.
 """
@@ -15,7 +15,7 @@ CONTROL_HZ = 48
 
 
 def fleet(wanted: Options) -> Callable[[], None]:
-    """In the air; each call flies on."""
+    """A fleet in the air; each call continues the flight."""
     count = wanted.agents
     places = np.array([(3.0 * (n % 10), 3.0 * (n // 10), 5.0) for n in range(count)])
     air = VelocityAviary(DroneModel.CF2X, count, initial_xyzs=places, pyb_freq=240, ctrl_freq=CONTROL_HZ)

@@ -1,14 +1,14 @@
 """HELICS (helics.org) over its ZeroMQ core: a broker, a world, and processes with a core each, which hold the agents.
 
-``--way plain``: as HELICS's own examples have it. Each agent is a value federate of its own, which blocks in its request for
-the next time; several in a process have a thread each.
+``--way plain``: as in HELICS's own examples. Each agent is a value federate of its own, which blocks in its request for the
+next time; several in a process have a thread each.
 
-``--way each`` and ``all``: the quickest here of threads, asynchronous time requests and callback federates, and of time kept by
+``--way each`` and ``all``: the fastest here of threads, asynchronous time requests and callback federates, and of time kept by
 the broker (``--globaltime``) or not: callback federates and the broker. A federate per agent, or one for all of a process.
 
-With a latency all step together and see what was said a step before, which takes one time barrier a step; without one, agents
-step between the steps of the world, which takes two. Agents that wait to be woken by values take longer; more than one that
-waits for the values of its own time (``wait_for_current_time_update``) HELICS refuses.
+With a latency all step together on values of the previous step, which takes one time barrier a step; without one, agents step
+between the steps of the world, which takes two. Agents that are woken by values take longer; HELICS refuses more than one that
+waits for the values of its own time (``wait_for_current_time_update``).
 
 Values of bytes, one publication for each agent and way.
 """
@@ -29,7 +29,7 @@ CORE = "zmq"
 
 
 def told(port: int, federates: int = 1, offset_s: float = 0.0) -> Any:
-    """What makes a federate that steps once a second, so long after the full second, in a core of so many."""
+    """Federate information: steps once a second, at an offset, in a core with this number of federates."""
     info = h.helicsCreateFederateInfo()
     h.helicsFederateInfoSetCoreTypeFromString(info, CORE)
     h.helicsFederateInfoSetCoreInitString(info, f"--federates={federates} --brokerport={port} --loglevel=no_print")
@@ -46,7 +46,7 @@ def both(own: Any, numbers: Sequence[int], says: str, hears: str) -> tuple[list[
 
 
 def world(wanted: Options) -> None:
-    """Publish to all agents, and read what they have said."""
+    """Publish to all agents, and read their answers."""
     pace, groups = Pace(wanted), wanted.processes
     port, federates = free_port(), 1 + (groups if wanted.way == "all" else wanted.agents)
     keeps = "" if wanted.way == "plain" else "--globaltime"
@@ -67,11 +67,11 @@ def world(wanted: Options) -> None:
         assert now < 3.0 or len(command) == wanted.answered
     for process in children:
         process.kill()
-    os._exit(0)  # no farewell: callback federates hang in it now and then
+    os._exit(0)  # not disconnected: callback federates hang there now and then
 
 
 def host(wanted: Options) -> None:
-    """Answer whatever is seen, until the world is gone."""
+    """Answer every value until the world is gone."""
     port, number = map(int, wanted.at.split())
     numbers = range(number, wanted.agents, wanted.processes)
     groups: list[Sequence[int]] = [numbers] if wanted.way == "all" else [[n] for n in numbers]
@@ -92,7 +92,7 @@ def host(wanted: Options) -> None:
 
 
 def block(own: Any, numbers: Sequence[int], wanted: Options, first: float) -> None:
-    """Ask for one time after the other, for good."""
+    """Request one time after the other, without end."""
     said, heard = both(own, numbers, "command", "seen")
     h.helicsFederateEnterExecutingMode(own)
     command, now = bytes(wanted.answered), first - 1.0
@@ -102,7 +102,7 @@ def block(own: Any, numbers: Sequence[int], wanted: Options, first: float) -> No
 
 
 def stepping(own: Any, numbers: Sequence[int], wanted: Options, first: float) -> Any:
-    """What HELICS is to call; it answers with the next time."""
+    """Callback for HELICS; it returns the next time."""
     said, heard = both(own, numbers, "command", "seen")
     command = bytes(wanted.answered)
 
@@ -115,7 +115,7 @@ def stepping(own: Any, numbers: Sequence[int], wanted: Options, first: float) ->
 
 
 def answer(said: Sequence[Any], heard: Sequence[Any], command: bytes, busy_s: float) -> None:
-    """Read what these agents see, and publish what they say."""
+    """Read the inputs of these agents, and publish their answers."""
     for mine, its in zip(said, heard, strict=True):
         h.helicsInputGetBytes(its)
         busy(busy_s)
@@ -123,7 +123,7 @@ def answer(said: Sequence[Any], heard: Sequence[Any], command: bytes, busy_s: fl
 
 
 def free_port() -> int:
-    """The first of two free ports in a row, away from those that systems give to whoever asks for any."""
+    """First of two consecutive free ports outside of the ephemeral range."""
     for port in range(20_000, 30_000, 2):
         with contextlib.suppress(OSError), socket.create_server(("127.0.0.1", port)), socket.create_server(("", port + 1)):
             return port

@@ -1,7 +1,7 @@
 """mosaik (mosaik.offis.de): a world in mosaik's own process, and simulators that hold the agents, there or elsewhere.
 
-Agents see the present and the world what was said a step before (a time-shifted connection), as in ours; a loop within a step
-(`weak` connections) takes longer. mosaik carries JSON, so states and scans are lists of numbers.
+Agents see the present, the world the answers of the previous step (a time-shifted connection), as in ours; a loop within a
+step (`weak` connections) takes longer. mosaik carries JSON, so states and scans are lists of numbers.
 """
 
 import contextlib
@@ -22,7 +22,7 @@ class EnoughError(Exception):
 
 
 class World(mosaik_api_v3.Simulator):  # type: ignore[misc]
-    """Tells all vehicles what they see."""
+    """Publishes the observations of all vehicles."""
 
     def __init__(self) -> None:
         attributes = {"public": True, "params": [], "attrs": ["seen", "command"]}
@@ -40,19 +40,19 @@ class World(mosaik_api_v3.Simulator):  # type: ignore[misc]
         return [{"eid": f"v{n}", "type": model} for n in range(num)]
 
     def step(self, time: int, inputs: Any, max_advance: int) -> int:
-        """The next is one later."""
+        """The next step is one later."""
         assert time < 2 or len(inputs) == self._count
         if not self._pace.step():
             raise EnoughError
         return time + 1
 
     def get_data(self, outputs: Any) -> Any:
-        """The same for all."""
+        """Equal values for all."""
         return {each: {"seen": self._seen} for each in outputs}
 
 
 class Still(mosaik_api_v3.Simulator):  # type: ignore[misc]
-    """Agents that say the same whatever they see."""
+    """Agents with a constant answer."""
 
     def __init__(self) -> None:
         attributes = {"public": True, "params": [], "attrs": ["seen", "command"]}
@@ -68,7 +68,7 @@ class Still(mosaik_api_v3.Simulator):  # type: ignore[misc]
         return [{"eid": f"a{n}", "type": model} for n in range(num)]
 
     def step(self, time: int, inputs: Any, max_advance: int) -> int:
-        """Look at what is seen."""
+        """Read the inputs."""
         for its in inputs.values():
             (seen,) = its["seen"].values()
             assert seen["position"]
@@ -76,12 +76,12 @@ class Still(mosaik_api_v3.Simulator):  # type: ignore[misc]
         return time + 1
 
     def get_data(self, outputs: Any) -> Any:
-        """The same for all."""
+        """Equal values for all."""
         return {each: {"command": COMMAND} for each in outputs}
 
 
 def main(wanted: Options) -> None:
-    """Run until nobody asks any more."""
+    """Run until the parent ends the program."""
     pace, groups = Pace(wanted), max(1, wanted.processes)
     elsewhere = {"cmd": f"{sys.executable} -m {STILL} %(addr)s"}
     config = {

@@ -1,4 +1,4 @@
-"""Ours: the kernel, a world that only publishes, and hosts of agents that do next to nothing. Nothing is recorded."""
+"""Ours: the kernel, a world that only publishes, and hosts of agents with almost no work. Nothing is recorded."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -21,7 +21,7 @@ SAID = Velocity(**COMMAND)  # type: ignore[arg-type]
 
 
 class World:
-    """Tells every vehicle where it is, and what its scanner sees, if it has one."""
+    """Publishes every vehicle's pose, and its scan if it has a scanner."""
 
     name = "physics"
     slot = wake_slot = Slot.WORLD
@@ -44,11 +44,11 @@ class World:
         return Step([Event(key, now_ns, value) for key, value in self._said], now_ns + PERIOD_NS)
 
     def close(self) -> None:
-        """Nothing to let go."""
+        """Nothing to close."""
 
 
 class Still(Agent):
-    """Says the same whatever it sees."""
+    """Answers with a constant command."""
 
     def __init__(self, busy_s: NonNegative = 0.0) -> None:
         self._busy_s = busy_s
@@ -93,7 +93,7 @@ def sizes(scans: bool) -> tuple[int, int]:
 
 
 def main() -> None:
-    """Run until nobody asks any more."""
+    """Run until the parent ends the program."""
     wanted = options()
     pace = Pace(wanted)
     parsed, source = scenarios.load(scenario(wanted))
@@ -106,7 +106,7 @@ def main() -> None:
 
         try:
             kernel.run(lambda _: None, on_instant=instant)
-        except KeyboardInterrupt:  # which is what a stop is
+        except KeyboardInterrupt:  # the parent's stop
             kernel.close()
 
 

@@ -1,6 +1,6 @@
-"""What every program of `bench.peers` is told, and how it is timed: by itself, a stretch of work whenever it is asked.
+"""Options and timing of the programs of `bench.peers`: each times itself, a stretch of work per request.
 
-Standard library alone: the environment of the peers has nothing of ours.
+Standard library alone: the environment of the peers contains none of our packages.
 """
 
 import argparse
@@ -18,30 +18,30 @@ STATE = {
     "attitude": (0.7, 0.1, 0.1, 0.7),
     "angular_velocity": (0.1, 0.2, 0.3),
 }
-MESSAGE = "car007 12.5 -3.25 0.5"  # what is broadcast, where messages are compared
+MESSAGE = "car007 12.5 -3.25 0.5"  # broadcast content, where messages are compared
 COMMAND = {"linear": (0.3, 0.1, 0.1), "yaw_rate": 0.3}
 
 
 class Options(argparse.Namespace):
-    """The star: a world, and so many agents in so many processes (0: in the world's own)."""
+    """The star: a world, and agents in a number of processes (0: in the world's own)."""
 
     agents: int
     processes: int
     scans: bool
-    asked: int  # bytes that an agent is sent in a step, over our wire; of those who carry bytes
-    answered: int  # bytes that it answers
-    busy_s: float  # CPU time that each agent takes
-    world_s: float  # CPU time that the world takes
-    latency_s: float  # from what an agent sees to what its command does, for those that can overlap both
+    asked: int  # bytes to an agent in a step, over our wire; for peers that carry bytes
+    answered: int  # bytes of its answer
+    busy_s: float  # CPU time of each agent's step
+    world_s: float  # CPU time of the world's step
+    latency_s: float  # from an agent's observation to its command's effect, where both can overlap
     stretch_s: float  # wall-clock time of a stretch
-    span_s: float  # simulated time of a stretch, for those that have it so
-    loss: float  # how likely a message is lost at each of its receivers
-    way: str  # how it is done, of those that are measured in two ways
-    at: str  # where a program's children find it
+    span_s: float  # simulated time of a stretch, where it is set
+    loss: float  # probability of losing a message at each of its receivers
+    way: str  # mode, of programs with several
+    at: str  # endpoint for a program's children
 
 
 def options(arguments: Sequence[str] | None = None) -> Options:
-    """What the program was started with."""
+    """Options on the program's command line."""
     parser = argparse.ArgumentParser()
     for name in ("agents", "processes", "asked", "answered"):
         parser.add_argument(f"--{name}", type=int, default=0)
@@ -55,19 +55,19 @@ def options(arguments: Sequence[str] | None = None) -> Options:
 
 
 class Pace:
-    """Told of each step; prints the wall-clock seconds of an agent-step of each stretch, and waits to be asked for the next.
+    """Called at each step; prints the wall-clock seconds of an agent-step of each stretch, and waits for the next request.
 
-    The first stretch warms up: whoever asks leaves its answer out.
+    The first stretch warms up: its result is ignored.
     """
 
     def __init__(self, wanted: Options) -> None:
         self._answers = _answers()
         self._agents, self._stretch_s = wanted.agents, wanted.stretch_s
-        self._steps = -1  # those of this stretch that are over
+        self._steps = -1  # finished steps of this stretch
         self._begin = 0.0
 
     def step(self) -> bool:
-        """Another step begins; False: no more are wanted."""
+        """Begin another step; False: the program is to end."""
         now = time.perf_counter()
         self._steps += 1
         if self._steps and now - self._begin < self._stretch_s:
@@ -81,7 +81,7 @@ class Pace:
 
 
 def stretches(prepare: Callable[[Options], Callable[[], None]]) -> None:
-    """Prepare some work, do it whenever asked, and print the CPU seconds of it; the first time, unasked, warms up."""
+    """Prepare some work, do it on each request, and print its CPU seconds; a first, unrequested stretch warms up."""
     answers = _answers()
     work = prepare(options())
     while True:
@@ -93,14 +93,14 @@ def stretches(prepare: Callable[[Options], Callable[[], None]]) -> None:
 
 
 def _answers() -> TextIO:
-    """Standard output; what libraries print there from now on is not for whoever reads the answers."""
+    """Original standard output; later output of libraries must not reach the reader of the answers."""
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
     return answers
 
 
 def busy(seconds: float) -> None:
-    """Take so much CPU time of this thread."""
+    """Take CPU time, s, of this thread."""
     if seconds:
         last = time.thread_time() + seconds
         while time.thread_time() < last:

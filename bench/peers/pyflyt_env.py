@@ -12,7 +12,7 @@ from bench.peers.pace import Options, stretches
 
 
 def environment(wanted: Options) -> Callable[[], None]:
-    """Reset; each call steps on, and resets where an episode ends."""
+    """Reset; each call continues, and resets at the end of an episode."""
     count = wanted.agents
     places = np.array([(3.0 * (n % 10), 3.0 * (n // 10), 5.0) for n in range(count)])
     env = MAQuadXHoverEnv(start_pos=places, start_orn=np.zeros((count, 3)), flight_dome_size=1e3)
@@ -30,7 +30,7 @@ def environment(wanted: Options) -> Callable[[], None]:
 
 
 def _hover(space: object, rng: np.random.Generator) -> np.ndarray:
-    """Small rates and about the thrust that carries: random actions would end the episode within a second."""
+    """Small rates and about the thrust of hovering: random actions would end the episode within a second."""
     low, high = space.low, space.high  # type: ignore[attr-defined]
     action = 0.02 * rng.uniform(low, high)
     action[3] = 0.34 * high[3]

@@ -1,4 +1,4 @@
-"""PyFlyt (github.com/jjshoots/PyFlyt): quadrotors in PyBullet, told how to fly ten times a second.
+"""PyFlyt (github.com/jjshoots/PyFlyt): quadrotors in PyBullet, with new setpoints ten times a second.
 
 ``--agents``, ``--span_s``.
 """
@@ -12,7 +12,7 @@ from bench.peers.pace import Options, stretches
 
 
 def fleet(wanted: Options) -> Callable[[], None]:
-    """In the air; each call flies on."""
+    """A fleet in the air; each call continues the flight."""
     count = wanted.agents
     places = np.array([(3.0 * (n % 10), 3.0 * (n // 10), 5.0) for n in range(count)])
     model = {"drone_model": "primitive_drone"}  # of 1 kg; its Crazyflie costs as much

@@ -1,8 +1,8 @@
-"""A network as simulators of UAVs on SimPy have it, such as UavNetSim: a process for each node, and one for each reception.
+"""A network in the style of UAV simulators on SimPy, such as UavNetSim: a process for each node, and one for each reception.
 
 Written for this comparison, since UavNetSim is not on PyPI, and leaner than it: no queue of a MAC, no acknowledgements, no
-routes, no log, and nodes that wait for what comes instead of looking every few microseconds. At each receiver a packet waits
-until its end; then its level over noise and over whatever else was on the air decides. ``--agents``, ``--span_s``, ``--loss``.
+routes, no log, and nodes that wait for events instead of polling every few microseconds. At each receiver a packet waits until
+its end; then its level over noise and interference decides. ``--agents``, ``--span_s``, ``--loss``.
 """
 
 import math
@@ -33,14 +33,14 @@ class Packet:
 
 
 class Node:
-    """Stands somewhere, and has an inbox."""
+    """A node at rest with an inbox."""
 
     def __init__(self, env: simpy.Environment, number: int, air: "Air") -> None:
         self.place = (3.0 * (number % 10), 3.0 * (number // 10), 0.0)
         self.inbox = simpy.Store(env)
         self.heard = 0
         self._env, self._air = env, air
-        self._begin = number / RATE_HZ / 100.0  # one after the other, so that as few as possible meet on the air
+        self._begin = number / RATE_HZ / 100.0  # in turn, so that few overlap
         env.process(self._send())
         env.process(self._receive())
 
@@ -57,7 +57,7 @@ class Node:
 
 
 class Air:
-    """What is on it, and what comes of it at each receiver."""
+    """Packets on the air, and their outcome at each receiver."""
 
     def __init__(self, env: simpy.Environment, loss: float) -> None:
         self.nodes: list[Node] = []
@@ -84,7 +84,7 @@ class Air:
 
 
 def level(sender: Node, receiver: Node) -> float:
-    """W there."""
+    """Received power, W."""
     distance_m = max(1.0, math.dist(sender.place, receiver.place)) if sender is not receiver else 1.0
     return float(POWER_W * 10.0 ** (-(40.0 + 30.0 * math.log10(distance_m)) / 10.0))
 

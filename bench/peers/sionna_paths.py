@@ -1,6 +1,6 @@
 """Sionna RT (github.com/NVlabs/sionna-rt): all paths between points of a scene, by its LLVM backend on the CPU.
 
-``--at FOLDER``: with ``scene.xml`` and ``points.json``. Each pair once; as many rays a source as finds the paths of two
+``--at FOLDER``: with ``scene.xml`` and ``points.json``. Each pair once; enough rays a source to find the paths of two
 reflections, and of diffraction, in streets.
 """
 

@@ -1,4 +1,4 @@
-"""Vehicles with clocks of their own in whole runs: what agents see, what a formation loses by it, and synchronisation."""
+"""Vehicles with their own clocks in whole runs: observations of agents, errors of a formation, and synchronisation."""
 
 import json
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ OFFSET_S, DRIFT_PPM = 0.3, 1000.0
 
 
 class Witness(Agent):
-    """Sends at every tick, and keeps what it sees."""
+    """Sends at every tick and records its observations."""
 
     def __init__(self) -> None:
         self.seen: list[Observation] = []
@@ -44,8 +44,8 @@ def witnesses(scenario: dict[str, Any]) -> dict[str, Witness]:
     return agents
 
 
-def following(leader: Mapping[str, Any], follower: Mapping[str, Any], **more: Any) -> dict[str, Any]:
-    """A follower 1 m behind a leader that drives straight on; reports from the future are accepted."""
+def leader_and_follower(leader: Mapping[str, Any], follower: Mapping[str, Any], **more: Any) -> dict[str, Any]:
+    """A follower 1 m behind a leader that drives straight ahead; reports from the future are accepted."""
     lead = {"kind": "trajectory", "path": "straight", "speed": SPEED}
     follow = {"kind": "leader_follower", "leader": "car1", "slot": [-1.0, 0.0], "clock_bound_s": 10.0}
     return cars(
@@ -67,7 +67,7 @@ def gap_m(out: Path, time_s: float) -> float:
     return float(by_name["car1"] - by_name["car2"])
 
 
-# --- what agents see ---
+# --- observations ---
 
 
 def test_without_a_clock_an_agent_has_the_time_of_the_run() -> None:
@@ -111,7 +111,7 @@ def test_messages_have_the_times_of_their_senders_and_receivers() -> None:
 
 
 def test_readings_have_the_time_of_their_vehicle() -> None:
-    """A scan on demand, and one of a sensor that measures now and then."""
+    """A scan on demand, and a reading of a sensor with its own rate."""
     sensors = {"scan": {"kind": "lms"}, "imu": {"kind": "imu", "rate_hz": 3.0}}
     agents = witnesses(cars({"sensors": sensors, "clock": {"offset_s": 7.0}}, {"sensors": sensors}))
     own, same = (agents[name].seen[-1].readings for name in ("car1", "car2"))
@@ -122,13 +122,13 @@ def test_readings_have_the_time_of_their_vehicle() -> None:
         assert mine.time_ns - others.time_ns == 7_000_000_000
 
 
-# --- what it costs, and synchronisation ---
+# --- errors, and synchronisation ---
 
 
 def test_a_followers_error_is_speed_times_the_difference_of_the_clocks(tmp_path: Path) -> None:
-    """It extrapolates the leader's report by its age, which is wrong by offset + drift t."""
+    """It extrapolates the leader's report by its age, with an error of offset + drift t."""
     clock = {"offset_s": OFFSET_S, "drift_ppm": DRIFT_PPM}
-    scenario = without_none(following({}, {"clock": clock}, duration_s=61.0))
+    scenario = without_none(leader_and_follower({}, {"clock": clock}, duration_s=61.0))
     vcmvsp.run(scenario, out=tmp_path / "late")
     vcmvsp.run(scenario, out=tmp_path / "exact", set={"vehicle.car2.clock.offset_s": 0, "vehicle.car2.clock.drift_ppm": 0})
     for time_s in (20.0, 40.0, 60.0):
@@ -158,7 +158,7 @@ def test_after_synchronisation_half_the_asymmetry_of_the_delays_remains(there_s:
 
 
 def synchronised(task: Agent) -> Agent:
-    """A ``time_sync`` around an agent that exists already."""
+    """A ``time_sync`` around an existing agent."""
     from vcmvsp.agents.time_sync import TimeSync
 
     made = TimeSync({"kind": "patrol", "way": [[0.0, 0.0, 0.0]]}, reference="car1")
@@ -167,12 +167,12 @@ def synchronised(task: Agent) -> Agent:
     return made
 
 
-def test_synchronised_followers_keep_their_place(tmp_path: Path) -> None:
-    """With equal delays both ways, and clocks half a minute apart."""
-    plain = without_none(following({}, {}, duration_s=30.0))
+def test_synchronised_followers_keep_their_slot(tmp_path: Path) -> None:
+    """With equal delays in both directions, and clocks 30 s apart."""
+    plain = without_none(leader_and_follower({}, {}, duration_s=30.0))
     lead, follow = (each["agent"] for each in plain["vehicle"])
     layered = without_none(
-        following(
+        leader_and_follower(
             {"agent": {"kind": "time_sync", "task": lead}},
             {
                 "agent": {"kind": "time_sync", "reference": "car1", "task": follow},
@@ -188,9 +188,9 @@ def test_synchronised_followers_keep_their_place(tmp_path: Path) -> None:
 
 
 @pytest.mark.processes
-def test_clocks_in_other_processes_are_the_same(tmp_path: Path) -> None:
+def test_clocks_are_equal_in_other_processes(tmp_path: Path) -> None:
     clock = {"offset_s": OFFSET_S, "drift_ppm": DRIFT_PPM, "jitter_s": 1e-3}
-    scenario = without_none(following({}, {"clock": clock}, duration_s=3.0))
+    scenario = without_none(leader_and_follower({}, {"clock": clock}, duration_s=3.0))
     for runs in ("inprocess", "process"):
         vcmvsp.run(scenario, out=tmp_path / runs, set={"agents.runs": runs})
     assert (tmp_path / "inprocess" / "run.mcap").read_bytes() == (tmp_path / "process" / "run.mcap").read_bytes()
@@ -198,7 +198,7 @@ def test_clocks_in_other_processes_are_the_same(tmp_path: Path) -> None:
 
 def test_the_resolved_scenario_gives_the_same_bytes(tmp_path: Path) -> None:
     clock = {"offset_s": OFFSET_S, "step": {"at_s": 1.0, "by_s": 0.2}}
-    vcmvsp.run(without_none(following({}, {"clock": clock}, duration_s=3.0)), out=tmp_path / "first")
+    vcmvsp.run(without_none(leader_and_follower({}, {"clock": clock}, duration_s=3.0)), out=tmp_path / "first")
     vcmvsp.run(tmp_path / "first" / "scenario.toml", out=tmp_path / "again")
     assert (tmp_path / "first" / "run.mcap").read_bytes() == (tmp_path / "again" / "run.mcap").read_bytes()
 
@@ -229,7 +229,7 @@ def test_a_clock_and_a_battery_for_all_are_resolved_once(tmp_path: Path) -> None
         ('vehicle.car2.agent={kind="time_sync", reference="car9", task={kind="patrol", way=[[0,0,0]]}}', "reference = 'car9'"),
     ],
 )
-def test_what_cannot_be_is_refused_in_one_line(setting: str, words: str) -> None:
+def test_invalid_settings_are_refused_in_one_line(setting: str, words: str) -> None:
     done = vcmvsp_command("check", "formation-circle", "--set", setting)
     assert done.code == 2, json.dumps(done.out)
     assert words in done.err

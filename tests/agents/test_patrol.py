@@ -1,4 +1,4 @@
-"""Patrol: points in turn, on wheels and in the air; what stands in the way is waited for."""
+"""Patrol: points in turn, on wheels and in the air; it waits before obstacles."""
 
 from typing import Any
 
@@ -34,17 +34,17 @@ def test_points_are_visited_in_turn_and_the_last_one_is_kept(kind: str) -> None:
     assert result.states["y"].to_pylist()[-1] == pytest.approx(4.0, abs=0.35)
 
 
-def test_points_may_be_meant_from_the_start() -> None:
+def test_points_may_be_relative_to_the_start() -> None:
     result = run({"relative": True, "way": [[2.0, 1.0, 0.0]]}, kind="kinematic")
     assert passed(result, 2.0, 1.0)
 
 
-def test_what_stands_in_the_way_is_not_run_into() -> None:
+def test_it_stops_before_an_obstacle() -> None:
     box = {"center": [2.0, 0.05, 0.5], "size": [0.5, 2.0, 1.0]}
     result = run({"scanner": "scan"}, world={"kind": "boxes", "boxes": [box]})
     assert result.metrics["safety"]["collisions"] == 0
     x = result.states["x"].to_numpy()
-    assert 0.9 < x.max() < 1.75 - 0.22  # it has gone on until the box was near; the body reaches 0.22 m ahead
+    assert 0.9 < x.max() < 1.75 - 0.22  # it stops near the box only; the body reaches 0.22 m ahead
 
 
 def test_reports_come_once_a_period_and_not_all_at_once() -> None:

@@ -1,4 +1,4 @@
-"""The agent and the way around things that the README has as examples do what it says."""
+"""The example agents and the example avoidance of the README work as documented."""
 
 import re
 from pathlib import Path
@@ -11,7 +11,7 @@ from tests.support.docs.readme_pages import PAGES, block
 pytestmark = pytest.mark.slow
 
 
-def test_it_flies_east_until_something_is_near(tmp_path: Path) -> None:
+def test_it_flies_east_until_an_obstacle_is_near(tmp_path: Path) -> None:
     (tmp_path / "advance.py").write_text(block("docs/reference/agents.md", "class Advance"))
     (tmp_path / "wall.toml").write_text("""
         name = "wall"
@@ -32,7 +32,7 @@ def test_it_flies_east_until_something_is_near(tmp_path: Path) -> None:
     assert result.metrics["safety"]["collisions"] == 0
 
 
-def test_its_own_way_around_things_stops_before_them(tmp_path: Path) -> None:
+def test_the_example_avoidance_stops_before_obstacles(tmp_path: Path) -> None:
     (own,) = re.findall(r"`avoidance = (\{ kind = \"own\".*?\} \})`", PAGES["docs/reference/agents.md"])
     (tmp_path / "stop.py").write_text(block("docs/reference/agents.md", "class Stop"))
     (tmp_path / "wall.toml").write_text(f"""
@@ -48,8 +48,8 @@ def test_its_own_way_around_things_stops_before_them(tmp_path: Path) -> None:
         agent = {{ kind = "avoid", avoidance = {own}, task = {{ kind = "trajectory", path = "straight" }} }}
     """)
     result = vcmvsp.run(tmp_path / "wall.toml")
-    radius, distance = 0.216, 0.3  # of the body; as the table says
-    assert result.metrics["safety"]["min_clearance_m"] == pytest.approx(radius + distance, abs=0.02)  # a slow tick
+    radius, distance = 0.216, 0.3  # of the body; from the table
+    assert result.metrics["safety"]["min_clearance_m"] == pytest.approx(radius + distance, abs=0.02)  # a tick at low speed
     assert abs(result.states.to_pandas().iloc[-1].vx) < 1e-9
 
 

@@ -1,4 +1,4 @@
-"""What an author of agents relies on: sizes of messages, plain content, notes, and streams of one's own."""
+"""Agent API: sizes of messages, plain content, notes, and an agent's own random streams."""
 
 import math
 from typing import Any
@@ -28,7 +28,7 @@ PLAIN = st.recursive(
 
 
 def sent(*args: Any, **values: Any) -> Message:
-    """The one message that a call of ``send`` makes."""
+    """The one message of one call of ``send``."""
     radio = Radio("car1", VEHICLES)
     radio.send(*args, **values)
     (message,) = radio.drain()
@@ -54,7 +54,7 @@ def test_keywords_are_added_to_the_mapping() -> None:
     assert sent({"x": 1.0}, y=2.0).body == {"x": 1.0, "y": 2.0}
     assert sent({"x": 1.0}, x=2.0).body == {"x": 2.0}
     assert sent().body == {}
-    assert sent(body=1).body == {"body": 1}  # the first parameter has no name: any name may be sent
+    assert sent(body=1).body == {"body": 1}  # the first parameter is positional-only: "body" is a keyword like any other
 
 
 def test_a_float_takes_nine_bytes_and_a_small_number_one() -> None:
@@ -83,7 +83,7 @@ def test_tuples_arrive_as_lists_as_over_a_wire() -> None:
     assert sent(at=(1.0, 2.0)).body == {"at": [1.0, 2.0]}
 
 
-def test_what_is_sent_is_a_copy() -> None:
+def test_a_sent_body_is_a_copy() -> None:
     path = [1.0]
     message = sent(path=path)
     path.append(2.0)
@@ -102,7 +102,7 @@ def test_one_vehicle_can_be_addressed() -> None:
 
 
 @pytest.mark.parametrize("bad", [object(), 1j, {1, 2}.__iter__(), np.array([object()]), VehicleState])
-def test_what_cannot_cross_the_air_is_refused(bad: Any) -> None:
+def test_bodies_that_cannot_be_encoded_are_refused(bad: Any) -> None:
     with pytest.raises(TypeError, match=r"radio\.send\(\)"):
         sent(x=bad)
 
@@ -149,8 +149,8 @@ def sightings(*found: Any, **changes: Any) -> Sightings:
     return Sightings(**{"sensor": "camera", "time_ns": 5, "width": 8, "height": 6, "found": found, "jpeg": b"x", **changes})
 
 
-def test_what_is_shown_is_a_copy() -> None:
-    """An agent may go on drawing on its sheet: the recording has what was on it."""
+def test_shown_arrays_are_copies() -> None:
+    """An agent may change its arrays later; the recording has them as they were shown."""
     agent, probability, seen, pixels = (
         Agent(),
         np.zeros((2, 2), np.uint8),
@@ -177,7 +177,7 @@ def test_what_is_shown_is_a_copy() -> None:
         sightings(a_sighting(place=(np.float32(0.1), np.float64(0.2)), score=np.float32(0.3)), width=np.int64(8)),
     ],
 )
-def test_what_is_shown_is_what_would_come_over_a_wire(value: Any) -> None:
+def test_shown_values_equal_their_decoded_encoding(value: Any) -> None:
     agent = Agent()
     agent.show(value)
     (plain,) = agent.drain_shown().values()
@@ -206,7 +206,7 @@ UNFIT: list[tuple[Any, str]] = [
 
 
 @pytest.mark.parametrize(("value", "words"), UNFIT)
-def test_what_no_recording_could_hold_is_not_shown(value: Any, words: str) -> None:
+def test_values_that_cannot_be_recorded_are_not_shown(value: Any, words: str) -> None:
     agent = Agent()
     with pytest.raises(ValueError, match=rf"show\({type(value).__name__}\)") as caught:
         agent.show(value)
@@ -214,7 +214,7 @@ def test_what_no_recording_could_hold_is_not_shown(value: Any, words: str) -> No
     assert agent.drain_shown() == {}
 
 
-def test_only_what_has_a_topic_is_shown() -> None:
+def test_only_types_with_a_topic_are_shown() -> None:
     with pytest.raises(TypeError, match=r"show\(Velocity\): only a ProbabilityMap, Sightings or a Mosaic"):
         Agent().show(Velocity())  # type: ignore[arg-type]
 
@@ -241,7 +241,7 @@ def test_the_base_class_does_not_act() -> None:
         Agent().act(seen, Radio("car1", VEHICLES))
 
 
-def test_the_streams_of_agents_are_their_own() -> None:
+def test_each_agent_has_its_own_streams() -> None:
     def info(name: str, seed: int) -> VehicleInfo:
         return VehicleInfo(name=name, vehicles=VEHICLES, period_s=0.1, latency_s=0.0, seed=seed)
 

@@ -1,4 +1,4 @@
-"""Logical time: exact against rational arithmetic, and clocks that pace it, with a wall clock made of plain numbers."""
+"""Logical time against rational arithmetic; clocks that pace it, with a simulated wall clock."""
 
 from collections.abc import Callable
 from decimal import Decimal
@@ -20,11 +20,11 @@ DECIMALS = st.decimals(min_value="0.000000001", max_value=10_000, places=9)
 
 @given(DECIMALS)
 def test_a_decimal_of_nine_places_is_exact_in_nanoseconds(seconds: Decimal) -> None:
-    assume(Decimal(repr(float(seconds))) == seconds)  # fifteen digits are what a float keeps
+    assume(Decimal(repr(float(seconds))) == seconds)  # a float keeps 15 digits
     assert seconds_to_ns(float(seconds)) == int(seconds * SECOND_NS)
 
 
-def test_seconds_are_the_decimals_that_were_written() -> None:
+def test_seconds_are_the_decimals_as_written() -> None:
     assert seconds_to_ns(0.1) == 100_000_000
     assert seconds_to_ns(0.3) == 300_000_000
     assert sum(seconds_to_ns(0.1) for _ in range(10_000)) == seconds_to_ns(1000.0)
@@ -55,7 +55,7 @@ def test_a_tick_is_its_exact_time_rounded_down(ticks: Ticks, k: int) -> None:
 def test_after_is_the_first_later_tick(ticks: Ticks, now_ns: int) -> None:
     later = ticks.after(now_ns)
     k = round(later / ticks.period)
-    number = next(n for n in (k - 1, k, k + 1) if ticks.at(n) == later)  # it is a tick
+    number = next(n for n in (k - 1, k, k + 1) if ticks.at(n) == later)  # a tick
     assert ticks.at(number - 1) <= now_ns < later
 
 
@@ -101,7 +101,7 @@ def test_a_period_below_a_nanosecond_is_refused(make: Callable[[float], Ticks], 
 
 
 class FakeWall:
-    """A wall clock that moves only when somebody sleeps; each sleep takes ``factor`` times as long as asked."""
+    """A wall clock that moves only by sleeping; each sleep takes ``factor`` times the requested time."""
 
     def __init__(self, now_ns: int, factor: Fraction = Fraction(1)) -> None:
         self.now_ns, self.factor = now_ns, factor
@@ -140,14 +140,14 @@ def test_a_sleep_that_ends_late_is_reported_and_caught_up() -> None:
     wall = FakeWall(0, factor=Fraction(3, 2))
     clock = wall.clock()
     assert clock.wait_until(SECOND_NS) == SECOND_NS // 2
-    assert clock.wait_until(SECOND_NS + SECOND_NS // 4) == SECOND_NS // 4  # no sleep: it was late already
+    assert clock.wait_until(SECOND_NS + SECOND_NS // 4) == SECOND_NS // 4  # no sleep: already late
     assert len(wall.slept) == 1
     wall.factor = Fraction(1)
     assert clock.wait_until(3 * SECOND_NS) == 0
-    assert wall.now_ns == 3 * SECOND_NS  # lateness does not add up
+    assert wall.now_ns == 3 * SECOND_NS  # lateness does not accumulate
 
 
-def test_late_without_sleeping_is_how_far_the_wall_went_on() -> None:
+def test_lateness_without_sleep_is_the_wall_time_passed() -> None:
     wall = FakeWall(5)
     clock = wall.clock(2.0)
     wall.now_ns += 3 * SECOND_NS
@@ -160,12 +160,10 @@ def test_late_without_sleeping_is_how_far_the_wall_went_on() -> None:
     st.lists(st.tuples(st.integers(0, SECOND_NS), st.integers(0, SECOND_NS)), min_size=1, max_size=8),
     st.integers(0, SECOND_NS),
 )
-def test_what_time_it_was_no_slip_changes_and_none_passes_while_the_run_stands(
-    speed: float, walk: list[tuple[int, int]], later_ns: int
-) -> None:
+def test_a_slip_stops_logical_time_and_keeps_earlier_times(speed: float, walk: list[tuple[int, int]], later_ns: int) -> None:
     wall = FakeWall(7)
     clock = wall.clock(speed)
-    known = [(0, round(-7 * speed))]  # on the wall clock, and logical
+    known = [(0, round(-7 * speed))]  # wall time, logical time; ns
     for goes_ns, stands_ns in walk:
         known.append((wall.now_ns + goes_ns // 2, clock.logical_ns(wall.now_ns + goes_ns // 2)))
         wall.now_ns += goes_ns
@@ -177,10 +175,10 @@ def test_what_time_it_was_no_slip_changes_and_none_passes_while_the_run_stands(
     known.append((wall.now_ns + later_ns, known[-1][1] + round(later_ns * speed)))
     found = [clock.logical_ns(when_ns) for when_ns, _ in known]
     assert found == sorted(found)
-    assert all(abs(now - was) <= 1 for now, (_, was) in zip(found, known, strict=True))  # rounded
+    assert all(abs(now - was) <= 1 for now, (_, was) in zip(found, known, strict=True))  # rounding
 
 
-def test_after_a_slip_times_go_on_from_the_instant_that_was_late() -> None:
+def test_after_a_slip_times_continue_from_the_late_instant() -> None:
     wall = FakeWall(0)
     clock = wall.clock()
     assert clock.wait_until(SECOND_NS) == 0

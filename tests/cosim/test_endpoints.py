@@ -1,4 +1,4 @@
-"""Addresses of the network: two spellings, one meaning, wherever one is asked for."""
+"""Network addresses: `tcp/host:port` and `tcp://host:port` are equivalent everywhere."""
 
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ HOSTS = st.sampled_from(["localhost", "10.0.0.1", "a-b.example.org", "::1", "fe8
 
 
 @given(st.sampled_from(["tcp", "tls", "udp", "socket"]), HOSTS, st.none() | st.integers(0, 65535))
-def test_both_spellings_mean_the_same_and_one_is_written(protocol: str, host: str, port: int | None) -> None:
+def test_both_spellings_are_equal_and_one_is_written(protocol: str, host: str, port: int | None) -> None:
     meant = Endpoint(protocol, host, port)
     assert endpoint_of(str(meant)) == endpoint_of(str(meant).replace("/", "://", 1)) == meant
     assert with_slash(str(meant).replace("/", "://", 1)) == str(meant)
@@ -32,12 +32,12 @@ def test_both_spellings_mean_the_same_and_one_is_written(protocol: str, host: st
     "text",
     ["", "tcp", "10.0.0.1:80", "/dev/ttyUSB0", "tcp://a:70000", "tcp/a:x", "tcp://a:1/b", "tcp://me@a:1", "tcp/::1:5", "tcp:a"],
 )
-def test_what_is_no_address(text: str) -> None:
+def test_invalid_addresses(text: str) -> None:
     assert endpoint_of(text) is None
 
 
 @BOTH
-def test_each_place_takes_both(between: str, tmp_path: Path) -> None:
+def test_each_option_accepts_both(between: str, tmp_path: Path) -> None:
     assert endpoint_rules(f"tcp{between}127.0.0.1:7447") == "tcp/127.0.0.1:7447"
     with pytest.raises(UsageError, match=r"tcp/10\.0\.0\.1:7447: plain TCP admits anyone .*: use tls/10\.0\.0\.1:7447 "):
         endpoint_rules(f"tcp{between}10.0.0.1:7447")
@@ -53,7 +53,7 @@ def test_each_place_takes_both(between: str, tmp_path: Path) -> None:
 
 
 @BOTH
-def test_the_same_port_is_the_same_in_either_spelling(between: str) -> None:
+def test_a_port_is_identified_in_either_spelling(between: str) -> None:
     def robot(name: str, port: str) -> dict[str, Any]:
         place = [float(name[3:]), 0.0, 0.0]
         return {"name": name, "kind": "amigobot", "pose": place, "driver": {"kind": "arcos", "port": port}}

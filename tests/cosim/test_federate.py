@@ -1,4 +1,4 @@
-"""Key expressions mean here what they mean in Zenoh: Zenoh itself is asked."""
+"""Key expressions match as in Zenoh: compared with Zenoh's own implementation."""
 
 import pytest
 import zenoh
@@ -13,15 +13,15 @@ EXPRESSIONS = st.lists(CHUNKS | st.sampled_from(["*", "**"]), min_size=1, max_si
 
 
 @given(EXPRESSIONS, KEYS)
-def test_a_key_matches_if_zenoh_says_so(expression: str, key: str) -> None:
+def test_keys_match_as_in_zenoh(expression: str, key: str) -> None:
     theirs, concrete = zenoh.KeyExpr.autocanonize(expression), zenoh.KeyExpr(key)
-    assert theirs.intersects(concrete) == theirs.includes(concrete)  # one question, where the key has no wildcard
+    assert theirs.intersects(concrete) == theirs.includes(concrete)  # equivalent for a key without wildcards
     assert matches(expression, key) == theirs.includes(concrete)
 
 
 @given(KEYS, st.data())
-def test_a_key_matches_what_it_is_blurred_to(key: str, data: st.DataObject) -> None:
-    """The random pairs above seldom match; these always do."""
+def test_a_key_matches_itself_with_wildcards(key: str, data: st.DataObject) -> None:
+    """The random pairs above seldom match; these always match."""
     chunks = key.split("/")
     blurred = [data.draw(st.sampled_from([chunk, "*", "**"])) for chunk in chunks]
     at = data.draw(st.integers(0, len(blurred)))
@@ -44,5 +44,5 @@ def test_a_key_matches_what_it_is_blurred_to(key: str, data: st.DataObject) -> N
         ("*", "car1/send", False),
     ],
 )
-def test_the_routes_of_a_run(expression: str, key: str, expected: bool) -> None:
+def test_keys_of_a_run(expression: str, key: str, expected: bool) -> None:
     assert matches(expression, key) is expected

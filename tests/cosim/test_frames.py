@@ -1,4 +1,4 @@
-"""Angles, arcs and quaternions against laws of composition and a second way to compute the same."""
+"""Angles, arcs and quaternions against laws of composition and a second computation."""
 
 import math
 
@@ -41,7 +41,7 @@ def test_two_arcs_in_a_row_are_one(pose: tuple[float, float, float], v: float, w
 
 
 @given(POSES, SPEEDS, RATES, TIMES)
-def test_an_arc_driven_backwards_leads_home(pose: tuple[float, float, float], v: float, w: float, dt: float) -> None:
+def test_an_arc_driven_backwards_returns(pose: tuple[float, float, float], v: float, w: float, dt: float) -> None:
     assert arc(arc(pose, v, w, dt), -v, -w, dt) == pytest.approx(pose, rel=1e-9, abs=1e-9)
 
 
@@ -59,7 +59,7 @@ def test_without_turning_an_arc_is_a_line(pose: tuple[float, float, float], v: f
     assert arc(pose, v, 0.0, dt) == pytest.approx((x + v * dt * math.cos(yaw), y + v * dt * math.sin(yaw), yaw))
 
 
-def test_a_turn_of_the_radius_two_circle_comes_back() -> None:
+def test_a_circle_of_radius_two_ends_at_its_start() -> None:
     assert arc((1.0, 2.0, 0.0), 0.3, 0.15, math.tau / 0.15) == pytest.approx((1.0, 2.0, math.tau))
     assert arc((0.0, 0.0, 0.0), 0.3, 0.15, 0.5 * math.pi / 0.15) == pytest.approx((2.0, 2.0, 0.5 * math.pi))
 
@@ -72,7 +72,7 @@ def test_yaw_survives_the_quaternion(yaw: float) -> None:
 
 
 @given(ANGLES, st.floats(-1.4, 1.4), ANGLES)
-def test_yaw_is_where_the_body_x_axis_points_seen_from_above(yaw: float, pitch: float, roll: float) -> None:
+def test_yaw_is_the_horizontal_direction_of_the_body_x_axis(yaw: float, pitch: float, roll: float) -> None:
     def product(a: tuple[float, ...], b: tuple[float, ...]) -> tuple[float, float, float, float]:
         (aw, ax, ay, az), (bw, bx, by, bz) = a, b
         return (
@@ -104,8 +104,8 @@ def test_turning_is_counter_clockwise() -> None:
     assert yaw_of(quaternion_from_yaw(0.5 * math.pi)) == pytest.approx(0.5 * math.pi)
 
 
-def test_quaternions_multiply_as_hamilton_said() -> None:
-    """i j = k, j k = i, k i = j, and all of their squares are -1; the first factor turns last."""
+def test_quaternions_have_hamiltons_product() -> None:
+    """i j = k, j k = i, k i = j, all squares are -1; the first factor is the rotation applied last."""
     i, j, k = (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0)
     assert (product(i, j), product(j, k), product(k, i)) == (k, i, j)
     assert [product(each, each) for each in (i, j, k)] == [(-1.0, 0.0, 0.0, 0.0)] * 3

@@ -1,4 +1,4 @@
-"""Mailboxes hand over what has arrived by a tick, in order of arrival; columns and items of what an agent hears agree."""
+"""Mailboxes deliver the messages that have arrived by a tick, in order of arrival; columns and items agree."""
 
 from collections.abc import Sequence
 
@@ -16,7 +16,7 @@ def message(number: int) -> Message:
 
 
 def random_batch(rng: np.random.Generator, first: int, sent_ns: int, longest_ns: int) -> Receptions:
-    """Some messages of one instant with some receptions, in the order of the frames."""
+    """Some messages of one instant with their receptions, in frame order."""
     count = int(rng.integers(1, 5))
     rows = np.sort(rng.integers(count, size=int(rng.integers(0, 9))))
     return Receptions(
@@ -48,7 +48,7 @@ def one_by_one(batch: Receptions) -> list[tuple[str, Reception]]:
 
 @pytest.mark.parametrize("longest_ns", [2, 5, 40])
 @pytest.mark.parametrize("owners", [NAMES, ("b", "d")])
-def test_each_message_is_handed_over_once_at_the_first_tick_after_its_arrival_in_order(
+def test_each_message_is_delivered_once_at_the_first_tick_after_arrival_in_order(
     owners: Sequence[str], longest_ns: int
 ) -> None:
     rng = np.random.default_rng(longest_ns)
@@ -61,7 +61,7 @@ def test_each_message_is_handed_over_once_at_the_first_tick_after_its_arrival_in
         due = [name for name in owners if rng.random() < 0.7]
         arrived = [each for each in waiting if each[0] in due and each[1].received_ns <= now_ns]
         waiting = [each for each in waiting if each not in arrived]
-        by_arrival = sorted(arrived, key=lambda each: each[1].received_ns)  # a stable sort
+        by_arrival = sorted(arrived, key=lambda each: each[1].received_ns)  # stable
         expected = {name: [each for owner, each in by_arrival if owner == name] for name in due}
         got = mail.open(now_ns, due)
         assert {name: list(each) for name, each in got.items()} == {name: own for name, own in expected.items() if own}
@@ -69,9 +69,9 @@ def test_each_message_is_handed_over_once_at_the_first_tick_after_its_arrival_in
     assert handed > 1000
 
 
-def test_what_waits_keeps_no_message_that_nobody_waits_for() -> None:
+def test_mailboxes_keep_no_message_without_a_waiting_receiver() -> None:
     mail = Mailboxes(NAMES, NAMES)
-    for now_ns in range(0, 1000, 10):  # each message arrives 25 ns after it was sent, so that some always wait
+    for now_ns in range(0, 1000, 10):  # each message arrives 25 ns after it was sent, so that some are always waiting
         batch = random_batch(np.random.default_rng(now_ns), now_ns, now_ns, 2)
         count = len(batch.receiver)
         mail.put(
@@ -104,7 +104,7 @@ def received() -> ReceivedMessages:
     return mail.open(50)["b"]
 
 
-def test_columns_say_what_the_items_say() -> None:
+def test_columns_equal_the_items() -> None:
     heard = received()
     assert heard.senders == tuple(each.message.sender for each in heard) == ("b", "a", "a", "b", "d", "c")
     assert heard.rssi_dbm.tolist() == [each.rssi_dbm for each in heard]
@@ -113,12 +113,12 @@ def test_columns_say_what_the_items_say() -> None:
     assert heard.age_s.tolist() == [(50 - each.sent_ns) / 1e9 for each in heard]
 
 
-def test_the_latest_of_a_sender_is_the_one_that_it_sent_last() -> None:
+def test_the_latest_of_a_sender_was_sent_last() -> None:
     numbers = {sender: each.message.body["number"] for sender, each in received().latest_by_sender().items()}  # type: ignore[call-overload]
     assert numbers == {"b": 5, "a": 4, "d": 3, "c": 2}
 
 
-def test_an_item_is_the_same_object_however_it_is_reached() -> None:
+def test_every_access_to_an_item_gives_one_object() -> None:
     heard = received()
     last = heard[-1]
     assert heard[5] is last is list(heard)[5] is heard[3:][2] is heard.latest_by_sender()["c"]

@@ -1,4 +1,4 @@
-"""Random streams: the published test vectors of the generator, uniformity, and draws that nothing else can move."""
+"""Random streams: published test vectors of the generator, uniformity, independence from all other draws."""
 
 import numpy as np
 import pytest
@@ -70,8 +70,8 @@ def test_draws_broadcast_over_links_and_frames() -> None:
     assert link_uniform(keys, frames, 1).shape == (3, 5, 2)
 
 
-# One million fixed draws each: the bounds hold for them or not, always the same way. A bound of 5 standard deviations of the
-# statistic is broken by one good generator in two million.
+# One million fixed draws each: each test's result is always the same. One good generator in two million exceeds a bound of 5
+# standard deviations of the statistic.
 DRAWS = 10**6
 
 
@@ -83,7 +83,7 @@ def test_draws_are_uniform() -> None:
     for column in draws("radio/car1/car2").T:
         counts = np.histogram(column, bins=1000, range=(0.0, 1.0))[0]
         chi2 = float(((counts - DRAWS / 1000) ** 2).sum() / (DRAWS / 1000))
-        assert abs(chi2 - 999) < 5 * np.sqrt(2 * 999)  # mean and standard deviation of chi square, 999 degrees of freedom
+        assert abs(chi2 - 999) < 5 * np.sqrt(2 * 999)  # mean and standard deviation of chi square with 999 degrees of freedom
         assert abs(column.mean() - 0.5) < 5 / np.sqrt(12 * DRAWS)
 
 
@@ -105,13 +105,13 @@ def test_a_stream_is_fixed_by_seed_and_name() -> None:
         return stream(seed, name).random(8).tolist()
 
     here = head(1, "car2/positioning")
-    stream(1, "car3/positioning").random(1000)  # somebody else's draws move nothing
+    stream(1, "car3/positioning").random(1000)  # draws from another stream have no effect
     assert head(1, "car2/positioning") == here
     others = [head(seed, name) for seed, name in [(2, "car2/positioning"), (1, "car3/positioning"), (1, "car2/positionin")]]
     assert all(not set(here) & set(other) for other in others)
 
 
-def test_seed_and_name_do_not_run_into_each_other() -> None:
+def test_seed_and_name_are_separated() -> None:
     assert key64(1, "1/car") != key64(11, "/car")
     assert key64(1, "2") != key64(12, "")
 

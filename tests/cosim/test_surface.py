@@ -1,4 +1,4 @@
-"""What ``import cosim`` offers, what it costs, and what stands in the way of a robot that has only the core."""
+"""Public names of ``import cosim``, the modules that it loads, and the layers of packages."""
 
 import importlib
 import re
@@ -54,13 +54,13 @@ PUBLIC = {
 HEAVY = {"numpy", "pybullet", "cv2", "zenoh", "matplotlib", "pyarrow", "mcap", "simpy"}
 
 
-def test_the_public_names_are_these() -> None:
+def test_the_public_names() -> None:
     assert set(vcmvsp.__all__) == set(PUBLIC)
     assert len(vcmvsp.__all__) == len(PUBLIC)
 
 
 @pytest.mark.parametrize(("name", "home"), PUBLIC.items())
-def test_every_public_name_is_that_of_its_home(name: str, home: str) -> None:
+def test_every_public_name_is_that_of_its_module(name: str, home: str) -> None:
     module = importlib.import_module(f"vcmvsp.cosim.{home}")
     assert getattr(vcmvsp, name) is getattr(module, name)
     assert name in dir(vcmvsp)
@@ -74,7 +74,7 @@ def test_another_name_is_an_attribute_error() -> None:
 
 
 def modules_after(code: str) -> set[str]:
-    """The top-level modules, and the parts of vcmvsp, of a fresh interpreter that has run this."""
+    """Names of top-level modules, and of parts of vcmvsp, loaded by a fresh interpreter that has run ``code``."""
     script = f"{code}\nimport sys\nprint(*sys.modules, file=sys.stderr)"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=500, check=True)
     return {name.removeprefix("vcmvsp.").partition(".")[0] for name in done.stderr.split()}
@@ -90,7 +90,7 @@ def test_help_loads_nothing_heavy() -> None:
     assert not modules_after(code) & HEAVY
 
 
-def test_an_author_of_agents_needs_numpy_alone() -> None:
+def test_agents_need_only_numpy() -> None:
     code = "from vcmvsp import Agent, Observation, Radio, Velocity, arc, wrap"
     assert modules_after(code) & (HEAVY | {"physics", "netsim", "agents", "hardware"}) == {"numpy"}
 
@@ -117,7 +117,7 @@ def test_every_error_has_its_exit_code() -> None:
 
 
 def test_every_package_has_its_layer() -> None:
-    """A package that no layer names could import everything."""
+    """A package in no layer could import everything."""
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["importlinter"]["contracts"]
     (layers,) = (each["layers"] for each in contracts if each["name"] == "Layers")
     listed = {name.strip() for layer in layers for name in re.split(r"[|:]", layer)}

@@ -1,4 +1,4 @@
-"""The conformance kits pass what is right and refuse what is wrong."""
+"""Conformance kits accept correct agents, layers and federates, and refuse faulty ones."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -44,30 +44,30 @@ def test_the_agents_of_the_platform_conform(make: Callable[[], Agent]) -> None:
     check_agent(make)
 
 
-class Moody(Agent):
-    """Draws from a generator that nobody seeds."""
+class RandomAgent(Agent):
+    """Draws from an unseeded generator."""
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
         return Velocity(linear=(float(np.random.default_rng().random()), 0.0, 0.0))
 
 
-class Trusting(Agent):
-    """Believes every message."""
+class UncheckedAgent(Agent):
+    """Accepts messages without checking them."""
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
         bodies: list[Any] = [each.message.body for each in obs.heard]
         return Velocity(linear=(sum(body["x"] for body in bodies), 0.0, 0.0))
 
 
-class Shouting(Agent):
-    """Returns what is no command."""
+class TextAgent(Agent):
+    """Returns a value that is not a command."""
 
     def act(self, obs: Observation, radio: Radio) -> Any:
         return "forward"
 
 
 @pytest.mark.parametrize(
-    ("make", "law"), [(Moody, "acted differently"), (Trusting, "raised"), (Shouting, "must return a Velocity")]
+    ("make", "law"), [(RandomAgent, "acted differently"), (UncheckedAgent, "raised"), (TextAgent, "must return a Velocity")]
 )
 def test_an_agent_that_breaks_a_law_is_refused(make: Callable[[], Agent], law: str) -> None:
     with pytest.raises(AssertionError, match=law):
@@ -92,30 +92,30 @@ def test_the_layers_of_the_platform_conform(layer: object) -> None:
     check_channel(layer)
 
 
-class Uphill:
-    """Weaker in one direction."""
+class OneWayLoss:
+    """Path loss differs between the two directions."""
 
     def loss_db(self, paths: Any) -> Any:
         return paths.distance_m + paths.rx[:, 2]
 
 
-class Crowded:
-    """Counts who listens."""
+class CrowdLoss:
+    """Path loss depends on the number of receivers."""
 
     def loss_db(self, paths: Any) -> Any:
         return paths.distance_m + len(paths.distance_m)
 
 
-class Singular:
-    """Has no answer for a distance of nothing."""
+class InfiniteLoss:
+    """Infinite at distance 0."""
 
     def loss_db(self, paths: Any) -> Any:
         with np.errstate(divide="ignore"):
             return 20.0 * np.log10(paths.distance_m)
 
 
-class Unexplained:
-    """Loses without a cause."""
+class NoCauseLoss:
+    """Losses without a cause."""
 
     cause = ""
 
@@ -126,17 +126,17 @@ class Unexplained:
 @pytest.mark.parametrize(
     ("layer", "law"),
     [
-        (Uphill(), "back"),
-        (Crowded(), "who else listens"),
-        (Singular(), "not finite"),
-        (Unexplained(), "cause"),
+        (OneWayLoss(), "back"),
+        (CrowdLoss(), "who else listens"),
+        (InfiniteLoss(), "not finite"),
+        (NoCauseLoss(), "cause"),
         (object(), "none of"),
     ],
 )
 def test_a_layer_that_breaks_a_law_is_refused(layer: object, law: str) -> None:
     with pytest.raises(AssertionError, match=law):
         check_channel(layer)
-    if isinstance(layer, Uphill):
+    if isinstance(layer, OneWayLoss):
         check_channel(layer, reciprocal=False)
 
 
@@ -166,8 +166,8 @@ def test_the_radio_conforms() -> None:
     check_federate(lambda: RadioFederate(channel), RUN, [Event("world/states", 0, states), *sends])
 
 
-class Stuck:
-    """Gives an event each step; subclasses break a law."""
+class EventEachStep:
+    """Sends an event each step; subclasses break a law."""
 
     name, slot, wake_slot = "stuck", Slot.WORLD, Slot.APPLY
     reads: tuple[str, ...] = ()
@@ -185,15 +185,15 @@ class Stuck:
         pass
 
 
-class Looping(Stuck):
+class Looping(EventEachStep):
     delay_ns = 0
 
 
-class Backdating(Stuck):
+class Backdating(EventEachStep):
     back_ns = 1
 
 
-class Unseeded(Stuck):
+class Unseeded(EventEachStep):
     count = 0
 
     def start(self, run: RunInfo) -> int | None:
@@ -206,6 +206,6 @@ class Unseeded(Stuck):
     ("make", "law"), [(Looping, "requested the next step"), (Backdating, "was returned at"), (Unseeded, "different events")]
 )
 def test_a_federate_that_breaks_a_law_is_refused(make: Callable[[], Federate], law: str) -> None:
-    check_federate(Stuck, RUN)
+    check_federate(EventEachStep, RUN)
     with pytest.raises(AssertionError, match=law):
         check_federate(make, RUN)

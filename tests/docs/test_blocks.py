@@ -1,4 +1,4 @@
-"""Every block that a README shows is used by a test, or said to be no code; its tables are those of a scenario."""
+"""Every block of a README is used by a test, or is listed as no code; its tables are those of a scenario."""
 
 import inspect
 import sys
@@ -16,7 +16,7 @@ from tests.support.docs.readme_coverage import SHOWN
 from tests.support.docs.readme_pages import CODE, INDENTED, Block
 from tests.support.docs.readme_pages import block as block_of
 from tests.support.docs.readme_sessions import KEEP_GAP
-from tests.support.netsim.bridge_runs import Standing
+from tests.support.netsim.bridge_runs import VehiclesAtRest
 from tests.support.paths import ROOT
 from vcmvsp.cosim.federate import RunInfo
 
@@ -35,7 +35,7 @@ kind = "p2dx"
 pose = [-2.0, 0.0, 0.0]
 agent = { kind = "leader_follower", leader = "car1" }
 """
-TEAM = CARS.replace(', leader = "car1"', "")  # the formation says whom it follows
+TEAM = CARS.replace(', leader = "car1"', "")  # the formation sets the leader
 SEARCHERS = "\n".join(
     f'[[vehicle]]\nname = "uav{n}"\nkind = "quadrotor"\nposition = [{10 * n}.0, 0.0, 30.0]\nagent = {{}}\n'
     'sensors = { scan = { kind = "ring" }, camera = { kind = "nadir_camera" } }\n'
@@ -44,13 +44,13 @@ SEARCHERS = "\n".join(
 
 
 @dataclass(frozen=True)
-class Around:
-    """What makes a scenario of a block that is a part of one.
+class Completion:
+    """Text that completes a block to a scenario.
 
     Args:
-        after: other tables of it.
-        before: the same, in front.
-        files: that it names, by their names.
+        after: tables behind the block.
+        before: tables in front of it.
+        files: contents of files that it names, by name.
     """
 
     after: str = ""
@@ -60,35 +60,37 @@ class Around:
 
 FIRMWARE = '[physics]\nrate_hz = 400.0\n[[vehicle]]\nname = "uav1"\nkind = "quadrotor"\n'
 AROUND = {
-    ("netsim/bridge/README.md", "[bridge.fast]"): Around(before='[[radio]]\nname = "wifi"\n[[radio]]\nname = "lora"\n' + CARS),
-    ("docs/howto/firmware.md", "--defaults {folder}/copter.parm"): Around(before=FIRMWARE),
-    ("docs/howto/firmware.md", 'kind = "px4"'): Around(before=FIRMWARE),
-    ("docs/howto/firmware.md", 'kind = "betaflight"'): Around(before=FIRMWARE),
-    ("docs/howto/firmware.md", "mavlink ="): Around(before=FIRMWARE),
-    ("docs/tutorial.md", "# mine.toml"): Around(files={"my_follower.py": block_of("docs/tutorial.md", "class MyFollower")}),
-    ("README.md", "# gap.toml"): Around(files={"keep_gap.py": KEEP_GAP["keep_gap.py"]}),
-    ("docs/reference/agents.md", 'changes = [[30.0, "column"]'): Around(TEAM),
-    ("docs/reference/agents.md", "lookahead_m = 1.2"): Around(CARS.replace('kind = "p2dx"\n', "")),
-    ("docs/reference/agents.md", 'kind = "avoid", avoidance = { kind = "gap" }'): Around(
+    ("netsim/bridge/README.md", "[bridge.fast]"): Completion(
+        before='[[radio]]\nname = "wifi"\n[[radio]]\nname = "lora"\n' + CARS
+    ),
+    ("docs/howto/firmware.md", "--defaults {folder}/copter.parm"): Completion(before=FIRMWARE),
+    ("docs/howto/firmware.md", 'kind = "px4"'): Completion(before=FIRMWARE),
+    ("docs/howto/firmware.md", 'kind = "betaflight"'): Completion(before=FIRMWARE),
+    ("docs/howto/firmware.md", "mavlink ="): Completion(before=FIRMWARE),
+    ("docs/tutorial.md", "# mine.toml"): Completion(files={"my_follower.py": block_of("docs/tutorial.md", "class MyFollower")}),
+    ("README.md", "# gap.toml"): Completion(files={"keep_gap.py": KEEP_GAP["keep_gap.py"]}),
+    ("docs/reference/agents.md", 'changes = [[30.0, "column"]'): Completion(TEAM),
+    ("docs/reference/agents.md", "lookahead_m = 1.2"): Completion(CARS.replace('kind = "p2dx"\n', "")),
+    ("docs/reference/agents.md", 'kind = "avoid", avoidance = { kind = "gap" }'): Completion(
         before='[[vehicle]]\nname = "car1"\nkind = "amigobot"\nsensors = { scan = { kind = "lms" } }\n'
     ),
-    ("docs/reference/agents.md", "[agents.formation.passage]"): Around(
+    ("docs/reference/agents.md", "[agents.formation.passage]"): Completion(
         TEAM.replace('kind = "p2dx"', 'kind = "p2dx"\nsensors = { scan = { kind = "lms" } }'),
         before='[agents.formation]\nshape = "wedge"\n',
     ),
-    ("docs/reference/agents.md", "[agents.algorithms.search]"): Around(SEARCHERS),
-    ("hardware/README.md", 'kind = "arcos"'): Around(CARS),
-    ("netsim/README.md", "path_loss = { exponent = 2.5 }"): Around(
+    ("docs/reference/agents.md", "[agents.algorithms.search]"): Completion(SEARCHERS),
+    ("hardware/README.md", 'kind = "arcos"'): Completion(CARS),
+    ("netsim/README.md", "path_loss = { exponent = 2.5 }"): Completion(
         '[[vehicle]]\nname = "car2"\nposition = [5.0, 0.0, 0.0]\n[vehicles]\nkind = "p2dx"\n'
     ),
-    ("physics/README.md", 'picture = "mine.png"'): Around(
+    ("physics/README.md", 'picture = "mine.png"'): Completion(
         CARS, files={"mine.png": (ROOT / "scenarios" / "targets" / "bravo.png").read_bytes()}
     ),
-    ("docs/howto/own-vehicle.md", 'kind = "urdf"'): Around(
+    ("docs/howto/own-vehicle.md", 'kind = "urdf"'): Completion(
         files={"cart.urdf": block_of("docs/howto/own-vehicle.md", "<robot name=")}
     ),
 }
-"""By page, and words in the block; without an entry: two cars, where the block has no vehicle."""
+"""By page, and words in the block; without an entry: two cars, if the block has no vehicle."""
 
 
 def is_table(block: Block) -> bool:
@@ -96,15 +98,15 @@ def is_table(block: Block) -> bool:
 
 
 def entries(block: Block, listed: Any) -> list[Any]:
-    """What is listed of a block."""
+    """Values of the listed entries that match a block."""
     return [each for (page, words), each in listed.items() if page == block.page and words in block.text]
 
 
 @pytest.mark.parametrize("block", [each for each in CODE if not entries(each, SHOWN)], ids=str)
-def test_every_table_is_one_of_a_scenario(block: Block, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_table_is_valid_in_a_scenario(block: Block, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert is_table(block), f"{block}: {block.text}{DO}"
     monkeypatch.chdir(tmp_path)
-    (around,) = entries(block, AROUND) or [Around("" if "[[vehicle]]" in block.text else CARS)]
+    (around,) = entries(block, AROUND) or [Completion("" if "[[vehicle]]" in block.text else CARS)]
     for name, content in around.files.items():
         Path(name).write_bytes(content.encode() if isinstance(content, str) else content)
     head = "" if "\nduration_s =" in block.text else 'name = "shown"\nduration_s = 100.0\n'
@@ -114,20 +116,20 @@ def test_every_table_is_one_of_a_scenario(block: Block, tmp_path: Path, monkeypa
 
 
 @pytest.mark.parametrize("listed", [SHOWN, AROUND], ids=["shown", "around"])
-def test_what_is_listed_of_blocks_is_still_in_a_readme(listed: Any) -> None:
+def test_listed_blocks_are_still_in_a_readme(listed: Any) -> None:
     found = {key: [str(each) for each in CODE if entries(each, {key: 0})] for key in listed}
     assert [key for key, blocks in found.items() if not blocks] == []
     assert [blocks for (page, _), blocks in found.items() if len(blocks) > 1 and page != "scenarios/README.md"] == []
 
 
-def test_the_federate_of_ones_own() -> None:
+def test_the_custom_federate() -> None:
     run = RunInfo(scenario="own", seed=1, duration_ns=10**9, vehicles=("car1", "car2"))
-    names = {"MyFederate": Standing, "run_info": run, "inputs": []}
+    names = {"MyFederate": VehiclesAtRest, "run_info": run, "inputs": []}
     exec(compile(block_of("cosim/README.md", "check_federate("), "README.md", "exec", dont_inherit=True), names)
 
 
-def test_the_call_of_a_study_on_slurm_is_one_of_ours(monkeypatch: pytest.MonkeyPatch) -> None:
-    """There is no such cluster here: what it is asked is written down, and the study is given nothing that it does not take."""
+def test_the_call_of_a_study_on_slurm_is_valid(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a cluster: its calls are recorded, and the arguments of the study are checked against its signature."""
     asked: list[tuple[Any, ...]] = []
     signature = inspect.signature(vcmvsp.study)
 

@@ -1,4 +1,4 @@
-"""Every command that a README shows is run by a test, or stands in a list with the reason why it cannot be."""
+"""Every command of a README is run by a test, or is listed with the reason why it cannot be."""
 
 import ast
 import re
@@ -12,7 +12,16 @@ import pytest
 from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.docs.gallery import section
 from tests.support.docs.readme_coverage import ELSEWHERE, SHOWN, UNRUN
-from tests.support.docs.readme_pages import COMMANDS, MENTIONS, Command, mentioned, ours, program_of, understood, words_of
+from tests.support.docs.readme_pages import (
+    COMMANDS,
+    MENTIONS,
+    Command,
+    check_mention,
+    our_words,
+    parse_command,
+    program_of,
+    words_of,
+)
 from tests.support.docs.readme_sessions import STORIES, Step, Story
 from tests.support.paths import ROOT
 from vcmvsp.cosim.scenario import loader
@@ -29,14 +38,14 @@ DO = (
 
 @cache
 def defined_in(file: str) -> set[str]:
-    """The names of the tests in a file; none if there is no such file."""
+    """Names of the functions in a file; none if there is no such file."""
     path = ROOT / file
     nodes = ast.walk(ast.parse(path.read_text("utf-8"))) if path.is_file() else iter(())
     return {node.name for node in nodes if isinstance(node, ast.FunctionDef)}
 
 
 def changes() -> list[tuple[str, list[str]]]:
-    """Scenarios, and what the gallery says that one may set in them, or a sentence that one may vary."""
+    """Scenarios, and settings that the gallery, or a sentence of a page, offers for them."""
     said = [(name, shlex.split(span)) for name in loader.names() for span in re.findall(r"`(--set [^`]+)`", section(name))]
     for mention in MENTIONS:
         words = words_of(mention.partition(": ")[2])
@@ -47,56 +56,56 @@ def changes() -> list[tuple[str, list[str]]]:
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=str)
-def test_every_command_is_accounted_for(command: Command) -> None:
+def test_every_command_is_listed(command: Command) -> None:
     lists = [each for each in (STEPS, ELSEWHERE, UNRUN) if command.text in each]
     assert lists, f"{command}\nis in no list. {DO}"
     assert len(lists) == 1 or UNRUN not in lists, f"{command}\nis run, and said to be one that cannot be"
 
 
 @pytest.mark.parametrize("command", KNOWN, ids=str)
-def test_every_command_is_one_that_we_have(command: Command) -> None:
+def test_every_command_is_valid(command: Command) -> None:
     words = words_of(command.text.partition(" > ")[0])
     if program_of(words) == "vcmvsp":
-        understood(ours(words))
+        parse_command(our_words(words))
     else:
-        mentioned(words)
+        check_mention(words)
 
 
 @pytest.mark.parametrize("mention", MENTIONS)
-def test_what_a_sentence_says_of_a_command_is_so(mention: str) -> None:
-    mentioned(mention.partition(": ")[2].split())
+def test_commands_in_sentences_are_valid(mention: str) -> None:
+    check_mention(mention.partition(": ")[2].split())
 
 
 @pytest.mark.parametrize(("name", "settings"), changes())
-def test_every_key_that_is_to_be_changed_is_one_of_its_scenario(name: str, settings: list[str]) -> None:
+def test_every_setting_offered_is_valid_in_its_scenario(name: str, settings: list[str]) -> None:
     code, _, err = vcmvsp_command("check", name, *settings)
     assert code == 0, err
 
 
-def test_what_is_listed_is_still_in_a_readme() -> None:
+def test_listed_commands_are_still_in_a_readme() -> None:
     shown = {each.text for each in COMMANDS} | {each.partition(": ")[2] for each in MENTIONS}
     assert [each for each in (*STEPS, *ELSEWHERE, *UNRUN) if each not in shown] == []
 
 
 @pytest.mark.parametrize("test", sorted({each for each in (*ELSEWHERE.values(), *SHOWN.values()) if "::" in each}))
-def test_the_tests_that_are_named_are_there(test: str) -> None:
+def test_listed_tests_exist(test: str) -> None:
     file, _, name = test.partition("::")
     assert name in defined_in(file), f"there is no {test}: another test must run what it ran. {DO}"
 
 
 @pytest.mark.parametrize("story", STORIES, ids=lambda story: story.name)
-def test_commands_do_what_they_are_for(story: Story, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commands_run_and_write_their_files(story: Story, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for name, text in story.files.items():
         (tmp_path / name).write_text(text)
     for step in story.steps:
-        done(step)
+        run_step(step)
 
 
-def done(step: Step) -> None:
-    """Run it here; it ends well, and what it is told to write is there."""
+def run_step(step: Step) -> None:
+    """Run a step here: it succeeds and writes its files."""
     command, _, target = step.command.partition(" > ")
-    words = [step.instead.get(word, word) for word in ours(words_of(command))] + shlex.split(step.shorter)
+    words = [step.instead.get(word, word) for word in our_words(words_of(command))] + shlex.split(step.shorter)
     code, out, err = vcmvsp_command(*words)
     assert code == 0, f"{step.command}\n{err}"
     if target:

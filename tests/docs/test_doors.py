@@ -1,4 +1,4 @@
-"""What READMEs show of programs at the doors of a run, at ports that are free."""
+"""Examples of programs at the gateways of a run in the READMEs, at free ports."""
 
 import json
 import re
@@ -13,7 +13,7 @@ import pytest
 import zenoh
 
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.run_processes import Stage, ended
+from tests.support.cosim.run_processes import Stage, exit_of
 from tests.support.docs.readme_pages import block, command, words_of
 from tests.support.docs.readme_sessions import BRIEF
 from tests.support.netsim.gateway_context import free_ports
@@ -40,7 +40,7 @@ position = [20.0, 0.0, 0.0]
 """
 
 
-def test_ports_are_where_the_page_has_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ports_agree_with_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     first = free_ports(300)
     words = words_of(command("vcmvsp run formation-circle --set bridge").replace("18000", str(first)))
@@ -51,7 +51,7 @@ def test_ports_are_where_the_page_has_them(tmp_path: Path, monkeypatch: pytest.M
 
 
 class Robot:
-    """A program at the door of the Wireless Simulation Server."""
+    """A client of the Wireless Simulation Server."""
 
     def __init__(self, port: int) -> None:
         self._socket = socket.create_connection(("127.0.0.1", port), timeout=20.0)
@@ -67,24 +67,24 @@ class Robot:
         self._socket.close()
 
 
-def test_programs_at_the_doors(tmp_path: Path) -> None:
-    """The dialogue is had word for word, but for a port; what car1 publishes is printed by the program beside car2."""
+def test_programs_at_the_gateways(tmp_path: Path) -> None:
+    """The dialogue is that of the page, except for a port; the program beside car2 prints the publications of car1."""
     wss, first = free_ports(1, socket.SOCK_STREAM), free_ports(2, socket.SOCK_STREAM)
     (tmp_path / "two.toml").write_text(TWO)
     ports = f"--set bridge.wss.port={wss} --set bridge.zenoh.first_port={first}"
     with Stage(tmp_path) as stage:
         run = stage.start("run", "two.toml", "--out", "out", *ports.split())
         assert run.stderr is not None
-        told = [run.stderr.readline() for _ in range(3)]  # from then on its doors are there
+        told = [run.stderr.readline() for _ in range(3)]  # then the gateways are open
         assert [line.partition(":")[0] for line in told] == ["bridge.wss", "bridge.zenoh", "bridge.zenoh"]
         dialogue(wss)
         publications(first)
         run.send_signal(signal.SIGINT)
-        assert ended(run)[0] == 130
+        assert exit_of(run)[0] == 130
 
 
 def dialogue(port: int) -> None:
-    """Levels are looked at every 0.1 s: before, there are none."""
+    """Levels are updated every 0.1 s; before, there are none."""
     lines = block(PAGE, "GETSS {Robot car2}").splitlines()[1:]
     with closing(Robot(port)) as car1, closing(Robot(port)) as car2:
         assert car2.ask("INIT {Robot car2} {Port 7002}") == "INITREPLY {Status OK}"
@@ -96,7 +96,7 @@ def dialogue(port: int) -> None:
 
 
 def publications(first: int) -> None:
-    """Somebody presses Enter as soon as the program has printed what it heard."""
+    """Enter is pressed as soon as the program has printed a reception."""
     program, heard = block(PAGE, "declare_subscriber").replace("7461", str(first + 1)), threading.Event()
     printed: list[str] = []
 
@@ -108,7 +108,7 @@ def publications(first: int) -> None:
         endpoints = {"endpoints": [f"tcp/127.0.0.1:{first}"]}
         config = {"mode": "client", "connect": endpoints, "scouting": {"multicast": {"enabled": False}}}
         with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as car1:
-            for _attempt in range(400):  # neither of both knows when the router has heard of the other
+            for _attempt in range(400):  # no notice when the router has connected both
                 car1.put("pose", "ahead")
                 if heard.wait(0.05):
                     break

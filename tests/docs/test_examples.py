@@ -1,4 +1,4 @@
-"""Scripts and notebooks in ``examples/`` run as they are, and each makes its picture."""
+"""Scripts and notebooks in ``examples/`` run unchanged, and each makes its picture."""
 
 import re
 import shutil
@@ -19,7 +19,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.processes, pytest.mark.sockets]
 
 FOLDER = ROOT / "examples"
 PAPER, LEARNING = "paper/figure.py", "learning/train.py"
-RUNS = {"loss_and_delay.py": ["1"], "study_bands.py": ["2"], PAPER: ["2"]}  # of each point of a study, instead of more
+RUNS = {"loss_and_delay.py": ["1"], "study_bands.py": ["2"], PAPER: ["2"]}  # seeds, instead of more
 SCRIPTS, NOTEBOOKS = (sorted(path.name for path in FOLDER.glob(pattern)) for pattern in ("*.py", "*.ipynb"))
 
 

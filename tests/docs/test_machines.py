@@ -1,4 +1,4 @@
-"""What READMEs say of several machines, with this one in the place of all: their words, but for the address and the port."""
+"""Examples of several machines in the READMEs, all on this one, with its own address and port."""
 
 import json
 import re
@@ -10,7 +10,7 @@ import pytest
 
 import vcmvsp
 from tests.support.cosim.command_line import contents, vcmvsp_command
-from tests.support.cosim.run_processes import PROGRAM, VCMVSP, Stage, ended
+from tests.support.cosim.run_processes import PROGRAM, VCMVSP, Stage, exit_of
 from tests.support.docs.readme_pages import block, command
 from tests.support.docs.readme_sessions import BRIEF, KEEP_GAP
 
@@ -30,7 +30,7 @@ command = {command}
 
 
 class Machines(Stage):
-    """A folder in which all that the first page shows is written down."""
+    """A folder with all files of the first page."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
@@ -38,13 +38,13 @@ class Machines(Stage):
             (folder / name).write_text(text)
 
     def words(self, beginning: str) -> list[str]:
-        """Of the command that begins so, behind ``vcmvsp``, with files and addresses of this machine."""
+        """Arguments of the command with that beginning, with files and addresses of this machine."""
         here = re.sub(r"(192\.168\.1\.10|0\.0\.0\.0):7447", f"127.0.0.1:{self.port}", command(beginning))
-        here = re.sub(r"--keys (car2\.keys)", r"--keys keys/\1", here)  # nobody has copied it
+        here = re.sub(r"--keys (car2\.keys)", r"--keys keys/\1", here)  # instead of a copy to car2
         return shlex.split(here)[1:]
 
     def do(self, beginning: str, more: str = "") -> str:
-        """Run it in this process."""
+        """Run a command in this process."""
         code, out, err = vcmvsp_command(*self.words(beginning), *more.split())
         assert code == 0, f"{beginning}\n{out}\n{err}"
         return out
@@ -58,8 +58,8 @@ def machines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Machin
         yield made
 
 
-def test_a_run_its_host_and_its_observer_each_with_a_certificate(machines: Machines) -> None:
-    """The observer and the doctor come while the run waits for its host, so that they find it."""
+def test_a_run_a_host_and_an_observer_with_certificates(machines: Machines) -> None:
+    """The observer and the doctor connect while the run waits for its host."""
     machines.do("vcmvsp keys vehicle car2")
     machines.do("vcmvsp keys observer anna")
     run = machines.start(*machines.words("vcmvsp run gap.toml --set vehicle.car2"), *shlex.split(BRIEF))
@@ -68,18 +68,18 @@ def test_a_run_its_host_and_its_observer_each_with_a_certificate(machines: Machi
     assert any("watching" in line for line in observer.stderr)
     machines.do("vcmvsp doctor --connect")
     host = machines.start(*machines.words("vcmvsp agent keep_gap.py"))
-    assert [ended(each)[0] for each in (host, run, observer)] == [0, 0, 0]
+    assert [exit_of(each)[0] for each in (host, run, observer)] == [0, 0, 0]
     vcmvsp.run("gap.toml", set={"duration_s": 1.0}, out="alone")
     far, near = contents(machines.folder / "runs" / "gap-0"), contents(machines.folder / "alone")
     assert far["metrics.json"] == near["metrics.json"]
 
 
-def test_hosts_that_are_started_with_the_run(machines: Machines) -> None:
-    """The file of hosts has the keys of that in the README, for this machine."""
+def test_hosts_started_with_the_run(machines: Machines) -> None:
+    """The file of hosts has the keys of the README's, for this machine."""
     (machines.folder / "hosts.toml").write_text(HOSTS.format(port=machines.port, command=json.dumps(VCMVSP)))
     for key in re.findall(r"^(\w+) =", HOSTS, re.MULTILINE):
         assert f"{key} = " in block("cosim/deploy/README.md", "robot7")
-    code, said = ended(machines.python(*PROGRAM, *machines.words("vcmvsp launch gap.toml"), *BRIEF.split()))
+    code, said = exit_of(machines.python(*PROGRAM, *machines.words("vcmvsp launch gap.toml"), *BRIEF.split()))
     assert code == 0, said
     out = machines.folder / "runs" / "gap-0"
     assert json.loads((out / "about.json").read_text())["agents"] == {"car1": "zenoh", "car2": "zenoh"}
@@ -87,6 +87,6 @@ def test_hosts_that_are_started_with_the_run(machines: Machines) -> None:
     assert command("vcmvsp launch my_scenario") == command("vcmvsp launch gap").replace("gap", "my_scenario")
 
 
-def test_a_run_that_is_watched(machines: Machines) -> None:
+def test_a_watched_run(machines: Machines) -> None:
     out = machines.do("vcmvsp run formation-circle --realtime", BRIEF)
     assert "3 agents (process), 1 s simulated" in out

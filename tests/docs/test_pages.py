@@ -1,4 +1,4 @@
-"""What the pages of ``docs/`` show works as it is shown."""
+"""The examples of the pages of ``docs/`` work as shown."""
 
 import re
 from pathlib import Path
@@ -17,7 +17,7 @@ TUTORIAL, METRIC = "docs/tutorial.md", "docs/howto/own-metric.md"
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The folder of a reader of the tutorial."""
+    """Folder of a reader of the tutorial, with its files."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     for name, text in MINE.items():
@@ -26,13 +26,13 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def run_block(page: str, words: str) -> dict[str, object]:
-    """Run a block of Python; its names."""
+    """Run a block of Python; returns its names."""
     names: dict[str, object] = {}
     exec(compile(block(page, words), page, "exec", dont_inherit=True), names)
     return names
 
 
-def test_the_tutorial_shows_what_its_first_run_prints() -> None:
+def test_the_tutorial_shows_the_output_of_its_first_run() -> None:
     shown = block(TUTORIAL, "formation-circle: 3 agents").splitlines()
     assert "\n".join(shown[1:3]) in PAGES["scenarios/README.md"]
 
@@ -49,7 +49,7 @@ def test_the_errors_of_the_tutorial(row: tuple[str, str, str, str]) -> None:
 
 
 @pytest.mark.usefixtures("folder")
-def test_the_agent_of_the_tutorial_keeps_the_errors_that_it_says() -> None:
+def test_the_agent_of_the_tutorial_has_the_errors_on_the_page() -> None:
     said = re.search(r"The error is (\S+) m with the gain of 1, and (\S+) m with 3", PAGES[TUTORIAL])
     assert said
     errors = [
@@ -63,25 +63,25 @@ def test_the_agent_of_the_tutorial_passes_its_check() -> None:
     run_block(TUTORIAL, "check_agent(lambda")
 
 
-def test_the_shape_of_the_demo_is_off_by_what_the_tutorial_says() -> None:
+def test_the_shape_error_of_the_demo_is_that_of_the_tutorial() -> None:
     said = re.search(r"rigid triangle instead: (\S+) m", " ".join(PAGES[TUTORIAL].split()))
     assert said
     metrics = vcmvsp.run("formation-circle", agents="inprocess", mcap=False).metrics
     assert f"{metrics['formation']['shape']['rms_m']:.3f}" == said[1]
 
 
-def test_own_metrics_are_as_the_page_says(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_own_metrics_agree_with_the_page(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     short = {"duration_s = 60.0": "duration_s = 3.0", "from_s = 20.0": "from_s = 0.0"}
     text = MINE["mine.toml"]
     for long, brief in short.items():
         text = text.replace(long, brief)
     notes, function = (block(METRIC, words).replace("[metrics.own]\n", "") for words in ("worst_m =", "late_share ="))
-    notes = notes.replace('"disagreement_m"', '"age_s"')  # which the agent of the tutorial notes
+    notes = notes.replace('"disagreement_m"', '"age_s"')  # noted by the agent of the tutorial
     (folder / "mine.toml").write_text(f"{text}\n[metrics.own]\n{notes}\n{function}")
     (folder / "shares.py").write_text(block(METRIC, "def above("))
     own = vcmvsp.run("mine.toml", seed=1, agents="inprocess").metrics["own"]
     assert list(own) == ["disagreement_m", "worst_m", "of_car2_m", "late_share"]
-    assert own["disagreement_m"] == own["of_car2_m"] == pytest.approx(0.1, abs=0.05)  # a message is seen at the next tick
+    assert own["disagreement_m"] == own["of_car2_m"] == pytest.approx(0.1, abs=0.05)  # a message arrives at the next tick
     assert own["disagreement_m"] < own["worst_m"]
     assert 0.0 < own["late_share"] < 1.0
     run_block(METRIC, "result.notes.to_pandas()")
@@ -94,7 +94,7 @@ def test_own_metrics_are_as_the_page_says(folder: Path, capsys: pytest.CaptureFi
 
 
 @pytest.mark.usefixtures("folder")
-def test_tables_are_read_as_the_page_says(capsys: pytest.CaptureFixture[str]) -> None:
+def test_tables_are_read_as_on_the_page(capsys: pytest.CaptureFixture[str]) -> None:
     result = vcmvsp.run("formation-circle", set={"duration_s": 2.0}, agents="inprocess", out="runs/formation-circle-1")
     run_block("docs/howto/export.md", "parquet.read_table")
     states, lost = map(int, capsys.readouterr().out.split())
@@ -121,7 +121,7 @@ def test_the_agent_of_the_authors_page_works() -> None:
     assert made.metrics["formation"]["rms_m"] < 0.5
 
 
-def test_the_paper_says_what_the_validation_found_and_cites_what_its_bibliography_has() -> None:
+def test_the_paper_agrees_with_validation_and_bibliography() -> None:
     paper, bibliography = ((ROOT / "paper" / name).read_text("utf-8") for name in ("paper.md", "paper.bib"))
     (found,) = re.findall(r"\*\*(\d+ of \d+ checks, \d+ rows), all hold", (ROOT / "VALIDATION.md").read_text("utf-8"))
     assert f"{found}, all" in " ".join(paper.split())
@@ -129,17 +129,17 @@ def test_the_paper_says_what_the_validation_found_and_cites_what_its_bibliograph
 
 
 @pytest.mark.parametrize("name", reference_pages.BLOCKS)
-def test_pages_that_are_written_from_the_code_are_up_to_date(name: str) -> None:
+def test_generated_pages_are_up_to_date(name: str) -> None:
     page = (reference_pages.FOLDER / name).read_text("utf-8")
-    assert reference_pages.written(name, page) == page, f"write it anew: {reference_pages.COMMAND}, or make docs"
+    assert reference_pages.page_with_blocks(name, page) == page, f"write it anew: {reference_pages.COMMAND}, or make docs"
 
 
-def test_every_name_of_the_front_door_is_on_the_page() -> None:
+def test_every_public_name_is_on_the_page() -> None:
     shown = [name for names in reference_pages.API.values() for name in names if not name.startswith("check_")]
     assert sorted(shown) == sorted(vcmvsp.__all__)
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if page.startswith("docs/howto/")])
-def test_a_page_of_one_question_is_short(page: str) -> None:
+def test_a_howto_page_is_short(page: str) -> None:
     prose = re.sub(r"^```.*?^```$|^ {4}.*$|^\|.*$", "", PAGES[page], flags=re.DOTALL | re.MULTILINE)
     assert len(prose.split()) < 600

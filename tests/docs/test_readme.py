@@ -1,4 +1,4 @@
-"""What the README shows works as it is shown."""
+"""The examples of the README work as shown."""
 
 import re
 import shlex
@@ -23,7 +23,7 @@ def block(language: str, words: str) -> str:
     return next(text for kind, text in BLOCKS if kind == language and words in text)
 
 
-def test_a_terminal_shows_the_readme_whole() -> None:
+def test_the_readme_fits_in_a_terminal() -> None:
     lines = README.splitlines()
     assert len(lines) <= 150
     assert [line for line in lines if len(line) > 100 and not line.startswith("![")] == []
@@ -50,17 +50,17 @@ def test_the_twenty_lines_keep_the_gap(gap: Path, capsys: pytest.CaptureFixture[
     assert "error 0.5" in printed
     states = vcmvsp.run("gap.toml").states.to_pandas()
     last = states[states.time_ns == states.time_ns.max()].set_index("vehicle")
-    # On a straight line at v the gap grows by v (1/gain + mean age): the speed is not known to the follower.
+    # On a straight line at v the gap grows by v (1/gain + mean age): the follower has no speed of the leader.
     assert last.x["car1"] - last.x["car2"] == pytest.approx(2.0 + 0.3 * (1 / 0.8 + 0.1 + 0.1 * 0.3 / 0.7), abs=0.1)
 
 
-def test_the_agent_as_an_object_and_as_a_file_give_the_same(gap: Path) -> None:
+def test_agent_objects_and_files_give_equal_metrics(gap: Path) -> None:
     space: dict[str, object] = {}
     exec((gap / "keep_gap.py").read_text(), space)
     keep_gap: type[vcmvsp.Agent] = space["KeepGap"]  # type: ignore[assignment]
     as_file, as_object = vcmvsp.run("gap.toml"), vcmvsp.run("gap.toml", agents={"car2": keep_gap("car1")})  # type: ignore[call-arg]
     assert as_object.metrics == as_file.metrics
-    with pytest.raises(AssertionError, match="KeyError"):  # it believes every message; a real one should not
+    with pytest.raises(AssertionError, match="KeyError"):  # it does not check messages; a real agent should
         check_agent(lambda: keep_gap("car1"))  # type: ignore[call-arg]
 
 
@@ -74,7 +74,7 @@ def test_the_lines_for_python_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert {path.name for path in (tmp_path / "lossy").iterdir()} == names | {"trajectory.png", "formation_error.png"}
 
 
-def test_the_demo_prints_what_the_readme_says(
+def test_the_demo_prints_the_output_in_the_readme(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -83,7 +83,7 @@ def test_the_demo_prints_what_the_readme_says(
     assert (tmp_path / "runs/demo/comparison.png").stat().st_size > 20_000
 
 
-def test_worlds_and_vehicles_are_shown_as_the_readme_says(
+def test_commands_for_worlds_and_vehicles_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -98,7 +98,7 @@ def test_worlds_and_vehicles_are_shown_as_the_readme_says(
     assert named == list(builtin_kinds.KINDS["world"])
 
 
-def test_the_vehicles_of_the_readme_are_understood() -> None:
+def test_the_vehicles_of_the_readme_are_valid() -> None:
     raw = tomllib.loads(block("toml", "count = 100"))
     parsed, _ = loader.load({"name": "many", "duration_s": 1.0, **raw})
     assert len(parsed.vehicle) == 100

@@ -1,4 +1,4 @@
-"""The reference of scenario keys says what the software does. (`test_gallery.py` tests the gallery.)"""
+"""The reference of scenario keys agrees with the software. (`test_gallery.py` tests the gallery.)"""
 
 import re
 import typing
@@ -13,11 +13,11 @@ from vcmvsp.netsim.propagation.walls import ITU_MATERIALS
 from vcmvsp.physics.world.solids import MATERIAL_COLORS
 
 TEXT = "\n".join(path.read_text("utf-8") for path in sorted((ROOT / "docs" / "reference").glob("*.md")))
-Documented = dict[str, dict[str, str]]  # column of defaults -> key -> what it says
+Documented = dict[str, dict[str, str]]  # column of defaults -> key -> text
 
 
 def tables() -> dict[str, list[Documented]]:
-    """Every table of keys, by the heading that it stands under."""
+    """All tables of keys, by heading."""
     found: dict[str, list[Documented]] = {}
     heading, columns = "", []
     for line in TEXT.splitlines():
@@ -30,7 +30,7 @@ def tables() -> dict[str, list[Documented]]:
         elif cells and columns and not line.startswith("|---"):
             for column, says in zip(columns, cells[2:-1], strict=True):
                 for name in column.split(", "):
-                    if says != "–":  # this kind takes no such key
+                    if says != "–":  # no such key of this kind
                         found[heading][-1][name][cells[0].strip("`")] = says
         elif not cells:
             columns = []
@@ -41,7 +41,7 @@ TABLES = tables()
 
 
 def assert_documents(documented: dict[str, str], target: Any, without: set[str]) -> None:
-    """Every key once, ``required`` where it is, and the default as TOML where TOML can say it."""
+    """Every key once, ``required`` if it is, and its default as TOML if it has a TOML form."""
     wanted = {name: each for name, each in binding.parameters(target).items() if name not in without}
     assert set(documented) == set(wanted)
     for name, parameter in wanted.items():
@@ -75,8 +75,8 @@ def test_every_key_of_a_table_is_documented(heading: str, target: Any, rest: str
 
 
 @pytest.mark.parametrize("group", [each for each in builtin_kinds.KINDS if each not in {"physics", "agent"}])
-def test_every_kind_stands_on_the_page(group: str) -> None:
-    """With what it takes: `tests/cosim/reference/test_reference.py`."""
+def test_every_kind_is_on_the_page(group: str) -> None:
+    """Their parameters: `tests/cosim/reference/test_reference.py`."""
     table = {"door": "bridge.", "stack": "stack."}.get(group, "")
     assert [kind for kind in builtin_kinds.KINDS[group] if f"\n- `{table}{kind}`: " not in TEXT] == []
 
@@ -87,7 +87,7 @@ def test_every_key_of_an_intervention_is_documented(target: Any) -> None:
     assert_documents(documented[target.__struct_config__.tag], target, set())
 
 
-def test_materials_are_those_that_walls_are_made_of() -> None:
+def test_materials_agree_with_the_walls() -> None:
     said = re.search(r"of kind `itu` has losses for (.*?); these and `stone` have a colour", " ".join(TEXT.split()))
     assert said
     assert re.findall(r"`(\w+)`", said[1]) == list(ITU_MATERIALS)

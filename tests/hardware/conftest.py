@@ -1,4 +1,4 @@
-"""What several tests of hardware ask for."""
+"""Fixtures of hardware tests."""
 
 import threading
 import time
@@ -6,17 +6,17 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.support.cosim.run_processes import reserved
+from tests.support.cosim.run_processes import reserve_port
 
 HELD_UP_NS = 100_000_000
 
 
 @pytest.fixture
 def steady(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """A monotonic clock that leaves out the time in which this process was held up.
+    """A monotonic clock that skips delays of this process.
 
-    It is for tests that have a driver and its robot in this process: held up, each takes the other for silent.
-    A hold-up is what is beyond 0.1 s from one look at the clock to the next, and a thread looks at it every 10 ms.
+    For tests with a driver and its robot in one process: after a delay, each would consider the other one silent. A delay is
+    the part beyond 0.1 s between two readings of the clock; a thread reads it every 10 ms.
     """
     real_ns, lock, over = time.monotonic_ns, threading.Lock(), threading.Event()
     shown_ns = looked_ns = real_ns()
@@ -44,6 +44,6 @@ def steady(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @pytest.fixture
 def port() -> Iterator[int]:
-    """A port that nobody else takes."""
-    with reserved() as port:
+    """A reserved port."""
+    with reserve_port() as port:
         yield port

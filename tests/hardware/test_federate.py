@@ -1,4 +1,4 @@
-"""Real vehicles in a run: what a station is told, and when; what ends a run; a run with a robot in software from end to end."""
+"""Real vehicles in a run: content and times of orders, ends of a run, and a run with a simulated robot from end to end."""
 
 import csv
 import json
@@ -45,7 +45,7 @@ def vehicle(**changes: Any) -> RealVehicle:
 
 
 def federate(*, period_ns: int = TENTH, log: Log = lambda *_: None, **changes: Any) -> tuple[Hardware, FakeStation]:
-    """One that is connected to a station of ours, at time 0."""
+    """A federate connected to a fake station, at time 0."""
     station, radius_m = FakeStation(), {"car2": 0.3}
     told = (vehicle(**changes),)
     made = Hardware(told, run="test", clock=WallClock(), radius_m=radius_m, tell=lambda _: None, log=log, connect=False)
@@ -62,7 +62,7 @@ def each(period_ns: int) -> Instants:
 
 
 def world(time_ns: int, x: float, v: float) -> Event:
-    """car2 on its way along the x axis; car1 stands at the origin."""
+    """States with car2 at x and speed v along the x axis; car1 stands at the origin."""
     zero = frozen(np.zeros((2, 3)))
     states = States(
         names=("car1", "car2"),
@@ -78,7 +78,7 @@ def report(number: int = 1, **more: Any) -> StationReport:
     return StationReport(number=number, time_ns=time.monotonic_ns(), state=VehicleState(position=(0.0, 0.0, 0.0)), **more)
 
 
-def test_orders_are_said_again_at_every_heartbeat_and_at_every_command() -> None:
+def test_orders_are_repeated_at_heartbeats_and_commands() -> None:
     made, station = federate(period_ns=SECOND_NS)
     step = made.step(0, ())
     times = [0]
@@ -91,7 +91,7 @@ def test_orders_are_said_again_at_every_heartbeat_and_at_every_command() -> None
     assert station.heard[-1].command == Velocity(linear=(0.1, 0.0, 0.0))
 
 
-def test_a_station_is_told_where_the_others_are_now_and_not_where_they_were() -> None:
+def test_a_station_gets_current_positions_of_others() -> None:
     made, station = federate()
     seen_ns = made._clock.logical_ns(time.monotonic_ns()) - SECOND_NS // 2
     made.step(0, [world(seen_ns, x=2.0, v=-1.0)])
@@ -99,7 +99,7 @@ def test_a_station_is_told_where_the_others_are_now_and_not_where_they_were() ->
     others = station.heard[-1].others
     assert others is not None
     ((x, y, z, vx, vy, vz, radius),) = others.tolist()
-    assert 2.0 - min(longest_s, KNOWN_S) - 1e-6 <= x <= 1.5 + 1e-6  # half a second on, and what this test takes
+    assert 2.0 - min(longest_s, KNOWN_S) - 1e-6 <= x <= 1.5 + 1e-6  # extrapolated by 0.5 s plus the duration of this test
     assert (y, z, vx, vy, vz, radius) == (0.0, 0.0, -1.0, 0.0, 0.0, 0.3)
     made.step(TENTH, [world(seen_ns - 100 * SECOND_NS, x=2.0, v=-1.0)])
     others = station.heard[-1].others
@@ -108,7 +108,7 @@ def test_a_station_is_told_where_the_others_are_now_and_not_where_they_were() ->
 
 
 @pytest.mark.parametrize("radius_m", [{}, {"car2": 0.0}, {"car2": float("nan")}, {"car2": float("inf")}])
-def test_others_whose_radius_is_not_known_are_refused(radius_m: dict[str, float]) -> None:
+def test_others_without_a_radius_are_refused(radius_m: dict[str, float]) -> None:
     made = Hardware(
         (vehicle(),),
         run="test",
@@ -127,23 +127,23 @@ def test_robots_keep_away_from_the_circle_around_the_body_of_another() -> None:
     two = scenario(vehicle=[BENCH["vehicle"][0], {"name": "car2", "kind": "p2dx", "pose": [3.0, 0.0, 0.0]}])
     with assemble(*loader.load(two)) as assembled:
         (robots,) = [each for each in assembled.federates if isinstance(each, Hardware)]
-    half_length_m, half_width_m = 0.5 * 0.511 + 0.04, 0.5 * 0.425  # the axle is ahead of its middle
+    half_length_m, half_width_m = 0.5 * 0.511 + 0.04, 0.5 * 0.425  # the axle is ahead of the centre
     assert robots._radius_m["car2"] == pytest.approx(math.hypot(half_length_m, half_width_m))
 
 
-def test_events_are_given_at_the_instants_of_the_run_alone_and_logged() -> None:
+def test_events_come_only_at_instants_and_are_logged() -> None:
     logged: list[tuple[str, int]] = []
     made, station = federate(log=lambda key, time_ns, _: logged.append((key, time_ns)))
     station.saying = [report()]
     keys = [event.key for event in made.step(0, ()).events]
     assert keys == ["car1/estimate", "car1/real"]
     assert made.step(TENTH // 2, ()).events == []
-    assert made.step(0, ()).events == []  # woken by a command of the same instant
+    assert made.step(0, ()).events == []  # called for a command of the same instant
     made.states(0)
     assert logged == [("car1/estimate", 0), ("car1/real", 0), ("car1/reflected", 0)]
 
 
-def test_the_stop_of_an_operator_is_recorded_between_two_instants_too_and_then_ends_the_run() -> None:
+def test_an_operator_stop_between_instants_is_recorded_and_ends_the_run() -> None:
     made, station = federate(period_ns=SECOND_NS)
     made.step(0, ())
     stopped = Notice(time_ns=time.monotonic_ns(), what="stopped", cause=OPERATOR_STOP)
@@ -156,7 +156,7 @@ def test_the_stop_of_an_operator_is_recorded_between_two_instants_too_and_then_e
         made.step(TENTH, ())
 
 
-def test_what_a_station_said_last_is_recorded_before_its_failure_ends_the_run() -> None:
+def test_the_last_report_is_recorded_before_a_failure_ends_the_run() -> None:
     made, station = federate(period_ns=SECOND_NS)
     made.step(0, ())
     lost = Notice(time_ns=time.monotonic_ns(), what="lost", cause="unplugged")
@@ -170,7 +170,7 @@ def test_what_a_station_said_last_is_recorded_before_its_failure_ends_the_run() 
 
 
 @pytest.mark.parametrize("on_lost", ["hold", "remove"])
-def test_a_run_may_go_on_without_a_robot_that_stands_where_it_was_last(on_lost: str) -> None:
+def test_a_run_may_continue_without_a_lost_robot(on_lost: str) -> None:
     logged: list[tuple[str, object]] = []
     made, station = federate(on_lost=on_lost, log=lambda key, _, value: logged.append((key, value)))
     moving = VehicleState(position=(1.0, 2.0, 0.0), velocity=(0.4, 0.0, 0.0))
@@ -182,22 +182,22 @@ def test_a_run_may_go_on_without_a_robot_that_stands_where_it_was_last(on_lost: 
     assert isinstance(incident, Incident)
     assert (incident.what, "unplugged; plug it in" in incident.cause) == ("lost", True)
     assert ("operator/outage" in events) == ("car1/follows" in events) == (on_lost == "remove")
-    assert ("car1/outage" in dict(logged)) == (on_lost == "remove")  # a replay gives it again
+    assert ("car1/outage" in dict(logged)) == (on_lost == "remove")  # a replay repeats it
     heard = len(station.heard)
     event = Event("car1/command", 2 * TENTH, Velocity(linear=(0.4, 0.0, 0.0)))
     later = [made.step(k * TENTH, [event] if k == 2 else ()).events for k in range(2, 9)]
     (status,) = [each.value for each in later[-1] if each.key == "car1/real"]
     assert isinstance(status, RealStatus)
     assert status.causes == ("its robot is lost",)
-    assert len(station.heard) == heard  # nobody is there to be told
-    made._clock._origin -= 3 * SECOND_NS  # long after
+    assert len(station.heard) == heard  # no further orders
+    made._clock._origin -= 3 * SECOND_NS  # 3 s later
     places = {state.position for k in range(40, 60) for state in made.states(k * TENTH)}
     assert len(places) == 1
     assert 1.0 <= places.pop()[0] <= 1.0 + 0.4 * 0.6
     made.release()
 
 
-def test_the_robot_of_a_vehicle_is_lost_as_its_agent_is() -> None:
+def test_a_lost_robot_has_the_policy_of_its_agent() -> None:
     own = {**BENCH["vehicle"][0], "agent": {**BENCH["vehicle"][0]["agent"], "on_lost": "remove"}}
     held, removed = scenario(agents={"on_lost": "hold"}), scenario(vehicle=[own])
     for content, policy in ((held, "hold"), (removed, "remove"), (BENCH, "stop")):
@@ -206,7 +206,7 @@ def test_the_robot_of_a_vehicle_is_lost_as_its_agent_is() -> None:
             assert robots._proxies["car1"].vehicle.on_lost == policy
 
 
-def test_a_station_that_says_nothing_while_it_is_listened_to_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_station_silent_during_listening_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
     now_ns = [time.monotonic_ns()]
     monkeypatch.setattr(time, "monotonic_ns", lambda: now_ns[0])
     made, station = federate(period_ns=SECOND_NS)
@@ -214,7 +214,7 @@ def test_a_station_that_says_nothing_while_it_is_listened_to_hangs(monkeypatch: 
     for step in range(20):
         made.step(step * TENTH // 2, ())
         now_ns[0] += TENTH // 2
-    now_ns[0] += 5 * SECOND_NS  # the run itself is held up: that is not the station's fault
+    now_ns[0] += 5 * SECOND_NS  # a delay of the run itself does not count
     made.step(SECOND_NS, ())
     for step in range(21, 60):
         if made._proxies["car1"].over is not None:
@@ -226,13 +226,13 @@ def test_a_station_that_says_nothing_while_it_is_listened_to_hangs(monkeypatch: 
         made.step(60 * TENTH, ())
 
 
-def test_a_robot_is_told_to_stop_before_anything_is_closed() -> None:
+def test_a_robot_gets_a_stop_before_any_close() -> None:
     made, station = federate()
     made.release()
     assert station.heard[-1].stop == "the run is over"
 
 
-def test_a_mission_says_all_that_safety_wants_and_waits_for_slow_agents() -> None:
+def test_a_mission_has_all_of_safety_and_waits_for_slow_agents() -> None:
     fence = ((-1.0, -1.0), (1.0, -1.0), (0.0, 2.0))
     told = mission(vehicle(safety=msgspec.structs.replace(SAFETY, fence=fence, max_speed=0.3)), "run", 1.0)
     assert (told.safety.fence, told.safety.max_speed, told.safety.command_s) == (fence, 0.3, 2.5)
@@ -246,7 +246,7 @@ BENCH: dict[str, Any] = {
     "name": "real",
     "duration_s": 2.0,
     "physics": {"kind": "kinematic"},
-    "safety": {"command_s": 5.0, "federation_s": 5.0},  # which a loaded machine keeps
+    "safety": {"command_s": 5.0, "federation_s": 5.0},  # long enough for a loaded machine
     "vehicle": [
         {
             "name": "car1",
@@ -268,9 +268,9 @@ def scenario(**changes: Any) -> dict[str, Any]:
 
 
 def held_up_s(result: vcmvsp.Result, name: str) -> float:
-    """For how long this machine let run and station wait: 0.0, where it kept time.
+    """Delay of the run and the station on this machine, s; 0.0 without delays.
 
-    That is the one thing that stops a robot here: it stands where its station was held up for half a second.
+    Nothing else stops a robot here: it stands if its station was delayed by half a second.
     """
     real = result.metrics["hardware"][name]
     held_s: float = result.about["lateness"]["slipped_s"] + max(0.0, real["age_s"]["max"] - 0.3)
@@ -278,10 +278,10 @@ def held_up_s(result: vcmvsp.Result, name: str) -> float:
     return held_s
 
 
-def test_a_real_vehicle_drives_and_is_where_it_says(tmp_path: Path) -> None:
+def test_a_real_vehicle_drives_to_its_place(tmp_path: Path) -> None:
     result = vcmvsp.run(scenario(), out=tmp_path / "run")
     x = result.states.to_pandas().query("vehicle == 'car1'")["x"].to_numpy()
-    assert x[-1] == pytest.approx(0.3 * 2.0, abs=0.25 + 0.3 * held_up_s(result, "car1"))  # it has to gain speed first
+    assert x[-1] == pytest.approx(0.3 * 2.0, abs=0.25 + 0.3 * held_up_s(result, "car1"))  # minus acceleration
     assert (np.diff(x) > -0.01).all()
     real = result.metrics["hardware"]["car1"]
     assert 0.02 <= real["age_s"]["p50"] < 1.0
@@ -291,17 +291,17 @@ def test_a_real_vehicle_drives_and_is_where_it_says(tmp_path: Path) -> None:
     assert again.metrics == result.metrics
 
 
-def test_a_fence_holds_in_a_run_and_all_that_it_leaves_tells_what_held_the_robot_back(tmp_path: Path) -> None:
+def test_a_fence_holds_in_a_run_and_outputs_name_the_limiting_laws(tmp_path: Path) -> None:
     fence = [[-1.0, -1.0], [0.6, -1.0], [0.6, 1.0], [-1.0, 1.0]]
     own = {**BENCH["vehicle"][0], "safety": {"fence": fence, "fence_margin_m": 0.05}}
     result = vcmvsp.run(scenario(duration_s=3.0, vehicle=[own]), out=tmp_path / "run")
-    farthest = 0.6 - 0.25 - 0.05 + 0.01  # its radius, and the margin
+    farthest = 0.6 - 0.25 - 0.05 + 0.01  # minus radius and margin
     assert result.states.to_pandas()["x"].max() < farthest + 0.3 * held_up_s(result, "car1")
     real = result.metrics["hardware"]["car1"]
     assert real["limited_s"] > 0.5
     assert real["limited_by_s"]["geofence"] > 0.5
-    assert real["limited_by_s"]["limits"] > 0.5  # it has to gain speed first
-    assert sum(real["limited_by_s"].values()) > real["limited_s"] - 1e-9  # several may act at a time
+    assert real["limited_by_s"]["limits"] > 0.5  # during acceleration
+    assert sum(real["limited_by_s"].values()) > real["limited_s"] - 1e-9  # several may act at once
     words = f"the fence {real['limited_by_s']['geofence']:.1f} s"
     assert words in summary(result)
     (tables,) = export(tmp_path / "run", csv=tmp_path / "csv")
@@ -328,13 +328,13 @@ def test_a_fence_holds_in_a_run_and_all_that_it_leaves_tells_what_held_the_robot
         ({"clock": {"late": "never"}}, "clock.late: must be one of 'slip', 'stop'"),
     ],
 )
-def test_what_is_wrong_is_found_before_anything_is_connected(changes: dict[str, Any], says: str) -> None:
+def test_errors_are_found_before_any_connection(changes: dict[str, Any], says: str) -> None:
     with pytest.raises(ScenarioError, match=says):
         api.check(scenario(**changes))
 
 
 @pytest.mark.parametrize("key", ["localisation", "safety", "fusion"])
-def test_a_simulated_vehicle_has_nothing_of_a_real_one(key: str) -> None:
+def test_real_vehicle_tables_need_a_real_vehicle(key: str) -> None:
     tables = {"localisation": {"kind": "ubisense"}, "safety": {"max_speed": 1.0}, "fusion": {"gate": 0.9}}
     plain = {"name": "car1", "kind": "kinematic", key: tables[key]}
     with pytest.raises(ScenarioError, match=f"vehicle.car1.{key}: is only for real vehicles"):
@@ -360,7 +360,7 @@ class Slow(Agent):
 
 
 @pytest.mark.parametrize("late", ["slip", "stop"])
-def test_a_run_that_falls_behind_slips_or_stops_as_it_is_told(tmp_path: Path, late: str) -> None:
+def test_a_late_run_slips_or_stops_as_configured(tmp_path: Path, late: str) -> None:
     (tmp_path / "slow.py").write_text(SLOW)
     agent = {"kind": f"{tmp_path}/slow.py:Slow"}
     plain = scenario(duration_s=1.0, clock={"late": late}, vehicle=[{"name": "car1", "kind": "kinematic", "agent": agent}])
@@ -373,7 +373,7 @@ def test_a_run_that_falls_behind_slips_or_stops_as_it_is_told(tmp_path: Path, la
     assert slept["slipped_s"] > 0.1
 
 
-def test_a_run_that_is_killed_leaves_what_a_replay_needs(tmp_path: Path) -> None:
+def test_a_killed_run_leaves_a_replayable_recording(tmp_path: Path) -> None:
     (tmp_path / "s.json").write_text(json.dumps(scenario(duration_s=60.0)))
     program = f"import vcmvsp, json; vcmvsp.run(json.load(open('{tmp_path}/s.json')), out='{tmp_path}/run')"
     child = subprocess.Popen([sys.executable, "-c", program], cwd=tmp_path)
@@ -438,5 +438,5 @@ def test_metrics_of_a_real_vehicle_by_hand() -> None:
     assert (found["fixes"], found["gated"], found["reconnects"]) == (7, 2, 2)
     assert found["stops"] == {"no command": 2}
     assert found["limited_s"] == 3.5
-    assert found["limited_by_s"] == {"geofence": 3.0, "limits": 0.5, "separation": 1.0}  # limits act beside the fence, too
+    assert found["limited_by_s"] == {"geofence": 3.0, "limits": 0.5, "separation": 1.0}  # limits may act beside the fence
     assert found["frames_too_early"] == 2

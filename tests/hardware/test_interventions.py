@@ -1,4 +1,4 @@
-"""An operator's halt of real vehicles: zero velocity while it lasts, the newest command behind it, safety as ever."""
+"""Operator halts of real vehicles: zero velocity meanwhile, the newest command afterwards, unchanged safety."""
 
 from typing import Any
 
@@ -21,8 +21,8 @@ def halt(time_ns: int, *names: str, halted: bool = True) -> Event:
     return Event("operator/halted", time_ns, Halted(vehicles=names, halted=halted))
 
 
-def wanted(made: Hardware, station: FakeStation, time_ns: int, *events: Event) -> Velocity | None:
-    """What the station is told at a step."""
+def command_at(made: Hardware, station: FakeStation, time_ns: int, *events: Event) -> Velocity | None:
+    """Command to the station at a step."""
     made.step(time_ns, events)
     return station.heard[-1].command
 
@@ -32,28 +32,28 @@ def status(made: Hardware, time_ns: int, *events: Event) -> RealStatus:
     return found
 
 
-def test_who_is_halted_is_told_to_stand_until_it_is_let_go_and_then_what_its_agent_wants_now() -> None:
+def test_a_halted_vehicle_gets_zero_then_the_newest_command() -> None:
     made, station = federate()
-    assert wanted(made, station, 0, drive(0, 0.4)) == Velocity(linear=(0.4, 0.0, 0.0))
-    assert wanted(made, station, TENTH, halt(TENTH, "car2", "car1")) == STILL
-    assert wanted(made, station, 2 * TENTH) == STILL
-    assert wanted(made, station, 3 * TENTH, drive(3 * TENTH, 0.2)) == STILL
-    assert wanted(made, station, 4 * TENTH, halt(4 * TENTH, "car2", halted=False)) == STILL
-    assert wanted(made, station, 5 * TENTH, halt(5 * TENTH, "car1", halted=False)) == Velocity(linear=(0.2, 0.0, 0.0))
-    assert {order.stop for order in station.heard} == {""}  # that would last
+    assert command_at(made, station, 0, drive(0, 0.4)) == Velocity(linear=(0.4, 0.0, 0.0))
+    assert command_at(made, station, TENTH, halt(TENTH, "car2", "car1")) == STILL
+    assert command_at(made, station, 2 * TENTH) == STILL
+    assert command_at(made, station, 3 * TENTH, drive(3 * TENTH, 0.2)) == STILL
+    assert command_at(made, station, 4 * TENTH, halt(4 * TENTH, "car2", halted=False)) == STILL
+    assert command_at(made, station, 5 * TENTH, halt(5 * TENTH, "car1", halted=False)) == Velocity(linear=(0.2, 0.0, 0.0))
+    assert {order.stop for order in station.heard} == {""}  # a stop would persist
 
 
-def test_a_halt_is_told_at_once() -> None:
+def test_a_halt_wakes_at_once() -> None:
     made, _ = federate()
     assert "operator/halted" in made.reads
     assert "operator/halted" in made.wakes
-    assert made.wake_slot > Slot.WORLD  # where the operator is
+    assert made.wake_slot > Slot.WORLD  # the operator's slot
 
 
-def test_the_command_is_as_old_as_that_of_the_agent_who_must_be_heard_all_the_same() -> None:
+def test_a_halt_keeps_the_age_of_the_agents_command() -> None:
     made, station = federate()
     made.step(0, [halt(0, "car1")])
-    assert (station.heard[-1].command, station.heard[-1].command_ns) == (None, None)  # it never said anything
+    assert (station.heard[-1].command, station.heard[-1].command_ns) == (None, None)  # no command so far
     made.step(TENTH, [drive(TENTH, 0.3)])
     given_ns = station.heard[-1].command_ns
     made.step(5 * TENTH, ())
@@ -61,7 +61,7 @@ def test_the_command_is_as_old_as_that_of_the_agent_who_must_be_heard_all_the_sa
     assert given_ns == made._clock.monotonic_ns(TENTH)
 
 
-def test_the_status_says_why_it_stands() -> None:
+def test_the_status_names_the_halt() -> None:
     made, station = federate()
     station.saying = [report(causes=("limits",))]
     assert HALTED not in status(made, 0, drive(0, 0.4)).causes
@@ -71,8 +71,8 @@ def test_the_status_says_why_it_stands() -> None:
     assert status(made, 2 * SECOND_NS, halt(2 * SECOND_NS, "car1", halted=False)).causes == ()
 
 
-def test_a_robot_brakes_as_its_limits_say_and_goes_on() -> None:
-    """What a station makes of such orders: no stop that lasts, nothing to be told of."""
+def test_a_robot_brakes_at_its_limits_and_resumes() -> None:
+    """Station under such orders: no persistent stop, no notices."""
     there: Any = Turning(mission())
     there.drive(2.0, 0.4)
     there.drive(2.0, 0.0)

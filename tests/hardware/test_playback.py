@@ -1,4 +1,4 @@
-"""Playback: what was recorded comes again, at its time and to the last bit; between and behind that, what is documented."""
+"""Playback: recorded events at their times, equal to the last bit; in between and after the end, as documented."""
 
 import math
 from collections.abc import Sequence
@@ -44,7 +44,7 @@ def recording(end_ms: int, names: Sequence[str] = ("car1",), step_ms: int = 100)
     return inputs
 
 
-def played(playback: Playback, end_ms: int) -> list[Event]:
+def events_of(playback: Playback, end_ms: int) -> list[Event]:
     """All events of a run."""
     events: list[Event] = []
     kernel = Kernel(RunInfo(scenario="x", seed=1, duration_ns=end_ms * MS, vehicles=playback.names), [playback])
@@ -58,11 +58,11 @@ def given_events(inputs: Sequence[Input]) -> list[tuple[str, int, AnyValue]]:
     return sorted((each for each in inputs if not each[0].endswith("/reflected")), key=lambda each: (each[1], each[0]))
 
 
-def test_every_event_comes_again_at_its_time() -> None:
+def test_every_event_repeats_at_its_time() -> None:
     inputs = recording(3000, ("car1", "car2"))
     playback = Playback(("car1", "car2"), inputs)
     assert playback.slot is Slot.WORLD
-    events = played(playback, 3000)
+    events = events_of(playback, 3000)
     assert [(each.key, each.time_ns, each.value) for each in events] == given_events(inputs)
     assert events[0].time_ns == 0
     assert events[-1].time_ns == 3000 * MS
@@ -70,24 +70,24 @@ def test_every_event_comes_again_at_its_time() -> None:
 
 def test_it_can_be_played_twice() -> None:
     playback = Playback(("car1",), recording(1000))
-    assert played(playback, 1000) == played(playback, 1000)
+    assert events_of(playback, 1000) == events_of(playback, 1000)
 
 
 def test_events_at_odd_times_wake_it() -> None:
     odd: list[Input] = [("car1/note", at, Note(values={"at": float(at)})) for at in (1, 17, 99_999_999, 100_000_000)]
     inputs = sorted([*recording(200), *odd], key=lambda each: each[1])
-    events = played(Playback(("car1",), inputs), 200)
+    events = events_of(Playback(("car1",), inputs), 200)
     assert [each.time_ns for each in events if each.key == "car1/note"] == [1, 17, 99_999_999, 100_000_000]
 
 
-def test_physics_is_told_what_it_was_told() -> None:
+def test_physics_gets_the_recorded_states() -> None:
     playback = Playback(("car2", "car1"), recording(1000, ("car1", "car2")))
     for now_ms in range(0, 1001, 100):
         assert playback.states(now_ms * MS) == [circle(now_ms / 1e3)] * 2
 
 
 @given(at_ns=st.integers(0, 1000 * MS))
-def test_between_instants_it_is_nearly_where_it_was(at_ns: int) -> None:
+def test_between_instants_poses_are_nearly_exact(at_ns: int) -> None:
     """The chord of an arc is off by no more than v w dt^2 / 8, here 0.25 mm; the yaw hardly."""
     (state,), truth = Playback(("car1",), recording(1000)).states(at_ns), circle(at_ns / 1e9)
     assert math.dist(state.position, truth.position) <= V * W * 0.1**2 / 8 + 1e-12
@@ -99,7 +99,7 @@ def test_between_instants_it_is_nearly_where_it_was(at_ns: int) -> None:
 
 @given(yaw=st.floats(-math.pi, math.pi), turn=st.floats(-0.3, 0.3), share=st.floats(0.0, 1.0), flip=st.booleans())
 def test_attitudes_take_the_shorter_way(yaw: float, turn: float, share: float, flip: bool) -> None:
-    """Also through pi, and where the sign of the quaternion changes, which says nothing."""
+    """Also through pi, and for either sign of the quaternion."""
     w, x, y, z = quaternion_from_yaw(yaw + turn)
     after = (-w, -x, -y, -z) if flip else (w, x, y, z)
     ends = [VehicleState(position=(0.0, 0.0, 0.0), attitude=each) for each in (quaternion_from_yaw(yaw), after)]
@@ -108,15 +108,15 @@ def test_attitudes_take_the_shorter_way(yaw: float, turn: float, share: float, f
     assert abs(wrap(yaw_of(state.attitude) - yaw - share * turn)) < 5e-4
 
 
-def test_before_its_first_instant_it_is_where_it_was_first() -> None:
+def test_before_its_first_instant_it_is_at_its_start() -> None:
     inputs = [each for each in recording(500) if each[1] >= 200 * MS]
     assert Playback(("car1",), inputs).states(0) == [circle(0.2)]
 
 
-def test_behind_the_end_it_stands_and_that_is_said_once() -> None:
+def test_after_the_end_it_stands_with_one_notice() -> None:
     told: list[str] = []
     playback = Playback(("car1", "car2"), recording(500, ("car1", "car2")), tell=told.append)
-    events = played(playback, 2000)
+    events = events_of(playback, 2000)
     assert told == ["the recording ends at 0.500 s: car1, car2 stand still from then on"]
     last = {each.key: each for each in events}
     for name in ("car1", "car2"):
@@ -132,20 +132,20 @@ def test_behind_the_end_it_stands_and_that_is_said_once() -> None:
     assert shown.velocity == shown.angular_velocity == (0.0, 0.0, 0.0)
 
 
-def test_a_complete_recording_says_nothing_of_its_end() -> None:
+def test_a_complete_recording_has_no_end_notice() -> None:
     told: list[str] = []
-    played(Playback(("car1",), recording(500), tell=told.append), 500)
-    played(Playback(("car1",), recording(500), tell=told.append), 300)
+    events_of(Playback(("car1",), recording(500), tell=told.append), 500)
+    events_of(Playback(("car1",), recording(500), tell=told.append), 300)
     assert told == []
 
 
-def test_vehicles_that_are_not_named_are_left_out() -> None:
+def test_vehicles_not_named_are_omitted() -> None:
     inputs = recording(500, ("car1", "car2"))
-    events = played(Playback(("car2",), inputs), 500)
+    events = events_of(Playback(("car2",), inputs), 500)
     assert {each.key.partition("/")[0] for each in events} == {"car2"}
 
 
-def test_somebody_who_is_not_in_the_recording_is_named() -> None:
+def test_an_unrecorded_vehicle_is_named() -> None:
     with pytest.raises(UsageError, match="has no positions of car7; it has car1, car2"):
         Playback(("car1", "car7"), recording(100, ("car1", "car2")))
     with pytest.raises(UsageError, match="it has nobody"):

@@ -1,4 +1,4 @@
-"""The example of the part's page works as it stands."""
+"""The documented example runs unchanged."""
 
 import re
 import time

@@ -1,4 +1,4 @@
-"""A real vehicle's place in a run: logical times, dead reckoning, events out of reports."""
+"""Real vehicle in a run: logical times, dead reckoning, events from reports."""
 
 import math
 from typing import Any
@@ -19,12 +19,12 @@ from vcmvsp.hardware.drivers.base import Notice
 from vcmvsp.hardware.federate import VehicleProxy
 from vcmvsp.hardware.station.messages import OPERATOR_STOP, StationReport
 
-START_NS = 1_000 * SECOND_NS  # what the monotonic clock shows at logical time 0
+START_NS = 1_000 * SECOND_NS  # monotonic clock at logical time 0
 speeds = st.floats(-2.0, 2.0)
 
 
-def seat(pose_source: str = "fusion", *, flies: bool = False) -> tuple[VehicleProxy, FakeStation]:
-    """At x = 1 m, looking north, at logical time 0."""
+def connected_proxy(pose_source: str = "fusion", *, flies: bool = False) -> tuple[VehicleProxy, FakeStation]:
+    """A proxy and its station at x = 1 m, facing north, at logical time 0."""
     clock = WallClock(now=lambda: START_NS)
     clock.start()
     vehicle = real_vehicle(pose_source=pose_source, start=(1.0, 0.0, math.pi / 2), flies=flies)
@@ -56,7 +56,7 @@ def events(made: VehicleProxy, at_s: float) -> dict[str, list[Any]]:
 
 @given(st.floats(-math.pi, math.pi), speeds, speeds, st.floats(-0.4, 0.4))
 def test_on_the_ground_dead_reckoning_is_close_to_a_circular_arc(yaw: float, v: float, w: float, dt: float) -> None:
-    """The chord's direction is exact, its length that of the arc: off by its (w dt)^2 / 24 at most."""
+    """Chord of exact direction with the arc's length: the error is at most (w dt)^2 / 24 of it."""
     later = ahead(state(1.0, 2.0, yaw, v, w), round(dt * SECOND_NS), flies=False)
     x, y, turned = arc((1.0, 2.0, yaw), v, w, round(dt * SECOND_NS) / SECOND_NS)
     assert math.dist(later.position[:2], (x, y)) <= abs(v * dt) * (w * dt) ** 2 / 24 + 1e-12
@@ -74,15 +74,15 @@ def test_in_the_air_it_goes_straight_on_while_it_turns(vx: float, vy: float, w: 
     assert later.yaw == pytest.approx(w * seconds)
 
 
-def test_who_has_not_been_heard_of_for_long_is_taken_to_stand() -> None:
+def test_without_reports_for_long_it_stands() -> None:
     later = ahead(state(0.0, 0.0, 0.0, v=1.0, w=1.0), LONGEST_NS + 1, flies=False)
     assert later.velocity == (0.0, 0.0, 0.0)
     assert later.angular_velocity == (0.0, 0.0, 0.0)
     assert math.hypot(*later.position[:2]) == pytest.approx(0.5)
 
 
-def test_before_anything_was_heard_it_stands_where_it_starts() -> None:
-    made, _ = seat()
+def test_before_any_report_it_stands_at_its_start() -> None:
+    made, _ = connected_proxy()
     assert made.state(0).position == (1.0, 0.0, 0.0)
     assert made.state(0).yaw == pytest.approx(math.pi / 2)
     told = events(made, 0.0)
@@ -90,17 +90,17 @@ def test_before_anything_was_heard_it_stands_where_it_starts() -> None:
     assert told["car1/real"][0] == RealStatus(link=0, age_s=None)
 
 
-def test_each_instant_is_reckoned_from_the_report_before_it() -> None:
-    """Also where the run is late and newer ones are known."""
-    made, station = seat()
+def test_each_instant_uses_the_report_before_it() -> None:
+    """Also if the run is late and newer reports exist."""
+    made, station = connected_proxy()
     station.saying = [report(t, state(10.0 * t, 0.0, 0.0, v=1.0)) for t in (0.0, 0.1, 0.2)]
     made.hear()
     for at_s, x in ((0.05, 0.05), (0.1, 1.0), (0.15, 1.05), (0.3, 2.1)):
         assert made.state(round(at_s * SECOND_NS)).position[0] == pytest.approx(x), at_s
 
 
-def test_the_same_instant_gives_the_same_whatever_was_heard_meanwhile() -> None:
-    made, station = seat()
+def test_an_instant_keeps_its_state_after_new_reports() -> None:
+    made, station = connected_proxy()
     station.saying = [report(0.0, state(0.0, 0.0, 0.0))]
     made.hear()
     first = made.state(SECOND_NS)
@@ -110,31 +110,31 @@ def test_the_same_instant_gives_the_same_whatever_was_heard_meanwhile() -> None:
 
 
 @pytest.mark.parametrize(("pose_source", "x"), [("fusion", 5.0), ("odometry", 7.0), ("truth", 5.0)])
-def test_an_agent_is_told_what_its_pose_source_says(pose_source: str, x: float) -> None:
-    made, station = seat(pose_source)
+def test_an_agent_gets_its_pose_source(pose_source: str, x: float) -> None:
+    made, station = connected_proxy(pose_source)
     odometry = Odometry(pose=(7.0, 0.0, 0.0), v=0.0, w=0.0)
     station.saying = [report(0.0, state(5.0, 0.0, 0.0), odometry=odometry, measured_ns=START_NS, sample=1)]
     assert events(made, 0.0)["car1/estimate"][0].position[0] == x
-    assert made.state(0).position[0] == 5.0  # the world shows it where it is best known to be
+    assert made.state(0).position[0] == 5.0  # the world uses the best estimate
 
 
-def test_odometry_is_gone_on_with_to_the_instant() -> None:
-    made, station = seat()
+def test_odometry_is_extrapolated_to_the_instant() -> None:
+    made, station = connected_proxy()
     odometry = Odometry(pose=(0.0, 0.0, 0.0), v=1.0, w=0.0)
     station.saying = [report(0.2, state(0.0, 0.0, 0.0), odometry=odometry, measured_ns=START_NS + SECOND_NS // 10, sample=1)]
     assert events(made, 0.2)["car1/odometry"][0].pose[0] == pytest.approx(0.1)
 
 
-def test_each_fix_is_given_once_at_the_time_of_the_run_and_none_of_before_it() -> None:
-    made, station = seat()
+def test_each_fix_comes_once_in_run_time_and_none_from_before() -> None:
+    made, station = connected_proxy()
     fixes = [Fix(time_ns=START_NS + each, position=(0.0, 0.0, 0.0), sigma_m=0.1) for each in (-5, 7)]
     station.saying = [report(0.1, None, fixes=tuple(fixes))]
     assert [each.time_ns for each in events(made, 0.1)["car1/fix"]] == [7]
     assert "car1/fix" not in events(made, 0.2)
 
 
-def test_ranges_and_incidents_of_all_reports_since_the_last_instant_are_given() -> None:
-    made, station = seat()
+def test_each_instant_has_ranges_and_incidents_of_all_reports_since() -> None:
+    made, station = connected_proxy()
     lost = Notice(time_ns=START_NS - SECOND_NS, what="lost", cause="the port has disappeared")
     station.saying = [
         report(0.02, None, sonar=((10, 1.0), (2, 2.0)), notices=(lost,)),
@@ -149,7 +149,7 @@ def test_ranges_and_incidents_of_all_reports_since_the_last_instant_are_given() 
 
 
 def test_uncertainty_is_that_along_the_worse_axis() -> None:
-    made, station = seat()
+    made, station = connected_proxy()
     turn = np.array([[math.cos(0.3), -math.sin(0.3)], [math.sin(0.3), math.cos(0.3)]])
     covariance = np.zeros((3, 3))
     covariance[:2, :2] = turn @ np.diag([0.01, 0.04]) @ turn.T
@@ -157,16 +157,16 @@ def test_uncertainty_is_that_along_the_worse_axis() -> None:
     assert events(made, 0.0)["car1/real"][0].sigma_m == pytest.approx(0.2)
 
 
-def test_the_error_of_prediction_is_how_far_it_was_from_where_it_had_been_expected() -> None:
-    made, station = seat()
+def test_the_prediction_error_is_the_distance_from_the_expected_place() -> None:
+    made, station = connected_proxy()
     station.saying = [report(0.1, state(0.0, 0.0, 0.0, v=1.0))]
     events(made, 0.1)
     station.saying = [report(0.2, state(0.4, 0.0, 0.0, v=1.0))]
     assert events(made, 0.2)["car1/real"][0].prediction_m == pytest.approx(0.3)
 
 
-def test_a_command_is_said_again_with_the_time_at_which_it_was_given() -> None:
-    made, station = seat()
+def test_a_repeated_command_keeps_its_time() -> None:
+    made, station = connected_proxy()
     made.order(None)
     made.command(Event("car1/command", SECOND_NS, Velocity(linear=(0.2, 0.0, 0.0))))
     made.order(None)
@@ -178,13 +178,13 @@ def test_a_command_is_said_again_with_the_time_at_which_it_was_given() -> None:
 
 
 def test_a_real_vehicle_takes_no_way_points() -> None:
-    made, _ = seat(flies=True)
+    made, _ = connected_proxy(flies=True)
     with pytest.raises(FederateError, match="car1: received a Waypoint"):
         made.command(Event("car1/command", 0, Waypoint(position=(0.0, 0.0, 1.0))))
 
 
-def test_the_stop_of_an_operator_ends_the_run_once_it_is_recorded() -> None:
-    made, station = seat()
+def test_an_operator_stop_ends_the_run_after_recording() -> None:
+    made, station = connected_proxy()
     stopped = Notice(time_ns=START_NS, what="stopped", cause=OPERATOR_STOP)
     station.saying = [report(0.1, None, notices=(stopped,), causes=(OPERATOR_STOP,))]
     assert events(made, 0.1)["car1/incident"][0].cause == OPERATOR_STOP

@@ -1,4 +1,4 @@
-"""Every built-in layer keeps the contract of layers: finite, repeatable, each receiver by itself, the same both ways."""
+"""Contract of built-in layers: finite, repeatable, independent between receivers, reciprocal."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""The mean levels of all links at once, for those who ask how strong a radio is heard."""
+"""Mean levels of all links, their reports to agents, and the choice of compiled code."""
 
 from collections.abc import Callable
 
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.support.cosim.receptions import receptions_in
-from tests.support.netsim.channels import make_channel, standing
+from tests.support.netsim.channels import at_rest, make_channel
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.compiled.machine_code import Core, Run
 from vcmvsp.cosim.federate import Event, RunInfo, Step
@@ -20,7 +20,7 @@ RUN = RunInfo(scenario="test", seed=4, duration_ns=10**10, vehicles=NAMES)
 
 
 def states(time_ns: int, *x: float) -> Event:
-    return Event("world/states", time_ns, standing(NAMES[: len(x)], [(each, 0.0, 0.0) for each in x]))
+    return Event("world/states", time_ns, at_rest(NAMES[: len(x)], [(each, 0.0, 0.0) for each in x]))
 
 
 def sends(time_ns: int, sender: str, to: str | None = None) -> Event:
@@ -38,7 +38,7 @@ def radio() -> RadioFederate:
     return federate
 
 
-def test_a_frame_gives_one_report_and_one_reception_for_each_who_hears_it(radio: RadioFederate) -> None:
+def test_a_frame_gives_one_report_and_one_reception_per_receiver(radio: RadioFederate) -> None:
     sent = sends(50 * MS, "a")
     step = radio.step(50 * MS, [states(40 * MS, 0.0, 20.0, 500.0), sent])
     receptions, report = step.events
@@ -66,7 +66,7 @@ def test_reports_leave_out_receivers_below_a_level_that_lost_the_frame(least_dbm
     """Under Rayleigh fading some weak levels are received and some strong ones lost; agents get the same messages."""
     names = tuple(f"v{n}" for n in range(12))
     run = msgspec.structs.replace(RUN, vehicles=names)
-    team = standing(names, [(14.0 * n, 0.0, 0.0) for n in range(12)])
+    team = at_rest(names, [(14.0 * n, 0.0, 0.0) for n in range(12)])
     whole, part = (
         RadioFederate(make_channel("wifi-b-1", fading={"kind": "rayleigh"}), reported_from_dbm=least)
         for least in (None, least_dbm)
@@ -125,7 +125,7 @@ def test_sending_before_any_position_is_known_is_an_error(radio: RadioFederate) 
 
 
 def code_is_had(patch: pytest.MonkeyPatch, told: Callable[[], None]) -> None:
-    """Plain code takes the place of compiled code, of which tests before this one have loaded none; told when it is loaded."""
+    """Plain code stands in for compiled code, not loaded by earlier tests; the list grows with each load."""
 
     loaded: list[Core] = []
 
@@ -144,7 +144,7 @@ def code_is_had(patch: pytest.MonkeyPatch, told: Callable[[], None]) -> None:
 def test_at_wall_pace_nothing_is_compiled_but_at_the_start_and_only_where_programs_may_send(
     programs: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It would hold up everybody for a second; with what is known beforehand, the frames fare the same."""
+    """Compiling would stop the run for a second; with code loaded beforehand, the outcomes are equal."""
     compiled: list[int] = []
     code_is_had(monkeypatch, lambda: compiled.append(1))
     monkeypatch.setattr("vcmvsp.netsim.mac.dcf.medium.COMPILE_AFTER", 10)
@@ -169,10 +169,8 @@ def test_at_wall_pace_nothing_is_compiled_but_at_the_start_and_only_where_progra
 
 
 @pytest.mark.parametrize("seconds", [1, 60])
-def test_what_compiled_code_pays_for_is_seen_from_how_soon_the_first_frames_come(
-    seconds: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Ten frames a second: in a minute it is worth loading, in a second not; the frames fare the same."""
+def test_the_rate_of_the_first_frames_decides_on_compiled_code(seconds: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ten frames a second: in a minute loading pays, in a second not; the outcomes are equal."""
     loaded_at: list[int] = []
     fates: list[list[tuple[str, ...]]] = []
     code_is_had(monkeypatch, lambda: loaded_at.append(len(fates[-1])))
@@ -201,7 +199,7 @@ def shadowed() -> RadioFederate:
     return federate
 
 
-def test_mean_levels_are_those_of_the_frames_that_are_sent(shadowed: RadioFederate) -> None:
+def test_mean_levels_equal_those_of_sent_frames(shadowed: RadioFederate) -> None:
     here = states(0, 0.0, 20.0, 300.0)
     step = shadowed.step(0, [here, *(sends(0, name) for name in NAMES)])
     found = levels(shadowed, here)

@@ -1,4 +1,4 @@
-"""Every frame is counted once at each receiver it is meant for: received, lost by a cause, or under way when the run ended."""
+"""Every frame is counted once at each intended receiver: received, lost by a cause, or on the air when the run ended."""
 
 from typing import Any
 
@@ -19,7 +19,7 @@ LOSSY = {"kind": "bernoulli", "probability": 0.2}
 
 
 class Sends(vcmvsp.Agent):
-    """Sends so many bytes at each tick."""
+    """Sends a number of bytes at each tick."""
 
     period_s = 0.1
 
@@ -31,14 +31,14 @@ class Sends(vcmvsp.Agent):
 
 
 class OwnDelay:
-    """A third of a second at the first receiver, more at the others."""
+    """Delay of a third of a second at the first receiver, more at the others."""
 
     def delay_ns(self, frame: Any, draw: Any) -> Any:
         return 330_000_000 * (1 + np.arange(len(frame.receivers)))
 
 
 def content(radio: dict[str, Any], **tables: Any) -> dict[str, Any]:
-    """Two cars of which each sends at 10 Hz."""
+    """Two cars that send at 10 Hz each."""
     return {**two(duration_s=DURATION_S, radio=radio), **tables}
 
 
@@ -55,7 +55,7 @@ RADIOS: dict[str, dict[str, Any]] = {
 
 
 def check(result: vcmvsp.Result) -> dict[str, Any]:
-    """The sum law, in the numbers and in the rows, and that all ways of counting agree."""
+    """Conservation law, in numbers and rows; all ways of counting agree."""
     radio, table = result.metrics["radio"], result.radio
     outcomes, end_ns = table["outcome"].to_pylist(), round(1e9 * result.metrics["duration_s"])
     assert table.num_rows == radio["receptions"] + radio["under_way"] + sum(radio["losses"].values())
@@ -97,7 +97,7 @@ def test_so_are_the_frames_of_routing(kind: str, delay_s: float) -> None:
     check(vcmvsp.run(content(radio, routing={"kind": kind}), agents={"car1": Sends(), "car2": Sends(to="car1")}, mcap=False))
 
 
-def test_so_are_those_of_agents_in_processes_of_their_own(tmp_path: Any) -> None:
+def test_frames_of_agents_in_processes_are_counted_once_too(tmp_path: Any) -> None:
     scenario = content({"preset": "ideal", "loss": LOSSY, "delay": {"seconds": 0.35}})
     folder = tmp_path / "run"
     radio = check(vcmvsp.run(scenario, agents="process", out=folder))

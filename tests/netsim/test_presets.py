@@ -38,6 +38,6 @@ def test_a_preset_is_the_callers_own() -> None:
     assert preset("zigbee")["path_loss"]["exponent"] == 3.0
 
 
-def test_an_unknown_preset_is_refused_with_those_that_there_are() -> None:
+def test_an_unknown_preset_is_refused_with_the_list_of_presets() -> None:
     with pytest.raises(ScenarioError, match="'wifi'; presets: ideal, wss, wifi-b-1, "):
         preset("wifi")

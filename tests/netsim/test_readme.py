@@ -1,4 +1,4 @@
-"""The README says what is so: its block works as it stands there, and it knows every outcome."""
+"""README of the radio: its block works as printed, and every outcome is listed."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Several radios: each network as if alone on its own channel, one medium on a shared one, and what agents say on them."""
+"""Several radios: separate channels do not interact, one channel is one medium, and agents choose the radio."""
 
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ KINEMATIC = {"kind": "kinematic", "agent": {}}
 
 
 class Both(vcmvsp.Agent):
-    """Sends on each of some radios at each tick, and keeps what it hears."""
+    """Sends on each of some radios at each tick, and collects receptions."""
 
     def __init__(self, *names: str) -> None:
         self.names, self.heard = names, list[tuple[str, str | None, Any]]()
@@ -46,7 +46,7 @@ def rows(result: vcmvsp.Result, name: str) -> pd.DataFrame:
     return own.astype({"sender": str, "receiver": str, "outcome": str}).reset_index(drop=True)
 
 
-def test_networks_on_channels_of_their_own_are_as_if_alone() -> None:
+def test_networks_on_separate_channels_are_independent() -> None:
     members: dict[str, Any] = {"car3": {"radios": ["wifi"]}}
     both, _ = run(scenario(WIFI, LORA, **members), "wifi", "lora", car3=("wifi",))
     wifi, _ = run(scenario(WIFI, vehicles=4), "wifi")
@@ -58,7 +58,7 @@ def test_networks_on_channels_of_their_own_are_as_if_alone() -> None:
 
 
 def test_networks_on_one_channel_are_one_medium() -> None:
-    """Two networks of LoRa: frames of both overlap, and none is 6 dB above the other at a receiver that is as far from both."""
+    """Two networks of LoRa: frames of both overlap, and none is 6 dB above the other at a receiver at equal distances."""
     parts: dict[str, Any] = {
         "car0": {"radios": ["a"]},
         "car1": {"radios": ["a"]},
@@ -139,7 +139,7 @@ def test_an_outage_is_of_all_radios_of_a_vehicle() -> None:
 
 @pytest.mark.parametrize("key", ["radio.loss.probability", "radio.b.loss.probability", "radio.lora.phy.spreading_factor"])
 def test_an_intervention_names_the_radio(key: str) -> None:
-    """Of two on one channel, which is one medium, the first."""
+    """Two networks on one channel are one medium, addressed by the first name."""
     parts: dict[str, Any] = {f"car{i}": {"radios": ["ab"[i % 2], "lora"]} for i in range(4)}
     both = ({**WIFI, "name": "a", "channel": "6"}, {**WIFI, "name": "b", "channel": "6"})
     order = {"kind": "set", "at_s": 1.0, "key": key, "value": 0.5}
@@ -193,7 +193,7 @@ def test_frames_of_one_radio_are_not_repeated_by_several(tmp_path: Path) -> None
 
 
 def chain(**own: Any) -> dict[str, Any]:
-    """Four vehicles in a line at rest, of which the radio ``wifi`` reaches the next one, and ``lora`` all; car3 has no wifi."""
+    """Four vehicles in a line at rest; the radio ``wifi`` reaches the next one, ``lora`` all; car3 has no wifi."""
     content = scenario({"name": "wifi", "preset": "wifi-b-1"}, LORA, car3={"radios": ["lora"]})
     for number, each in enumerate(content["vehicle"]):
         each["position"] = [60.0 * number, 0.0, 0.0]

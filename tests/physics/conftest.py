@@ -1,4 +1,4 @@
-"""Engines with bodies, and a drive of one vehicle."""
+"""Engines with bodies, and a run of one vehicle."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -26,7 +26,7 @@ def kind(request: pytest.FixtureRequest) -> type[Physics]:
 
 @pytest.fixture
 def either(kind: type[Physics]) -> Callable[..., Any]:
-    """Makes that engine, see `tests.support.physics.engines.engine`."""
+    """Factory of that engine, see `tests.support.physics.engines.engine`."""
     return partial(engine, kind=kind)
 
 

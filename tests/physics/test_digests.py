@@ -1,4 +1,4 @@
-"""Fresh runs of a mixed world are equal to the last bit, in other processes and beside other runs in this one."""
+"""Runs of a mixed world are equal to the last bit, in other processes and beside other runs in one process."""
 
 import hashlib
 import os
@@ -12,7 +12,7 @@ from typing import NamedTuple
 import pytest
 
 from tests.support.paths import ROOT
-from tests.support.physics.runs import Command, stepped
+from tests.support.physics.runs import Command, steps_of
 from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.federate import Event, Instants
 from vcmvsp.cosim.types import Later, Velocity, Waypoint
@@ -34,14 +34,14 @@ pytestmark = pytest.mark.processes
 
 
 class Digest(NamedTuple):
-    """Of everything that a run published, in order."""
+    """Digest of all published events, in order."""
 
     bits: str
-    kinds: Mapping[str, int]  # how many values of each type
+    kinds: Mapping[str, int]  # number of values of each type
 
 
 def mixed_world() -> World:
-    """A bit of everything that a world can have."""
+    """A world with every kind of object."""
     return World(
         solids=(
             Box(center=(6.0, 0.0, 1.0), size=(1.0, 8.0, 2.0), yaw_rad=0.2),
@@ -68,7 +68,7 @@ def mixed_world() -> World:
 
 
 def vehicles() -> list[VehicleSpec]:
-    """Robots that push crates about, quadrotors that meet walls and each other, sensors that err and drop out."""
+    """Robots that push crates, quadrotors that hit walls and each other, sensors with errors and drop-outs."""
 
     def spec(
         name: str, model: Vehicle, place: tuple[float, float, float], heading: float = 0.0, **sensors: Sensor
@@ -91,7 +91,7 @@ def vehicles() -> list[VehicleSpec]:
     ]
 
 
-ORDERS: list[Command] = [  # who is told what, and when
+ORDERS: list[Command] = [  # time, vehicle, command
     (0.0, "car0", Velocity(linear=(0.9, 0.0, 0.0))),
     (0.0, "car1", Velocity(linear=(0.6, 0.0, 0.0), yaw_rate=0.2)),
     (0.5, "amigo", Velocity(linear=(0.5, 0.0, 0.0))),
@@ -105,9 +105,9 @@ ORDERS: list[Command] = [  # who is told what, and when
 
 
 def run(world: World, *, seed: int = 1, wanted: bool = False, late: bool = False) -> Generator[None, None, Digest]:
-    """One run, which rests after each step.
+    """One run as a generator that pauses after each step.
 
-    Readings on demand are worked out together if ``wanted``, and when all is over if ``late``.
+    On-demand readings are computed together if ``wanted``, and at the end if ``late``.
     """
     physics = BulletPhysics(world=world, vehicles=vehicles())
     keys = tuple(f"{spec.name}/{sensor}" for spec in physics.vehicles for sensor in spec.sensors) if wanted else ()
@@ -120,7 +120,7 @@ def run(world: World, *, seed: int = 1, wanted: bool = False, late: bool = False
             value = event.value.get() if isinstance(event.value, Later) else event.value
             kinds[type(value).__name__] += 1
 
-    for events in stepped(physics, ORDERS, 3.0, needed, seed=seed, wanted=keys):
+    for events in steps_of(physics, ORDERS, 3.0, needed, seed=seed, wanted=keys):
         kept += events
         if not late:
             take(kept)
@@ -131,7 +131,7 @@ def run(world: World, *, seed: int = 1, wanted: bool = False, late: bool = False
 
 
 def digests(*runs: Generator[None, None, Digest]) -> list[Digest]:
-    """Of runs that take turns, a step each."""
+    """Digests of interleaved runs, one step each in turn."""
     found: dict[int, Digest] = {}
 
     def watched(number: int, one: Generator[None, None, Digest]) -> Iterator[None]:
@@ -144,11 +144,11 @@ def digests(*runs: Generator[None, None, Digest]) -> list[Digest]:
 
 @pytest.fixture(scope="module")
 def alone() -> Digest:
-    """Of a run by itself."""
+    """Digest of a single run."""
     return digests(run(mixed_world()))[0]
 
 
-def test_something_of_everything_is_in_it(alone: Digest) -> None:
+def test_all_event_types_are_present(alone: Digest) -> None:
     kinds = "States VehicleState Odometry Fix Imu Measured Scan Image Contact Pushed"
     assert set(alone.kinds) == set(kinds.split())
     assert alone.kinds["States"] == 61
@@ -163,8 +163,8 @@ def test_runs_in_other_processes_are_equal(alone: Digest) -> None:
     assert found.stdout.split()[-1] == alone.bits
 
 
-def test_runs_that_take_turns_in_one_process_are_equal(alone: Digest) -> None:
-    """In one world or in two, beside one with other gusts; readings worked out together, one by one, or at the end."""
+def test_interleaved_runs_in_one_process_are_equal(alone: Digest) -> None:
+    """In one world or in two, beside a run with other gusts; readings computed together, one by one, or at the end."""
     shared = mixed_world()
     first, other, second, third = digests(
         run(shared), run(shared, seed=2), run(shared, wanted=True), run(mixed_world(), late=True)

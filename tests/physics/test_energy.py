@@ -1,4 +1,4 @@
-"""Batteries: power by closed forms, energy of frames, and what happens when one is empty."""
+"""Batteries: power by closed forms, energy of frames, empty batteries."""
 
 import math
 from pathlib import Path
@@ -23,7 +23,7 @@ NO_DRAG = (0.0, 0.0, 0.0)
 
 
 class Driver(Agent):
-    """Drives with a constant velocity, sends ``size_bytes`` at every tick, and keeps its battery's readings."""
+    """Drives at constant velocity, sends ``size_bytes`` at every tick and records its battery readings."""
 
     def __init__(self, velocity: tuple[float, float, float], size_bytes: int = 0) -> None:
         self._command, self._size = Velocity(linear=velocity), size_bytes
@@ -62,7 +62,7 @@ def test_the_induced_speed_solves_glauerts_equation(hover: float, across: float,
 
 
 def test_induced_speeds_of_hover_climb_and_quick_flight() -> None:
-    """Leishman: climb v = -Vc/2 + sqrt(Vc^2/4 + vh^2); in quick flight it tends to vh^2 / V."""
+    """Leishman: climb v = -Vc/2 + sqrt(Vc^2/4 + vh^2); in fast flight it tends to vh^2 / V."""
     assert induced_speed(5.0, 0.0, 0.0) == pytest.approx(5.0)
     assert induced_speed(5.0, 0.0, 4.0) == pytest.approx(-2.0 + math.sqrt(4.0 + 25.0))
     assert induced_speed(5.0, 100.0, 0.0) == pytest.approx(0.25, rel=1e-4)
@@ -72,16 +72,16 @@ def test_power_of_flight_falls_before_drag_raises_it() -> None:
     model, battery = Quadrotor(), BatteryTable(capacity_wh=1.0)
     power = flight_power(battery, model.mass_kg, model.rotor_radius_m, model.drag, G)
     assert power((0.0, 0.0, 0.0)) == pytest.approx(hover_w(model.mass_kg, model.rotor_radius_m))
-    assert power((0.0, 0.0, 0.0)) == pytest.approx(96.0, abs=0.5)  # as the page says
+    assert power((0.0, 0.0, 0.0)) == pytest.approx(96.0, abs=0.5)  # the documented value
     assert power((0.0, 0.0, -1.0)) == power((0.0, 0.0, 0.0))
     assert power((2.0, 0.0, 0.0)) < power((0.0, 0.0, 0.0)) < power((8.0, 0.0, 0.0))
     lossless = flight_power(battery, model.mass_kg, model.rotor_radius_m, NO_DRAG, G)
     climbed_w = (lossless((0.0, 0.0, 3.0)) - hover_w(0.8, 0.1016)) * ROTOR_EFFICIENCY * DRIVE_EFFICIENCY
-    assert 0.5 * 0.8 * G * 3.0 < climbed_w < 0.8 * G * 3.0  # lifting, minus what the inflow saves
+    assert 0.5 * 0.8 * G * 3.0 < climbed_w < 0.8 * G * 3.0  # climbing power minus the savings by inflow
 
 
 def test_the_measured_rotor_is_the_default() -> None:
-    """Duffy: 190 g from 16.8 W at the shaft, with 8 inches."""
+    """Duffy: 190 g of thrust from 16.8 W of shaft power, with 8-inch propellers."""
     battery = BatteryTable(capacity_wh=1.0, drive_efficiency=1.0)
     power = flight_power(battery, 4 * 0.19, 0.1016, NO_DRAG, G)
     assert power((0.0, 0.0, 0.0)) == pytest.approx(4 * 16.8, rel=0.02)
@@ -98,7 +98,7 @@ def test_power_on_wheels_is_rolling_resistance() -> None:
 
 @pytest.mark.parametrize("kind", ["bullet", "kinematic"])
 def test_a_quadrotor_hovers_as_long_as_momentum_theory_says(kind: str) -> None:
-    """Within 5 %: energy of the battery over the power of hovering."""
+    """Within 5 %: battery energy over hover power."""
     pytest.importorskip("pybullet") if kind == "bullet" else None
     hovers_s = 0.5 * 3600.0 / hover_w(0.8, 0.1016)
     quadrotor = {"kind": "quadrotor", "battery": {"capacity_wh": 0.5}}
@@ -128,7 +128,7 @@ def test_a_robot_uses_rolling_resistance_times_way_and_electronics_times_time() 
     assert {each.time_ns % 1_000_000_000 for each in driver.readings} == {0}
 
 
-def test_frames_cost_their_time_on_the_air_at_the_sender_and_where_they_arrive(tmp_path: Path) -> None:
+def test_frames_cost_airtime_at_sender_and_receivers(tmp_path: Path) -> None:
     battery = {"capacity_wh": 10.0, "tx_w": 3.0, "rx_w": 2.0}
     air = {"preset": "wifi-b-1", "mac": {"kind": "ideal"}, "loss": {"probability": 0.3}}
     run = scenario(*({"kind": "p2dx", "battery": battery} for _ in range(2)), duration_s=10.0, radio=air)
@@ -141,8 +141,8 @@ def test_frames_cost_their_time_on_the_air_at_the_sender_and_where_they_arrive(t
     assert numbers["v1"]["radio_j"] == pytest.approx(2.0 * received * air_s)
 
 
-def test_at_the_end_of_its_charge_a_vehicle_stops_and_is_silent(tmp_path: Path) -> None:
-    battery = {"capacity_wh": 0.01, "electronics_w": 6.0}  # 6 s, and a little less for driving
+def test_a_vehicle_without_charge_stops_moving_and_sending(tmp_path: Path) -> None:
+    battery = {"capacity_wh": 0.01, "electronics_w": 6.0}  # 6 s, and slightly less because of driving
     run = scenario({"kind": "p2dx", "battery": battery}, {"kind": "p2dx"}, duration_s=10.0)
     agents = {"v0": Driver((0.5, 0.0, 0.0), 10), "v1": Driver((0.0, 0.0, 0.0))}
     result = vcmvsp.run(run, agents=agents, out=tmp_path / "run")
@@ -167,7 +167,7 @@ def test_agents_in_other_processes_fail_at_the_same_instant(tmp_path: Path) -> N
     assert len(recordings) == 1
 
 
-def test_without_a_battery_there_are_no_numbers_of_energy() -> None:
+def test_without_a_battery_there_are_no_energy_metrics() -> None:
     result = vcmvsp.run(scenario({"kind": "p2dx"}, duration_s=1.0), agents={"v0": Driver((0.1, 0.0, 0.0))}, mcap=False)
     assert "energy" not in result.metrics
 
@@ -188,7 +188,7 @@ def test_without_a_battery_there_are_no_numbers_of_energy() -> None:
         ),
     ],
 )
-def test_batteries_that_cannot_be_are_refused_in_one_line(settings: list[str], words: str) -> None:
+def test_impossible_batteries_are_refused_in_one_line(settings: list[str], words: str) -> None:
     done = vcmvsp_command("check", "formation-circle", *(word for each in settings for word in ("--set", each)))
     assert done.code == 2
     assert words in done.err

@@ -1,4 +1,4 @@
-"""What the federate publishes, when, and to whom; the same laws for every engine."""
+"""Publications of the federate, their times and recipients; equal laws for every engine."""
 
 import subprocess
 import sys
@@ -50,7 +50,7 @@ def test_it_is_a_federate(kind: type[Physics]) -> None:
 
 
 @KINDS
-def test_every_instant_brings_the_truth_once_and_each_vehicle_its_own(kind: type[Physics]) -> None:
+def test_each_instant_has_one_truth_and_values_per_vehicle(kind: type[Physics]) -> None:
     steps = play(kind(world=World(), vehicles=[car("b"), car("a", 1.0)]), [], 0.2)
     keys = ["world/states", "b/estimate", "b/odometry", "a/estimate", "a/odometry"]
     assert [[event.key for event in events] for events in steps] == [keys] * 3
@@ -82,13 +82,13 @@ def test_nothing_is_due_after_the_end(kind: type[Physics]) -> None:
 
 
 @KINDS
-def test_without_an_instant_asked_for_only_start_and_end_are_published(kind: type[Physics]) -> None:
+def test_without_instants_only_start_and_end_are_published(kind: type[Physics]) -> None:
     steps = play(kind(world=World(), vehicles=[car()]), [(0.0, "car1", 0.3, 0.0)], 1.0, ())
     assert [events[0].time_ns for events in steps] == [0, SECOND_NS]
 
 
 @KINDS
-def test_a_command_acts_from_its_own_time_however_late_it_is_handed_over(kind: type[Physics]) -> None:
+def test_a_late_command_acts_from_its_own_time(kind: type[Physics]) -> None:
     commands = [(0.1, "car1", 0.3, 0.4), (0.7, "car1", 0.1, -0.4), (1.35, "car1", 0.3, 0.0)]
 
     def end(period_s: float) -> Any:
@@ -96,7 +96,7 @@ def test_a_command_acts_from_its_own_time_however_late_it_is_handed_over(kind: t
             run(kind(world=World(), vehicles=[car()]), commands, 3.0, [Instants(Ticks.every(period_s))]), "world/states"
         )[-1]
 
-    often, seldom = end(0.05), end(3.0)  # handed over at once; handed over at 3.0 s
+    often, seldom = end(0.05), end(3.0)  # delivered at once; delivered at 3.0 s
     assert seldom.position == pytest.approx(often.position, abs=1e-12)
     if kind is KinematicPhysics:
         pose = arc(arc((0.0, 0.0, 0.0), 0.3, 0.4, 0.6), 0.1, -0.4, 0.65)
@@ -105,7 +105,7 @@ def test_a_command_acts_from_its_own_time_however_late_it_is_handed_over(kind: t
 
 
 @KINDS
-def test_a_vehicle_believes_its_pose_source(kind: type[Physics]) -> None:
+def test_an_estimate_uses_its_pose_source(kind: type[Physics]) -> None:
     sensor = Positioning(rate_hz=5.0)
     vehicles = [car(source="truth"), car("car2", 2.0, source="odometry"), car("car3", 4.0, source="positioning", sensor=sensor)]
     commands = [(0.0, spec.name, 0.3, 0.3) for spec in vehicles]
@@ -147,9 +147,7 @@ def test_an_impossible_pose_source_is_refused(source: str) -> None:
 
 @KINDS
 @pytest.mark.parametrize("command", [(float("nan"), 0.0), (0.0, float("inf"))])
-def test_a_command_that_is_no_number_stops_the_run_and_names_the_vehicle(
-    kind: type[Physics], command: tuple[float, float]
-) -> None:
+def test_a_non_finite_command_stops_the_run_and_names_the_vehicle(kind: type[Physics], command: tuple[float, float]) -> None:
     with pytest.raises(FederateError, match="car1 is not finite"):
         run(kind(world=World(), vehicles=[car()]), [(0.0, "car1", *command)], 0.5)
 
@@ -191,7 +189,7 @@ def test_movables_that_start_inside_anything_but_a_moving_obstacle_are_refused_b
         world = World(solids=(wall,), movables=movables, moving=(ram,))
         run(BulletPhysics(world=world, vehicles=[car("car", 0.0)]), (), 0.1)
 
-    start(box("a", 1.0), box("b", 1.4), box("c", 1.0, 0.6), box("d", -3.0))  # side by side, on top, where the ram is
+    start(box("a", 1.0), box("b", 1.4), box("c", 1.0, 0.6), box("d", -3.0))  # side by side, on top, and in the ram's place
     for movables, words, key in (
         ([box("a", 2.4)], r"a and the box at .* overlap at the start, by 0\.1 m", "world.movables"),
         ([box("a", 1.0), box("b", 1.1)], r"b and a overlap at the start, by 0\.3 m", "world.movables"),
@@ -234,7 +232,7 @@ def test_sensors_that_a_vehicle_cannot_carry_are_refused_at_the_start(kind: type
     assert raised.value.key == "vehicle.uav.sensors.odo"
 
 
-def test_a_quadrotor_that_cannot_carry_itself_is_refused_by_name() -> None:
+def test_a_too_heavy_quadrotor_is_refused_by_name() -> None:
     heavy = VehicleSpec(name="uav", model=Quadrotor(mass_kg=2.5), position=(0.0, 0.0, 1.0))
     with pytest.raises(ScenarioError, match=r"2\.5 kg at max_tilt_rad need") as raised:
         run(BulletPhysics(world=World(), vehicles=[heavy]), (), 0.1)
@@ -246,7 +244,7 @@ def test_a_body_without_height_is_refused() -> None:
         P2DX(clearance_m=0.22)
 
 
-def test_vehicles_without_a_body_ride_along_in_bullet_as_they_move_alone() -> None:
+def test_bodiless_vehicles_move_in_bullet_as_without_it() -> None:
     models = {"body": P2DX(), "unicycle": Kinematic(), "lag": Lag()}
     commands = [(0.0, name, 0.3, 0.3) for name in models]
 
@@ -260,8 +258,8 @@ def test_vehicles_without_a_body_ride_along_in_bullet_as_they_move_alone() -> No
     assert values(mixed, "world/contact") == []
 
 
-def left_behind(kind: type[Physics], model: GroundVehicle) -> list[float]:
-    """Errors, m, every 0.1 s, of a follower at rest in its slot whose leader drives off at 0.30 m/s."""
+def start_errors(kind: type[Physics], model: GroundVehicle) -> list[float]:
+    """Errors, m, every 0.1 s, of a follower at rest in its slot whose leader starts at 0.30 m/s."""
     physics = kind(world=World(), vehicles=[car("follower", model=model)])
     next_ns: int | None = physics.start(run_info(physics, 20.0))
     inbox: tuple[Event, ...] = ()
@@ -288,7 +286,7 @@ def left_behind(kind: type[Physics], model: GroundVehicle) -> list[float]:
     ],
 )
 def test_momentum_delays_settling(kind: type[Physics], model: GroundVehicle, expected_s: float) -> None:
-    assert settling_s(left_behind(kind, model), 0.1, within=0.05) == pytest.approx(expected_s, abs=0.11)  # a tick
+    assert settling_s(start_errors(kind, model), 0.1, within=0.05) == pytest.approx(expected_s, abs=0.11)  # one tick
 
 
 QUIET = """

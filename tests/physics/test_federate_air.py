@@ -1,4 +1,4 @@
-"""The federate with vehicles that fly, among others that do not, and what it refuses before the start."""
+"""The federate with aerial and ground vehicles, and refusals before the start."""
 
 import math
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.physics.runs import Command, stepped
+from tests.support.physics.runs import Command, steps_of
 from vcmvsp.cosim.errors import FederateError, ScenarioError
 from vcmvsp.cosim.types import Vec3, Velocity, Waypoint
 from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, MujocoPhysics, Physics
@@ -26,9 +26,9 @@ def spec(name: str, model: Vehicle, position: Vec3 = HIGH, **also: Any) -> Vehic
     return VehicleSpec(name=name, model=model, position=position, **also)
 
 
-def flown(physics: Physics, commands: list[Command], duration_s: float) -> list[dict[str, Any]]:
-    """Values by key at every tenth of a second; commands are handed over at their own times."""
-    return [{event.key: event.value for event in events} for events in stepped(physics, commands, duration_s)]
+def values_by_step(physics: Physics, commands: list[Command], duration_s: float) -> list[dict[str, Any]]:
+    """Values by key, every 0.1 s; each command is delivered at its own time."""
+    return [{event.key: event.value for event in events} for events in steps_of(physics, commands, duration_s)]
 
 
 @KINDS
@@ -39,12 +39,12 @@ def test_a_velocity_is_in_the_world_frame_and_a_way_point_is_reached(kind: type[
         (0.0, "uav", Velocity(linear=(0.0, 1.5, 0.5))),
         (4.0, "uav", Waypoint(position=(2.0, 2.0, 4.0), yaw=-1.0)),
     ]
-    told = flown(physics, commands, 14.0)
+    told = values_by_step(physics, commands, 14.0)
     before, end = told[40]["uav/estimate"], told[-1]["uav/estimate"]
     assert before.velocity == pytest.approx((0.0, 1.5, 0.5), abs=0.06)
     assert end.position == pytest.approx((2.0, 2.0, 4.0), abs=0.1)
     assert end.yaw == pytest.approx(-1.0, abs=0.05)
-    assert "uav/odometry" not in told[0]  # it has no wheels
+    assert "uav/odometry" not in told[0]  # no wheels
 
 
 @KINDS
@@ -52,7 +52,7 @@ def test_ground_and_air_move_together_each_in_its_place(kind: type[Physics]) -> 
     models: dict[str, Vehicle] = {"point": Point(), "car": P2DX(), "uav": Quadrotor(), "unicycle": Kinematic()}
     vehicles = [spec(name, model, (3.0 * k, 0.0, 2.0)) for k, (name, model) in enumerate(models.items())]
     commands: list[Command] = [(0.0, name, Velocity(linear=(0.4, 0.0, 0.0))) for name in models]
-    told = flown(kind(world=World(), vehicles=vehicles), commands, 5.0)
+    told = values_by_step(kind(world=World(), vehicles=vehicles), commands, 5.0)
     first, last = told[0]["world/states"], told[-1]["world/states"]
     assert last.names == tuple(models)
     assert first.position[:, 2] == pytest.approx((2.0, 0.0, 2.0, 0.0), abs=1e-9)
@@ -64,7 +64,9 @@ def test_ground_and_air_move_together_each_in_its_place(kind: type[Physics]) -> 
 @KINDS
 def test_a_way_point_for_a_vehicle_on_the_ground_is_refused_by_name(kind: type[Physics]) -> None:
     with pytest.raises(FederateError, match=r"car received a Waypoint but cannot fly: send Velocity"):
-        flown(kind(world=World(), vehicles=[spec("car", P2DX())]), [(0.0, "car", Waypoint(position=(1.0, 0.0, 0.0)))], 1.0)
+        values_by_step(
+            kind(world=World(), vehicles=[spec("car", P2DX())]), [(0.0, "car", Waypoint(position=(1.0, 0.0, 0.0)))], 1.0
+        )
 
 
 @KINDS
@@ -79,17 +81,15 @@ def test_a_way_point_for_a_vehicle_on_the_ground_is_refused_by_name(kind: type[P
         Waypoint(position=(0.0, 0.0, 1.0), speed=0.0),
     ],
 )
-def test_commands_that_are_no_numbers_stop_the_run_and_name_the_vehicle(
-    kind: type[Physics], command: Velocity | Waypoint
-) -> None:
+def test_non_finite_commands_stop_the_run_and_name_the_vehicle(kind: type[Physics], command: Velocity | Waypoint) -> None:
     with pytest.raises(FederateError, match="uav"):
-        flown(kind(world=World(), vehicles=[spec("uav", Quadrotor())]), [(0.0, "uav", command)], 1.0)
+        values_by_step(kind(world=World(), vehicles=[spec("uav", Quadrotor())]), [(0.0, "uav", command)], 1.0)
 
 
-def test_a_quadrotor_believes_its_fixes_and_has_no_odometry() -> None:
+def test_a_quadrotor_uses_its_fixes_and_has_no_odometry() -> None:
     sensor = Positioning(rate_hz=5.0)
     uav = spec("uav", Quadrotor(), pose_source="positioning", positioning=sensor)
-    told = flown(
+    told = values_by_step(
         BulletPhysics(world=World(), vehicles=[uav]), [(0.0, "uav", Velocity(linear=(1.0, 0.0, 0.0), yaw_rate=0.3))], 2.0
     )
     fix: Any = None
@@ -100,17 +100,17 @@ def test_a_quadrotor_believes_its_fixes_and_has_no_odometry() -> None:
         assert estimate.yaw == pytest.approx(fix.yaw)
         assert estimate.velocity == tuple(states.velocity[0])
         tilts = [1.0 - 2.0 * (q[1] ** 2 + q[2] ** 2) for q in (estimate.attitude, states.attitude[0])]
-        assert tilts[0] == pytest.approx(tilts[1])  # only the heading is the fix's
+        assert tilts[0] == pytest.approx(tilts[1])  # only the heading comes from the fix
     with pytest.raises(ScenarioError, match="needs wheels") as raised:
         spec("uav", Quadrotor(), pose_source="odometry")
     assert raised.value.key == "pose_source"
 
 
-def test_it_starts_standing_on_the_floor_where_it_would_be_in_it() -> None:
+def test_a_start_below_the_floor_is_raised_onto_it() -> None:
     assert spec("uav", Quadrotor(), (1.0, 2.0, 0.0)).start == (1.0, 2.0, 0.04)
     assert spec("uav", Quadrotor(), (1.0, 2.0, 0.5)).start == (1.0, 2.0, 0.5)
     assert spec("car", P2DX(), (1.0, 2.0, 0.5)).start == (1.0, 2.0, 0.0)
-    told = flown(BulletPhysics(world=World(), vehicles=[spec("uav", Quadrotor(), (0.0, 0.0, 0.0))]), [], 1.0)
+    told = values_by_step(BulletPhysics(world=World(), vehicles=[spec("uav", Quadrotor(), (0.0, 0.0, 0.0))]), [], 1.0)
     assert told[-1]["world/states"].position[0] == pytest.approx((0.0, 0.0, 0.04), abs=2e-3)
     assert not any("world/contact" in at for at in told)
 
@@ -123,7 +123,7 @@ ROOF = World(solids=(Box(center=(0.0, 0.0, 2.0), size=(2.0, 2.0, 0.5)),), bounds
 
 def refusal(*vehicles: VehicleSpec, world: World = ROOF, kind: type[Physics] = BulletPhysics) -> ScenarioError:
     with pytest.raises(ScenarioError) as raised:
-        flown(kind(world=world, vehicles=vehicles), [], 0.1)
+        values_by_step(kind(world=world, vehicles=vehicles), [], 0.1)
     return raised.value
 
 
@@ -149,7 +149,7 @@ def test_above_below_and_beside_are_free() -> None:
         spec("higher", Quadrotor(), (0.0, 0.0, 2.7)),
         spec("beside", Quadrotor(), (1.4, 0.0, 2.0)),
     ]
-    assert len(flown(BulletPhysics(world=ROOF, vehicles=vehicles), [], 0.1)) == 2
+    assert len(values_by_step(BulletPhysics(world=ROOF, vehicles=vehicles), [], 0.1)) == 2
 
 
 @KINDS
@@ -163,9 +163,11 @@ def test_vehicles_outside_the_world_are_refused_by_name(kind: type[Physics]) -> 
 # --- contacts, and others in the run -----------------------------------------------------------------------------------------
 
 
-def test_gusts_move_a_quadrotor_and_belong_to_the_seed() -> None:
+def test_gusts_move_a_quadrotor_and_follow_the_seed() -> None:
     def end(world: World) -> Any:
-        return flown(BulletPhysics(world=world, vehicles=[spec("uav", Quadrotor())]), [], 3.0)[-1]["world/states"].position[0]
+        return values_by_step(BulletPhysics(world=world, vehicles=[spec("uav", Quadrotor())]), [], 3.0)[-1][
+            "world/states"
+        ].position[0]
 
     still, gusty = end(World()), end(World(wind=Wind(gust=2.0)))
     assert still == pytest.approx(HIGH, abs=1e-6)

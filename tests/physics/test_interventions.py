@@ -1,4 +1,4 @@
-"""What an operator does to vehicles and movables of a run: who is halted stands, what is moved is there; the rest goes on."""
+"""Operator interventions on vehicles and movables: halts and moves; other bodies continue."""
 
 import math
 from collections.abc import Sequence
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.support.physics.external_vehicles import Courses, straight
-from tests.support.physics.runs import run, run_info, stepped
+from tests.support.physics.runs import run, run_info, steps_of
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.federate import Event, Instants
@@ -52,70 +52,70 @@ def move(at_s: float, name: str, x: float, y: float, yaw: float = 0.0) -> Event:
     return Event("operator/moved", seconds_to_ns(at_s), Moved(obstacle=name, position=(x, y), yaw=yaw))
 
 
-def ways(events: Sequence[Event], row: int = 0) -> Array:
+def positions(events: Sequence[Event], row: int = 0) -> Array:
     """Positions (t, 3) m of a vehicle."""
     return np.array([event.value.position[row] for event in events if isinstance(event.value, States)])
 
 
 def ranges(events: Sequence[Event]) -> dict[int, float]:
-    """What the scanner of car1 saw straight ahead, m, by tenths of a second."""
+    """Forward range of car1's scanner, m, by tenths of a second."""
     found: list[tuple[int, Any]] = [(event.time_ns // 10**8, event.value) for event in events if event.key == "car1/scan"]
     return {tick: float(later.get().ranges[0]) for tick, later in found}
 
 
-def others(events: Sequence[Event]) -> list[str | None]:
-    """What was touched, in order."""
+def contacts(events: Sequence[Event]) -> list[str | None]:
+    """Bodies in contact, in order of time."""
     return [event.value.other for event in events if isinstance(event.value, Contact)]
 
 
 @KINDS
-def test_who_is_halted_stands_and_goes_on_by_its_newest_command(kind: type[Physics]) -> None:
+def test_a_halted_vehicle_resumes_with_its_newest_command(kind: type[Physics]) -> None:
     physics = kind(world=World(), vehicles=[spec("car1"), spec("car2", y=3.0)])
     told = [drive(0.0, "car1", 0.4), drive(0.0, "car2", 0.4), halt(2.0, "car1"), drive(3.0, "car1", -0.2)]
     events = run(physics, [*told, halt(5.0, "car1", halted=False), halt(5.0, "car2", halted=False)], 8.0)
-    mine, other = ways(events)[:, 0], ways(events, 1)[:, 0]
+    mine, other = positions(events)[:, 0], positions(events, 1)[:, 0]
     assert mine[20] == pytest.approx(other[20], abs=5e-3)
     stood = mine[30]
-    assert mine[20] <= stood < mine[20] + 0.3  # it brakes as it does at any command
+    assert mine[20] <= stood < mine[20] + 0.3  # brakes as for any other command
     assert mine[30:51] == pytest.approx(stood, abs=5e-3)
-    assert mine[80] - mine[70] == pytest.approx(-0.2, abs=0.01)  # what it was told while it stood
+    assert mine[80] - mine[70] == pytest.approx(-0.2, abs=0.01)  # the command received while halted
     assert other[80] - other[70] == pytest.approx(0.4, abs=0.01)
 
 
-def test_who_was_told_nothing_new_goes_on_as_before() -> None:
+def test_without_new_commands_motion_resumes() -> None:
     physics = KinematicPhysics(
         world=World(), vehicles=[spec("car1", model=Kinematic()), spec("car2", y=3.0, model=Kinematic())]
     )
     told = [drive(0.0, "car1", 0.5, 0.3), halt(1.0, "car1", "car2"), halt(1.5, "car2", "car1", halted=False)]
     events = run(physics, told, 3.0)
     plain = run(physics, told[:1], 2.5)
-    assert ways(events)[15:] == pytest.approx(ways(plain)[10:], abs=1e-12)
-    assert np.ptp(ways(events)[10:16], axis=0) == pytest.approx(0.0, abs=0.0)
-    assert np.ptp(ways(events, 1), axis=0) == pytest.approx(0.0, abs=0.0)
+    assert positions(events)[15:] == pytest.approx(positions(plain)[10:], abs=1e-12)
+    assert np.ptp(positions(events)[10:16], axis=0) == pytest.approx(0.0, abs=0.0)
+    assert np.ptp(positions(events, 1), axis=0) == pytest.approx(0.0, abs=0.0)
 
 
 @KINDS
 @pytest.mark.parametrize("model", [Quadrotor(), Point(tau_s=0.3)], ids=["quadrotor", "point"])
-def test_who_is_halted_in_the_air_hovers_and_flies_on_to_its_waypoint(kind: type[Physics], model: Vehicle) -> None:
+def test_a_halted_quadrotor_hovers_and_resumes_to_its_waypoint(kind: type[Physics], model: Vehicle) -> None:
     physics = kind(world=World(), vehicles=[spec("uav", z=2.0, model=model)])
     told = [fly(0.0, "uav", 8.0, 0.0, 3.0), halt(1.0, "uav"), halt(6.0, "uav", halted=False)]
-    way = ways(run(physics, told, 14.0))
+    way = positions(run(physics, told, 14.0))
     assert 1.0 < way[10, 0] <= way[60, 0] < 4.0
     assert way[40:61] == pytest.approx(np.tile(way[60], (21, 1)), abs=0.03)
     assert way[-1] == pytest.approx((8.0, 0.0, 3.0), abs=0.05)
 
 
-def test_commands_are_refused_from_who_is_halted_too() -> None:
+def test_wrong_commands_are_refused_during_a_halt() -> None:
     physics = KinematicPhysics(world=World(), vehicles=[spec("car1")])
     with pytest.raises(FederateError, match="car1 received a Waypoint but cannot fly"):
         run(physics, [halt(0.0, "car1"), fly(0.5, "car1", 1.0, 1.0, 1.0)], 1.0)
 
 
 @KINDS
-def test_who_is_moved_from_outside_is_not_halted_here(kind: type[Physics]) -> None:
+def test_an_external_vehicle_is_not_halted_here(kind: type[Physics]) -> None:
     vehicles = [spec("real"), spec("car1", y=3.0)]
     physics = kind(world=World(), vehicles=vehicles, outside=Courses(real=straight(0.0, 0.5)))
-    assert ways(run(physics, [halt(0.3, "real", "car1")], 1.0))[-1] == pytest.approx((0.5, 0.0, 0.0))
+    assert positions(run(physics, [halt(0.3, "real", "car1")], 1.0))[-1] == pytest.approx((0.5, 0.0, 0.0))
 
 
 # --- movables ---------------------------------------------------------------------------------------------------------------
@@ -124,7 +124,7 @@ RAYS = RangeScanner(beams=2, field_of_view=0.02, range_max=20.0, rate_hz=10.0, p
 
 
 @KINDS
-def test_what_was_moved_is_where_it_was_put_and_scanners_see_it_there(kind: type[Physics]) -> None:
+def test_moved_obstacles_are_in_place_also_for_scanners(kind: type[Physics]) -> None:
     physics = kind(world=WORLD, vehicles=[spec("car1", sensors={"scan": RAYS})])
     told = [move(1.0, "crate", 0.0, 6.0), move(2.0, "barrel", 3.0, 0.0), move(3.0, "crate", 2.0, 0.0, math.pi / 4)]
     events = run(physics, told, 4.0)
@@ -135,57 +135,57 @@ def test_what_was_moved_is_where_it_was_put_and_scanners_see_it_there(kind: type
         (19, math.inf),
         (21, 2.7),
         (29, 2.7),
-        (31, 1.735),  # of its edge, the beams being 0.01 rad aside
+        (31, 1.735),  # range of the edge; the beams are 0.01 rad off
         (39, 1.735),
     ):
         assert seen[tick] == pytest.approx(edge_m, abs=0.01), tick
 
 
 @KINDS
-def test_where_movables_are_is_told_whenever_that_changes(kind: type[Physics]) -> None:
+def test_changed_poses_of_movables_are_published(kind: type[Physics]) -> None:
     events = run(kind(world=WORLD, vehicles=[spec("car1")]), [move(1.0, "crate", 0.0, 6.0)], 5.0)
     told = [(event.time_ns, event.value) for event in events if isinstance(event.value, Pushed)]
     times = [time_ns for time_ns, _ in told if time_ns >= 10**9]
     assert times[0] == 10**9
-    assert times == [10**9] or (kind is not KinematicPhysics and times[-1] < 4 * 10**9)  # until it sleeps
+    assert times == [10**9] or (kind is not KinematicPhysics and times[-1] < 4 * 10**9)  # until it is asleep
     assert told[-1][1].names == ("crate", "barrel")
     assert told[-1][1].position == pytest.approx(np.array([(0.0, 6.0, 0.2), (8.0, 3.0, 0.5)]), abs=2e-3)
 
 
-def test_what_was_pushed_over_and_away_stands_at_rest_again() -> None:
+def test_a_pushed_and_moved_obstacle_is_at_rest() -> None:
     physics = BulletPhysics(world=World(movables=(CRATE,)), vehicles=[spec("car1", 4.0)])
     told = [drive(0.0, "car1", 0.6), halt(3.0, "car1"), move(3.5, "crate", 9.0, 1.0, 0.3)]
     before, after = list[Array](), list[Array]()
-    for tick, _ in enumerate(stepped(physics, told, 6.0)):
+    for tick, _ in enumerate(steps_of(physics, told, 6.0)):
         motion = physics._movables()
         assert motion is not None
         (before if tick < 35 else after).append(np.concatenate([motion.position[0], motion.velocity[0]]))
-    assert before[30][0] > 5.3  # it was pushed
+    assert before[30][0] > 5.3  # pushed
     assert after == [pytest.approx((9.0, 1.0, 0.2, 0.0, 0.0, 0.0), abs=2e-2)] * 26
 
 
-def test_what_leaned_on_it_falls() -> None:
-    """Though it was asleep."""
+def test_a_body_on_top_of_it_falls() -> None:
+    """Although it was asleep."""
     lid = Movable(name="lid", solid=Box(center=(5.0, 0.0, 0.45), size=(0.3, 0.3, 0.1)), mass_kg=1.0)
     physics = BulletPhysics(world=World(movables=(CRATE, lid)), vehicles=[spec("car1")])
-    for _ in stepped(physics, [move(5.0, "crate", 8.0, 0.0)], 6.0):
+    for _ in steps_of(physics, [move(5.0, "crate", 8.0, 0.0)], 6.0):
         motion = physics._movables()
     assert motion is not None
     assert motion.position == pytest.approx(np.array([(8.0, 0.0, 0.2), (5.0, 0.0, 0.05)]), abs=5e-3)
 
 
-def test_a_quadrotor_meets_at_once_what_is_put_in_its_way() -> None:
-    """Though it looks around for other bodies only 20 times a second, the last time just before."""
+def test_a_quadrotor_hits_a_placed_obstacle_at_once() -> None:
+    """Although its proximity check runs at 20 Hz only, and the last one was just before."""
 
     def flown(*told: Event) -> list[Event]:
         physics = BulletPhysics(world=World(movables=(BARREL,)), vehicles=[spec("uav", z=0.5, model=Quadrotor())])
         return run(physics, [fly(0.0, "uav", 9.0, 0.0, 0.5), *told], 1.2, [Instants(Ticks.rate(120.0))])
 
     reach = 0.3 + Quadrotor().radius_m
-    x = ways(flown())[122, 0] + reach + 0.02
+    x = positions(flown())[122, 0] + reach + 0.02
     events = flown(move(122 / 120, "barrel", x, 0.0))
-    assert others(events)[:1] == ["barrel"]
-    assert ways(events)[:, 0].max() < x - reach + 0.03
+    assert contacts(events)[:1] == ["barrel"]
+    assert positions(events)[:, 0].max() < x - reach + 0.03
 
 
 @pytest.mark.parametrize(
@@ -200,7 +200,7 @@ def test_a_quadrotor_meets_at_once_what_is_put_in_its_way() -> None:
     ],
 )
 @KINDS
-def test_where_nothing_can_stand_is_refused_at_any_time(
+def test_impossible_places_are_refused_at_any_time(
     kind: type[Physics], obstacle: str, position: tuple[float, float], yaw: float, words: str
 ) -> None:
     physics = kind(world=WORLD, vehicles=[spec("car1")])
@@ -213,15 +213,15 @@ def test_where_nothing_can_stand_is_refused_at_any_time(
 
 
 @KINDS
-def test_a_place_that_somebody_takes_is_refused_once_they_are_there(kind: type[Physics]) -> None:
+def test_occupied_places_are_refused_after_the_start(kind: type[Physics]) -> None:
     vehicles = [spec("car1", model=Inertial()), spec("uav", y=-2.0, z=0.3, model=Quadrotor())]
     physics = kind(world=WORLD, vehicles=vehicles)
-    physics.check_move("crate", (0.0, 0.0), 0.0)  # who starts there may have gone
+    physics.check_move("crate", (0.0, 0.0), 0.0)  # its starting position may be free by then
     physics.start(run_info(physics, 3.0))
     for position, name in (((0.0, 0.0), "car1"), ((0.0, -2.0), "uav"), ((8.0, 3.0), "barrel"), ((-5.0, 0.3), "cart")):
         with pytest.raises(ValueError, match=f"{name} is there"):
             physics.check_move("crate", position, 0.0)
-    for position in ((5.1, 0.0), (1.0, 0.0), (0.0, 1.0)):  # its own place is free
+    for position in ((5.1, 0.0), (1.0, 0.0), (0.0, 1.0)):  # its own place does not block
         physics.check_move("crate", position, 0.3)
     physics.step(0, [])
     now = 0
@@ -236,13 +236,13 @@ def test_a_place_that_somebody_takes_is_refused_once_they_are_there(kind: type[P
 
 
 @KINDS
-def test_a_move_onto_somebody_ends_the_run_with_its_reason(kind: type[Physics]) -> None:
+def test_a_move_onto_a_vehicle_ends_the_run_by_name(kind: type[Physics]) -> None:
     physics = kind(world=WORLD, vehicles=[spec("car1")])
     with pytest.raises(FederateError, match=r"crate cannot stand at \(0, 0\): car1 is there"):
         run(physics, [move(0.5, "crate", 0.0, 0.0)], 1.0)
 
 
-def test_who_comes_soon_takes_its_place_already() -> None:
+def test_an_approaching_vehicle_blocks_places() -> None:
     physics = KinematicPhysics(world=WORLD, vehicles=[spec("car1", model=Kinematic())])
     physics.start(run_info(physics, 1.0))
     near = (0.5 * 0.511 + 0.2 + 0.05, 0.0)

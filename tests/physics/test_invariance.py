@@ -1,4 +1,4 @@
-"""What changes nothing in a run: further instants, sensors, bodies that nobody meets, an earlier run of the same vehicles."""
+"""No effect on a run: additional instants, sensors, bodies out of reach, an earlier run of the same vehicles."""
 
 import math
 from collections.abc import Sequence
@@ -40,7 +40,7 @@ TOLD: list[Event | Command] = [
 
 
 def cast(**sensors: Any) -> list[VehicleSpec]:
-    """One of each kind; the first believes in fused positions, the last is moved from outside."""
+    """One vehicle of each kind; the first uses fused poses, the last is external."""
     fixes = Positioning(rate_hz=4.0, heading=False)
     return [
         spec("car", fusion=Fusion(), pose_source="fusion", positioning=fixes, sensors=sensors),
@@ -68,7 +68,7 @@ def events(
 
 
 def motion(found: Sequence[Event]) -> dict[tuple[int, str], Any]:
-    """States and estimates of the cast at tenths of a second, as numbers."""
+    """States and estimates of the cast every 0.1 s, as numbers."""
     rows: dict[tuple[int, str], Any] = {}
     for event in found:
         value: Any = event.value
@@ -82,7 +82,7 @@ def motion(found: Sequence[Event]) -> dict[tuple[int, str], Any]:
 
 
 def same(kind: type[Physics], one: Sequence[Event], other: Sequence[Event]) -> None:
-    """To the last bit in Bullet, whose steps are always the same; within the arcs of a vehicle whose speeds change."""
+    """Equal to the last bit in Bullet, with fixed steps; otherwise within the error of arcs with varying speed."""
     a, b = motion(one), motion(other)
     assert len(a) == 31 * 11
     for (time_ns, key), row in a.items():
@@ -91,8 +91,8 @@ def same(kind: type[Physics], one: Sequence[Event], other: Sequence[Event]) -> N
 
 
 @KINDS
-def test_further_instants_and_sensors_change_nothing(kind: type[Physics]) -> None:
-    """Though between two steps a crate is put in front of the car, which pushes it, and is taken away again."""
+def test_more_instants_and_sensors_have_no_effect(kind: type[Physics]) -> None:
+    """Although, between two steps, a crate is put in front of the car, pushed by it, and removed again."""
     alone = values(events(kind, cast()), "world/states")[20]
     (x, y, _), yaw = alone.position[0].tolist(), yaw_of(tuple(alone.attitude[0].tolist()))
     ahead_m = 0.5 * P2DX().length_m - P2DX().axle_ahead_m + 0.2 + 0.02
@@ -108,14 +108,14 @@ def test_further_instants_and_sensors_change_nothing(kind: type[Physics]) -> Non
 
 
 @KINDS
-def test_bodies_that_nobody_meets_change_nothing(kind: type[Physics]) -> None:
+def test_bodies_out_of_reach_have_no_effect(kind: type[Physics]) -> None:
     more = [spec("another", 0.0, -3.0, z=0.4, model=Quadrotor()), spec("third", 0.0, 12.0), spec("other", 20.0)]
     same(kind, events(kind, cast(), things=False), events(kind, cast(), more=more))
 
 
 @KINDS
-def test_every_run_begins_with_all_as_it_was(kind: type[Physics]) -> None:
-    """Estimators, sensors and movables; the car drives into the one that is moved from outside."""
+def test_every_run_begins_afresh(kind: type[Physics]) -> None:
+    """Estimators, sensors and movables; the car hits the external vehicle."""
     vehicles = cast(near=NeighbourRange(), imu=InertialUnit(rate_hz=20.0), scan=Ring())
     physics = kind(world=World(movables=(CRATE,), moving=(CART,)), vehicles=vehicles, outside=Courses(real=straight(0.9)))
     told = [*TOLD, Event("operator/moved", SECOND_NS, Moved(obstacle="crate", position=(2.0, 9.0), yaw=0.3))]

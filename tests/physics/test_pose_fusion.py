@@ -1,4 +1,4 @@
-"""Pose source "fusion": the estimator of real robots on simulated ones, fed by physics."""
+"""Pose source "fusion": the estimator of real robots, on simulated ones."""
 
 import math
 from collections.abc import Callable
@@ -32,8 +32,8 @@ SIGMA_M = 0.15
 NONE = OdometryNoise(distance=0.0, turn=0.0, veer=0.0, time_m=0.0, time_rad=0.0)
 
 
-class Watched(Fusion):
-    """Keeps its poses, and belongs to the test: it is not copied."""
+class RecordedFusion(Fusion):
+    """Records its poses; shared with the test instead of copied."""
 
     def __init__(self, **parameters: Any) -> None:
         super().__init__(**parameters)
@@ -43,12 +43,12 @@ class Watched(Fusion):
         self.poses.append(super().estimate(now_ns))
         return self.poses[-1]
 
-    def __deepcopy__(self, memo: Any) -> "Watched":
+    def __deepcopy__(self, memo: Any) -> "RecordedFusion":
         return self
 
 
-class Noted:
-    """An estimator that only notes what it is told."""
+class InputRecorder:
+    """Estimator that only records its inputs."""
 
     def __init__(self) -> None:
         self.told: list[tuple[Any, ...]] = []
@@ -62,24 +62,24 @@ class Noted:
     def estimate(self, now_ns: int) -> None:
         return None
 
-    def __deepcopy__(self, memo: Any) -> "Noted":
+    def __deepcopy__(self, memo: Any) -> "InputRecorder":
         return self
 
 
-def fused(fusion: Any, name: str = "car", *, rate_hz: float = 5.0, **rest: Any) -> VehicleSpec:
+def fusion_spec(fusion: Any, name: str = "car", *, rate_hz: float = 5.0, **rest: Any) -> VehicleSpec:
     sensor = Positioning(rate_hz=rate_hz, sigma_m=SIGMA_M, heading=False)
     return spec(name, fusion=fusion, pose_source="fusion", positioning=sensor, **rest)
 
 
 class Errors(NamedTuple):
-    """Of the estimates once the heading was known, (n, 3) x m, y m, yaw rad; and covariances (n, 3, 3)."""
+    """Errors of the estimates with known heading, (n, 3) x m, y m, yaw rad; and covariances (n, 3, 3)."""
 
     of: np.ndarray
     covariance: np.ndarray
 
 
-def errors(kind: type[Physics], fusion: Watched, seed: int, seconds: float = 14.0) -> Errors:
-    events = run(kind(world=World(), vehicles=[fused(fusion)]), TURNS, seconds, seed=seed)
+def errors(kind: type[Physics], fusion: RecordedFusion, seed: int, seconds: float = 14.0) -> Errors:
+    events = run(kind(world=World(), vehicles=[fusion_spec(fusion)]), TURNS, seconds, seed=seed)
     found = []
     for states, believed, pose in zip(
         values(events, "world/states"), values(events, "car/estimate"), fusion.poses, strict=True
@@ -91,8 +91,8 @@ def errors(kind: type[Physics], fusion: Watched, seed: int, seconds: float = 14.
 
 
 @KINDS
-def test_it_knows_better_than_its_fixes(kind: type[Physics]) -> None:
-    seeds = [errors(kind, Watched(), seed) for seed in range(5)]
+def test_it_is_better_than_its_fixes(kind: type[Physics]) -> None:
+    seeds = [errors(kind, RecordedFusion(), seed) for seed in range(5)]
     assert all(len(each.of) > 80 for each in seeds)  # of 141: the heading is known after some metres
     rms = np.sqrt(np.mean([np.mean(each.of**2, axis=0) for each in seeds], axis=0))
     assert rms.max() < 0.6 * SIGMA_M
@@ -100,17 +100,17 @@ def test_it_knows_better_than_its_fixes(kind: type[Physics]) -> None:
     assert settled.max() < 0.35 * SIGMA_M
 
 
-def test_its_errors_are_as_large_as_it_says_where_odometry_is_as_good_as_it_thinks() -> None:
+def test_errors_match_the_covariance_with_exact_odometry() -> None:
     """Without bodies odometry is exact: NEES is chi-square with 3 degrees of freedom."""
-    seeds = [errors(KinematicPhysics, Watched(noise=NONE), seed, 10.0) for seed in range(30)]
+    seeds = [errors(KinematicPhysics, RecordedFusion(noise=NONE), seed, 10.0) for seed in range(30)]
     nees = sum(each.of[-1] @ np.linalg.solve(each.covariance[-1], each.of[-1]) for each in seeds)
     low, high = chi2.ppf((0.0005, 0.9995), 3 * len(seeds))
     assert low < nees < high
 
 
 @KINDS
-def test_until_motion_tells_the_heading_it_is_that_of_odometry_and_the_place_that_of_the_fixes(kind: type[Physics]) -> None:
-    events = run(kind(world=World(), vehicles=[fused(Fusion(), heading=0.7)]), seconds=1.0)  # it stands
+def test_before_motion_the_heading_is_odometry_and_the_place_that_of_fixes(kind: type[Physics]) -> None:
+    events = run(kind(world=World(), vehicles=[fusion_spec(Fusion(), heading=0.7)]), seconds=1.0)  # at rest
     estimates = [event for event in events if event.key == "car/estimate"]
     fixes = [event for event in events if event.key == "car/fix"]
     for event in estimates:
@@ -121,11 +121,11 @@ def test_until_motion_tells_the_heading_it_is_that_of_odometry_and_the_place_tha
 
 
 @KINDS
-def test_it_is_fed_at_instants_of_its_own_however_often_states_are_needed(kind: type[Physics]) -> None:
+def test_inputs_have_their_own_instants_at_any_state_rate(kind: type[Physics]) -> None:
     def told(*instants: Instants) -> list[tuple[Any, ...]]:
-        noted = Noted()
-        other = fused(Noted(), "other", rate_hz=8.0, y=3.0)
-        run(kind(world=World(), vehicles=[fused(noted, rate_hz=4.0), other]), TURNS, 6.0, instants)
+        noted = InputRecorder()
+        other = fusion_spec(InputRecorder(), "other", rate_hz=8.0, y=3.0)
+        run(kind(world=World(), vehicles=[fusion_spec(noted, rate_hz=4.0), other]), TURNS, 6.0, instants)
         return noted.told
 
     seldom, often = told(), told(Instants(Ticks.every(0.025)), Instants(Ticks.every(0.1), seconds_to_ns(0.05)))
@@ -139,15 +139,15 @@ def test_it_is_fed_at_instants_of_its_own_however_often_states_are_needed(kind: 
     assert [each[1] for each in seldom if each[0] == "odometry"] == sorted(tenths | quarters)
     assert [each[1] for each in seldom if each[0] == "fix"] == sorted(quarters)
     after = {each[1]: seldom[number - 1][:2] for number, each in enumerate(seldom) if each[0] == "fix"}
-    assert after == {time_ns: ("odometry", time_ns) for time_ns in quarters}  # first how far it went, then where it was
+    assert after == {time_ns: ("odometry", time_ns) for time_ns in quarters}  # odometry before the fix
 
 
 @KINDS
-def test_it_is_fed_the_same_where_physics_moves_on_ahead_of_the_wall_clock(kind: type[Physics]) -> None:
+def test_inputs_are_equal_with_physics_ahead_of_the_wall_clock(kind: type[Physics]) -> None:
     def told(*, paced: bool) -> list[tuple[Any, ...]]:
-        noted = Noted()
-        vehicles = [fused(noted, rate_hz=1.0), spec("lag", y=3.0, model=Lag())]
-        quarters = (Instants(Ticks.every(0.25)),)  # steps ahead of need pass instants at which it is fed
+        noted = InputRecorder()
+        vehicles = [fusion_spec(noted, rate_hz=1.0), spec("lag", y=3.0, model=Lag())]
+        quarters = (Instants(Ticks.every(0.25)),)  # early steps pass instants of estimator input
         run(kind(world=World(), vehicles=vehicles), TURNS, 2.0, quarters, paced=paced)
         return noted.told
 
@@ -155,9 +155,9 @@ def test_it_is_fed_the_same_where_physics_moves_on_ahead_of_the_wall_clock(kind:
 
 
 @KINDS
-def test_what_it_is_told_adds_up_to_the_way(kind: type[Physics]) -> None:
-    noted = Noted()
-    events = run(kind(world=World(), vehicles=[fused(noted)]), TURNS, 12.0)
+def test_odometry_inputs_add_up_to_the_path(kind: type[Physics]) -> None:
+    noted = InputRecorder()
+    events = run(kind(world=World(), vehicles=[fusion_spec(noted)]), TURNS, 12.0)
     pose = (0.0, 0.0, 0.0)
     for what, _, distance, turn, *_ in noted.told:
         if what == "odometry":
@@ -175,7 +175,7 @@ def test_travelled_undoes_an_arc(pose: tuple[float, float, float], distance: flo
     assert travelled(pose, arc(pose, distance, turn, 1.0)) == pytest.approx((distance, turn), abs=1e-8)
 
 
-def test_fixes_without_a_heading_are_the_same_fixes() -> None:
+def test_fixes_without_a_heading_are_equal() -> None:
     def fixes(*, heading: bool) -> list[Any]:
         car = spec("car", positioning=Positioning(heading=heading, outlier_probability=0.1), pose_source="positioning")
         return values(run(KinematicPhysics(world=World(), vehicles=[car]), TURNS, 5.0), "car/fix")
@@ -186,7 +186,7 @@ def test_fixes_without_a_heading_are_the_same_fixes() -> None:
     assert all(each.yaw is not None for each in with_it)
 
 
-def test_a_fix_that_is_exact_can_be_fused() -> None:
+def test_an_exact_fix_can_be_fused() -> None:
     car = spec("car", fusion=Fusion(), pose_source="fusion", positioning=Positioning(sigma_m=0.0))
     events = run(KinematicPhysics(world=World(), vehicles=[car]), TURNS, 8.0)
     states, believed = values(events, "world/states")[-1], values(events, "car/estimate")[-1]
@@ -197,7 +197,7 @@ def test_a_fix_that_is_exact_can_be_fused() -> None:
     ("make", "words"),
     [
         (lambda: spec("car", fusion=Fusion(), pose_source="fusion"), 'sensor "positioning" on the vehicle'),
-        (lambda: fused(Fusion(), model=Quadrotor()), "needs wheels"),
+        (lambda: fusion_spec(Fusion(), model=Quadrotor()), "needs wheels"),
     ],
 )
 def test_vehicles_that_cannot_fuse_are_refused(make: Callable[[], VehicleSpec], words: str) -> None:
@@ -206,8 +206,8 @@ def test_vehicles_that_cannot_fuse_are_refused(make: Callable[[], VehicleSpec], 
     assert raised.value.key == "pose_source"
 
 
-def test_a_simulated_vehicle_needs_an_estimator_and_one_moved_from_outside_does_not() -> None:
-    vehicles = [fused(None)]
+def test_a_simulated_vehicle_needs_an_estimator_and_an_external_one_does_not() -> None:
+    vehicles = [fusion_spec(None)]
     with pytest.raises(ScenarioError, match="needs an estimator") as raised:
         run(KinematicPhysics(world=World(), vehicles=vehicles))
     assert raised.value.key == "vehicle.car.pose_source"
@@ -216,7 +216,7 @@ def test_a_simulated_vehicle_needs_an_estimator_and_one_moved_from_outside_does_
     assert keys == {"world/states"}
 
 
-def test_outliers_do_not_carry_it_away() -> None:
+def test_outliers_are_rejected() -> None:
     sensor = Positioning(rate_hz=5.0, outlier_probability=0.1, outlier_m=3.0, heading=False)
     far = []
     for source in ("fusion", "positioning"):

@@ -1,4 +1,4 @@
-"""The README's examples work as they stand there."""
+"""The README's examples run unchanged."""
 
 import re
 import tomllib
@@ -37,7 +37,7 @@ def test_the_scenario(folder: Path) -> None:
     assert {*vcmvsp.run("all.toml").states.to_pandas().vehicle} == {"ugv", "uav"}
 
 
-def test_the_vehicle_of_ones_own(folder: Path) -> None:
+def test_the_custom_vehicle(folder: Path) -> None:
     robot = block("xml", "<robot")
     assert len(robot.splitlines()) + len(block("toml", "cart.urdf").splitlines()) <= 30
     (folder / "cart.urdf").write_text(robot)
@@ -45,7 +45,7 @@ def test_the_vehicle_of_ones_own(folder: Path) -> None:
     assert api.check("cart.toml")["vehicle"][0]["max_speed"] == 1.2
 
 
-def test_the_sensor_of_ones_own(folder: Path) -> None:
+def test_the_custom_sensor(folder: Path) -> None:
     code = block("python", "class Sonar")
     assert len(code.splitlines()) <= 20
     (folder / "my_sensors.py").write_text(code)
@@ -66,7 +66,7 @@ def test_the_sensor_of_ones_own(folder: Path) -> None:
     assert seen == pytest.approx({"a": 3.0, "b": 3.0, "c": 4.0}, abs=0.1)
 
 
-def test_the_world_of_ones_own(folder: Path) -> None:
+def test_the_custom_world(folder: Path) -> None:
     (folder / "my_worlds.py").write_text(block("python", "class Orchard"))
     world, name = world_of("my_worlds.py:Orchard", {"rows": 4, "boxes": [{"center": [9, 9, 1], "size": [1, 1, 1]}]})
     assert name == "Orchard"
@@ -74,7 +74,7 @@ def test_the_world_of_ones_own(folder: Path) -> None:
     assert len(world.solids) == 41
 
 
-def test_every_file_and_kind_that_is_named_is_there() -> None:
+def test_every_named_file_and_kind_exists() -> None:
     home = Path(physics.__path__[0])
     for path in re.findall(r"[\w/]+\.py\b|\b\w+/(?=[\s;,:])", block("", "federate.py ")):
         assert (home / path).exists(), path

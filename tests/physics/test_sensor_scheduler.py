@@ -1,4 +1,4 @@
-"""Who asks the sensors: when, in what order, with whose draws, and what a reading that nobody looks at costs."""
+"""Sensor scheduling: times, order, random streams, and the cost of unused readings."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ Fitted = Mapping[str, Mapping[str, Sensor]]
 
 @dataclass(kw_only=True)
 class Draw(Sensor):
-    """Says one draw."""
+    """Returns one draw and the row."""
 
     def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Measured:
         return Measured(time_ns=scene.now_ns, values={"draw": float(rng.standard_normal()), "row": row})
@@ -35,7 +35,7 @@ class Draw(Sensor):
 
 @dataclass(kw_only=True)
 class Heavy(Draw):
-    """The same on demand; notes how many were worked out together."""
+    """A draw on demand; records the size of each batch."""
 
     on_demand: ClassVar[bool] = True
     batches: ClassVar[list[int]] = []
@@ -47,14 +47,14 @@ class Heavy(Draw):
 
 
 @pytest.fixture(autouse=True)
-def _no_batches() -> None:
+def _clear_batches() -> None:
     Heavy.batches.clear()
 
 
 def run(
     fitted: Fitted, seconds: float, *, seed: int = 1, vehicles: int = 3, requested: frozenset[str] = frozenset()
 ) -> list[Event]:
-    """All events of a run; readings on demand as they are."""
+    """All events of a run; on-demand readings stay lazy."""
     instruments = SensorScheduler(fitted, seed, requested=requested)
     places, events = [(3.0 * n, 0.0, 1.0) for n in range(vehicles)], []
     for now in times(instruments, seconds):
@@ -64,25 +64,25 @@ def run(
 
 
 def times(instruments: SensorScheduler, seconds: float) -> list[int]:
-    """When sensors are to be read before so many seconds have gone, ns."""
+    """Reading times before ``seconds``, ns."""
     found = set()
     for ticks, offset_ns in ((each.ticks, each.offset_ns) for each in instruments.instants):
         found |= {now for k in range(10_000) if (now := ticks.at(k) + offset_ns) < seconds * SECOND_NS}
     return sorted(found)
 
 
-def said(events: Sequence[Event], key: str) -> list[Any]:
-    return [looked(event) for event in events if event.key == key]
+def values_of(events: Sequence[Event], key: str) -> list[Any]:
+    return [value_of(event) for event in events if event.key == key]
 
 
-def looked(event: Event) -> Any:
+def value_of(event: Event) -> Any:
     value: Any = event.value
     return value.get() if isinstance(value, Later) else value
 
 
 def test_each_sensor_is_read_at_its_rate_from_its_phase_on_and_delivered_late() -> None:
     events = run({"car0": {"a": Draw(rate_hz=10.0, phase_s=0.05, latency_s=0.12), "b": Draw(rate_hz=4.0)}}, 1.0)
-    taken = [looked(event).time_ns for event in events if event.key == "car0/a"]
+    taken = [value_of(event).time_ns for event in events if event.key == "car0/a"]
     assert taken == [(50 + 100 * k) * 10**6 for k in range(10)]
     assert [event.time_ns for event in events if event.key == "car0/a"] == [now + 120 * 10**6 for now in taken]
     assert [event.time_ns for event in events if event.key == "car0/b"] == [0, 250 * 10**6, 500 * 10**6, 750 * 10**6]
@@ -100,11 +100,11 @@ def test_sensors_are_due_at_their_own_instants_alone() -> None:
     assert due == times(instruments, 1.0)
 
 
-def test_ticks_that_are_no_whole_nanoseconds_are_all_met() -> None:
+def test_ticks_of_fractional_nanoseconds_are_all_met() -> None:
     assert len(run({"car0": {"a": Draw(rate_hz=120.0), "b": Draw(rate_hz=60.0)}}, 1.0)) == 180
 
 
-def test_events_of_an_instant_come_by_vehicle_and_sensor_as_fitted() -> None:
+def test_events_of_an_instant_are_ordered_as_fitted() -> None:
     fitted: Fitted = {
         "car1": {"z": Heavy(), "a": Draw()},
         "car0": {"m": Draw(rate_hz=20.0), "b": Gps(rate_hz=10.0), "c": Draw()},
@@ -113,13 +113,13 @@ def test_events_of_an_instant_come_by_vehicle_and_sensor_as_fitted() -> None:
     assert keys == ["car1/z", "car1/a", "car0/m", "car0/b", "car0/c", "car0/m"]
 
 
-def test_each_is_asked_with_the_row_of_its_vehicle() -> None:
+def test_each_sensor_gets_the_row_of_its_vehicle() -> None:
     events = run({"car2": {"a": Draw(), "h": Heavy()}, "car1": {"a": Draw()}}, 0.1)
-    assert {event.key: looked(event).values["row"] for event in events} == {"car2/a": 2, "car2/h": 2, "car1/a": 1}
+    assert {event.key: value_of(event).values["row"] for event in events} == {"car2/a": 2, "car2/h": 2, "car1/a": 1}
 
 
-def test_nothing_but_the_sensor_itself_moves_its_draws() -> None:
-    """Not the vehicles, sensors and drop-outs beside it; and a run begins with fresh sensors."""
+def test_draws_depend_on_the_sensor_only() -> None:
+    """Vehicles, other sensors and drop-outs have no effect; each run begins with fresh sensors."""
     sensors: dict[str, Sensor] = {
         "gps": Gps(),
         "imu": InertialUnit(),
@@ -127,7 +127,7 @@ def test_nothing_but_the_sensor_itself_moves_its_draws() -> None:
         "range": NeighbourRange(reach_m=4.0),
         "h": Heavy(),
     }
-    alone = {name: said(run({"car0": {name: each}}, 1.0), f"car0/{name}") for name, each in sensors.items()}
+    alone = {name: values_of(run({"car0": {name: each}}, 1.0), f"car0/{name}") for name, each in sensors.items()}
     others: Fitted = {
         "car1": {"gps": Gps(), "h": Heavy()},
         "car0": {**sensors, "draw": Draw(rate_hz=50.0)},
@@ -135,52 +135,52 @@ def test_nothing_but_the_sensor_itself_moves_its_draws() -> None:
     }
     together = run(others, 1.0, vehicles=5, requested=frozenset({"car0/h", "car1/h"}))
     for name, readings in alone.items():
-        assert said(together, f"car0/{name}") == readings
+        assert values_of(together, f"car0/{name}") == readings
     draws = [reading.values["draw"] for reading in alone["h"]]
     assert len(set(draws)) == len(draws) == 10
-    assert said(together, "car1/gps") != alone["gps"]
-    assert said(run({"car0": {"gps": sensors["gps"]}}, 1.0, seed=2), "car0/gps") != alone["gps"]
+    assert values_of(together, "car1/gps") != alone["gps"]
+    assert values_of(run({"car0": {"gps": sensors["gps"]}}, 1.0, seed=2), "car0/gps") != alone["gps"]
 
 
 @pytest.mark.parametrize("sensor", [Draw(), Altimeter(noise=Noise(drift_sd=1.0, walk=1.0), rate_hz=10.0), Heavy()])
-def test_drop_outs_are_as_many_as_stated_and_leave_the_others_as_they_are(sensor: Sensor) -> None:
+def test_drop_outs_have_the_stated_rate_and_no_other_effect(sensor: Sensor) -> None:
     n = 1500
     every = run({"car0": {"a": sensor}}, n / 10)
     lossy = type(sensor)(**{**vars_of(sensor), "drop_out": 0.3})
     some = run({"car0": {"a": lossy}}, n / 10)
     assert 1.0 - len(some) / n == pytest.approx(0.3, abs=4 * (0.3 * 0.7 / n) ** 0.5)
-    kept = {looked(event).time_ns: looked(event) for event in every}
-    assert all(looked(event) == kept[looked(event).time_ns] for event in some)
-    gaps = np.diff([looked(event).time_ns for event in some]) // 10**8
-    assert np.mean(gaps == 1) == pytest.approx(0.7, abs=0.06)  # independent from reading to reading
+    kept = {value_of(event).time_ns: value_of(event) for event in every}
+    assert all(value_of(event) == kept[value_of(event).time_ns] for event in some)
+    gaps = np.diff([value_of(event).time_ns for event in some]) // 10**8
+    assert np.mean(gaps == 1) == pytest.approx(0.7, abs=0.06)  # independent between readings
 
 
 def vars_of(sensor: Sensor) -> dict[str, Any]:
     return {name: getattr(sensor, name) for name in binding.parameters(type(sensor))}
 
 
-def test_on_demand_only_what_is_looked_at_is_worked_out() -> None:
+def test_on_demand_only_used_readings_are_computed() -> None:
     events = run({f"car{n}": {"h": Heavy()} for n in range(3)}, 1.0)
     assert Heavy.batches == []
-    first = [looked(events[number]) for number in (7, 20, 7)]
+    first = [value_of(events[number]) for number in (7, 20, 7)]
     assert Heavy.batches == [1, 1]
     assert first[0] is first[2]
 
 
-def test_requested_ones_are_worked_out_together_with_the_same_answers() -> None:
+def test_requested_readings_are_batched_with_equal_values() -> None:
     fitted = {f"car{n}": {"h": Heavy(), "g": Heavy(rate_hz=5.0)} for n in range(3)}
-    each = [looked(event) for event in run(fitted, 1.0)]
+    each = [value_of(event) for event in run(fitted, 1.0)]
     assert set(Heavy.batches) == {1}
     Heavy.batches.clear()
     some = run(fitted, 1.0, requested=frozenset({"car0/h", "car2/h", "car2/g"}))
-    looked(some[0])  # car0/h at 0
+    value_of(some[0])  # car0/h at 0
     assert Heavy.batches == [3]
-    backwards = [looked(event) for event in reversed(some)]
+    backwards = [value_of(event) for event in reversed(some)]
     assert backwards[::-1] == each
     assert sorted(Heavy.batches) == sorted([3] * 5 + [2] * 5 + [1] * (3 * 15 - 25))
 
 
-def test_light_ones_are_read_at_once_and_together() -> None:
+def test_light_sensors_are_read_at_once_in_batches() -> None:
     asked = []
 
     @dataclass(kw_only=True)
@@ -214,7 +214,7 @@ def test_rates_and_phases_on_steps_of_physics_are_not_refused() -> None:
     SensorScheduler({"car0": sensors}, 1).check(Ticks.rate(120.0))
 
 
-def test_a_sensor_that_fails_is_named() -> None:
+def test_a_failing_sensor_is_named() -> None:
     @dataclass(kw_only=True)
     class Broken(Sensor):
         def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Reading:
@@ -241,7 +241,7 @@ def test_a_sensor_that_fails_is_named() -> None:
         ({"rate_hz": 0.0}, ">= 1e-06"),
     ],
 )
-def test_values_that_no_sensor_can_have_are_refused_by_name(given: dict[str, float], words: str) -> None:
+def test_impossible_values_are_refused_by_name(given: dict[str, float], words: str) -> None:
     @dataclass(kw_only=True)
     class Own(Draw):
         rate_hz: Rate = 20.0

@@ -1,8 +1,8 @@
-"""What tests need of the machine, and what the summary says of those that were left out.
+"""Requirements of tests on the machine, and the summary's lines on skipped tests.
 
-A program that is missing can be installed: a test that needs it is skipped, the summary says what to install, and where `CI` is
-set the test fails. What a machine does not allow (network namespaces, IPv6) cannot, and large programs beside which results are
-compared are not: such a test is skipped and named everywhere.
+A missing program can be installed: a test that needs it is skipped, the summary says what to install, and with `CI` set the
+test fails. Features that the machine forbids (network namespaces, IPv6) cannot be installed, and large reference programs are
+not: such a test is skipped and named everywhere.
 """
 
 import importlib
@@ -31,8 +31,8 @@ APART = "installed apart from vcmvsp's environment: "
 
 
 def program(name: str) -> Path:
-    """Where a program is; the test is skipped where it is missing."""
-    path = shutil.which(name) or (shutil.which(name, path="/usr/sbin") if name == "sshd" else None)  # it wants its whole path
+    """Path of a program; the test is skipped without it."""
+    path = shutil.which(name) or (shutil.which(name, path="/usr/sbin") if name == "sshd" else None)  # it needs its whole path
     if path is None:
         pytest.skip(f"there is no {name}: install the Debian package {PACKAGES.get(name, name)}")
     return Path(path)
@@ -43,7 +43,7 @@ def not_allowed(what: str) -> NoReturn:
 
 
 def installed_apart(module: str) -> Any:
-    """A module of a program that is no part of the environment; the test is skipped where it is missing."""
+    """A module of a program outside of the environment; the test is skipped without it."""
     try:
         return importlib.import_module(module)
     except ImportError:
@@ -67,7 +67,7 @@ OUTSIDE = {  # audit events, and the markers that allow them
     **dict.fromkeys(("subprocess.Popen", "os.fork", "os.posix_spawn"), frozenset(("processes", "browser"))),
     **dict.fromkeys(("socket.bind", "socket.connect"), frozenset(("sockets", "processes", "browser"))),
 }
-_unmarked: dict[str, set[str]] = {}  # markers of the running test, where unmarked tests are chosen
+_unmarked: dict[str, set[str]] = {}  # markers of the running test, if unmarked tests are selected
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -78,7 +78,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def _refuse(event: str, arguments: object) -> None:
-    """What `make quick` leaves out is marked, so that it stays quick."""
+    """Fail a test without the marker that its work needs, so that `make quick` stays quick."""
     if "test" in _unmarked and event in OUTSIDE and not OUTSIDE[event] & _unmarked["test"]:
         raise AssertionError(f"{event}{arguments}: mark this test as one of {', '.join(sorted(OUTSIDE[event]))}")
 
@@ -100,7 +100,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Where `CI` is set, whatever could be installed is."""
+    """With `CI` set, all installable programs are required."""
     report = yield
     reason = _reason(report)
     left_out = report.skipped and not hasattr(report, "wasxfail") and not reason.startswith((NOT_ALLOWED, APART))

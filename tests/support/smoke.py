@@ -1,7 +1,7 @@
-"""Sums of what short runs write, to be compared between versions of Python: ``python -m tests.support.smoke``.
+"""Checksums of short runs, compared between versions of Python: ``python -m tests.support.smoke``.
 
-Seven scenarios, one of them again with its agents in processes, another in MuJoCo, and a study. Each line is a name and SHA-256
-sums.
+Seven scenarios, one of them again with its agents in processes, another in MuJoCo, and a study. Each line is a name and
+SHA-256 sums.
 """
 
 import hashlib

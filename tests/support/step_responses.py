@@ -1,4 +1,4 @@
-"""What is read off a response in time, and what it must be; apart from the product's measures, which are tested themselves."""
+"""Characteristics of step responses and their theory, independent of the product's own measures."""
 
 import math
 
@@ -9,13 +9,13 @@ Floats = NDArray[np.float64]
 
 
 def overshoot(z: ArrayLike) -> float:
-    """How far an error (n,) goes to the other side, as a share of its start."""
+    """Overshoot of an error (n,), as a share of its start."""
     error = np.asarray(z, float)
     return max(0.0, float((-error / error[0]).max()))
 
 
 def settling_s(z: ArrayLike, period_s: float, within: float) -> float:
-    """When an error (n,), taken every ``period_s`` from 0 s on, stays within the band: 0 s if it has never left it."""
+    """Time from which an error (n,), taken every ``period_s`` from 0 s on, stays within the band: 0 s if it never leaves it."""
     outside = np.flatnonzero(np.abs(np.asarray(z, float)) > within)
     return period_s * (int(outside[-1]) + 1) if outside.size else 0.0
 
@@ -23,8 +23,8 @@ def settling_s(z: ArrayLike, period_s: float, within: float) -> float:
 def servo_step(k1: float, period_s: float, tau_s: float, ticks: int) -> Floats:
     """z1 (ticks,) of ``v = v_leader + k1 z1``, sampled, through a first-order servo, from 1 and at the leader's speed.
 
-    State (z1, v - v_leader), multiplied every period T by [[1 - k1 (T - tau (1 - a)), -tau (1 - a)], [(1 - a) k1, a]] with
-    a = exp(-T / tau): the exact solution over a period of a constant command.
+    State (z1, v - v_leader), multiplied every period T by [[1 - k1 (T - tau (1 - a)), -tau (1 - a)], [(1 - a) k1, a]] with a =
+    exp(-T / tau): the exact solution over a period of a constant command.
     """
     a = math.exp(-period_s / tau_s)
     way = tau_s * (1.0 - a)
@@ -36,7 +36,7 @@ def servo_step(k1: float, period_s: float, tau_s: float, ticks: int) -> Floats:
 
 
 def growth(y: Floats, step: int) -> float:
-    """Growth per tick of what swings as one pair of roots z: y[n + 2 s] = a y[n + s] + b y[n] has |z|^(2 s) = -b."""
+    """Growth per tick of an oscillation with one pair of roots z: y[n + 2 s] = a y[n + s] + b y[n] has |z|^(2 s) = -b."""
     past = np.stack([y[step:-step], y[: -2 * step]], axis=1)
     _, b = np.linalg.lstsq(past, y[2 * step :], rcond=None)[0]
     return float(math.sqrt(-b) ** (1.0 / step))
@@ -45,7 +45,7 @@ def growth(y: Floats, step: int) -> float:
 def root(gain: float, age: int) -> float:
     """Growth per tick of y[n + 1] = y[n] - gain y[n - age]: the largest abs(z) with z^(age + 1) - z^age + gain = 0.
 
-    By Newton's method from where it is in continuous time at the bound: all roots of a high degree would take a while.
+    By Newton's method from the root in continuous time at the bound: computing all roots of a high degree is slow.
     """
     z = complex(np.exp(1j * min(gain, 0.5)))
     for _ in range(100):

@@ -1,8 +1,8 @@
-"""The built-in studies show what they say, at points of theirs and with fewer runs.
+"""The built-in studies show what they describe, at some of their points and with fewer runs.
 
-Reference values are those of a triangle on the slalom, worked out apart from this platform with 20 seeds: RMS of the formation
-error, m, for an age of the leader's message that is the delay, to 10 % (20 % at p = 0.9). Here the least age is one period,
-0.1 s: a loss probability p without delay gives T + T p/(1 - p).
+Reference: a triangle on the slalom, computed independently of this platform with 20 seeds: RMS of the formation error, m, for
+an age of the leader's message equal to the delay, to 10 % (20 % at p = 0.9). Here the least age is one period, 0.1 s: a loss
+probability p without delay gives T + T p/(1 - p).
 """
 
 import itertools
@@ -33,7 +33,7 @@ def rms(name: str, point: dict[str, Any], seeds: int = 1) -> float:
 
 
 @pytest.mark.parametrize("name", STUDIES)
-def test_every_corner_of_a_study_can_be_run_and_its_scenario_stands_in_the_middle_of_it(name: str) -> None:
+def test_every_corner_of_a_study_is_a_valid_scenario(name: str) -> None:
     study = loader.load(name)[0].study
     assert study.metrics[0] == ("safety.min_clearance_m" if name == "study-avoidance" else "formation.rms_m")
     for point in itertools.product(*((values[0], values[-1]) for values in study.vary.values())):
@@ -53,7 +53,7 @@ def test_every_corner_of_a_study_can_be_run_and_its_scenario_stands_in_the_middl
         ("plan", 2.0, 0.0061),
     ],
 )
-def test_the_error_over_delay_is_that_of_the_reference(who: str, delay_s: float, expected: float) -> None:
+def test_the_error_over_delay_agrees_with_the_reference(who: str, delay_s: float, expected: float) -> None:
     assert rms("study-delay", {WHO: who, DELAY: delay_s}) == pytest.approx(expected, rel=0.1)
 
 
@@ -69,10 +69,10 @@ def test_nothing_is_random_in_the_study_of_delay() -> None:
 def test_the_age_over_loss_is_the_closed_form(probability: float) -> None:
     expected = T + T * probability / (1.0 - probability)
     found = [metrics("study-loss", seed, (WHO, "hold"), (LOSS, probability))["radio"]["age_s"]["mean"] for seed in (1, 2)]
-    assert sum(found) / 2 == pytest.approx(expected, rel=0.06)  # some thousand ticks, correlated over 1/(1 - p)
+    assert sum(found) / 2 == pytest.approx(expected, rel=0.06)  # a few thousand ticks, correlated over 1/(1 - p)
 
 
-def test_losses_matter_less_the_more_a_follower_knows_of_its_leader() -> None:
+def test_losses_matter_less_with_a_better_estimator() -> None:
     hold, dr, acc, plan = (rms("study-loss", {WHO: who, LOSS: 0.7}) for who in ("hold", "dr", "acc", "plan"))
     assert dr < 0.6 * hold
     assert acc < 0.7 * dr
@@ -82,13 +82,13 @@ def test_losses_matter_less_the_more_a_follower_knows_of_its_leader() -> None:
 # --- loss and delay ----------------------------------------------------------------------------------------------------------
 
 
-def test_loss_and_delay_add_up_to_an_age_for_those_who_take_messages_as_they_are() -> None:
-    # They are behind by what the leader does in that time, and its mean is d + T p/(1 - p).
+def test_loss_and_delay_add_up_to_an_age_with_hold() -> None:
+    # The lag is the leader's motion in that time; the mean age is d + T p/(1 - p).
     late, both = (rms("study-loss-delay", {WHO: "hold", LOSS: loss, DELAY: 1.0}) for loss in (0.0, 0.5))
     assert both / late == pytest.approx((1.0 + T) / 1.0, rel=0.03)
 
 
-def test_the_two_make_each_other_worse_for_those_who_extrapolate() -> None:
+def test_loss_and_delay_amplify_each_other_with_extrapolation() -> None:
     nothing, lost, late, both = (
         rms("study-loss-delay", {LOSS: p, DELAY: d}) for p, d in ((0, 0), (0.8, 0), (0, 1.0), (0.8, 1.0))
     )
@@ -101,8 +101,8 @@ def test_the_two_make_each_other_worse_for_those_who_extrapolate() -> None:
 
 @pytest.mark.parametrize(("mean_burst_s", "tolerance"), [(0.05, 0.06), (0.4, 0.15), (0.9, 0.25)])
 def test_the_age_over_bursts_is_the_closed_form(mean_burst_s: float, tolerance: float) -> None:
-    # A frame is lost with 1/2; from frame to frame a link stays bad with 1 - (1 - exp(-2 T/b))/2. The age is a period more for
-    # each frame of the row of losses that goes on: T (1 + P(bad) / P(it ends)).
+    # A frame is lost with probability 1/2; between frames a link stays bad with 1 - (1 - exp(-2 T/b))/2. Each frame of the
+    # present run of losses adds a period to the age: T (1 + P(bad) / P(end)).
     expected = T * (1.0 + 0.5 / (0.5 * (1.0 - math.exp(-2.0 * T / mean_burst_s))))
     found = [metrics("study-bursts", seed, (WHO, "hold"), (BURST, mean_burst_s))["radio"] for seed in (1, 2, 3)]
     assert sum(each["age_s"]["mean"] for each in found) / 3 == pytest.approx(expected, rel=tolerance)
@@ -118,13 +118,11 @@ def test_longer_bursts_of_the_same_share_are_worse() -> None:
 # --- size --------------------------------------------------------------------------------------------------------------------
 
 
-def test_a_formation_of_many_falls_apart_where_all_share_the_air_and_only_there() -> None:
+def test_a_large_formation_degrades_only_on_a_shared_channel() -> None:
     def error(count: int, mac: str) -> float:
         point = (("vehicle.car.count", count), ("radio.mac.kind", mac), ("duration_s", 20.0))
         return float(metrics("study-size", 1, *point)["formation"]["rms_m"])
 
-    assert error(24, "ideal") == pytest.approx(
-        error(2, "ideal"), rel=1e-9
-    )  # all follow the first: places along a line are alike
+    assert error(24, "ideal") == pytest.approx(error(2, "ideal"), rel=1e-9)  # star: slots along a line are equivalent
     assert error(2, "dcf") < 1.15 * error(2, "ideal")
     assert error(24, "dcf") > 1.5 * error(24, "ideal")

@@ -15,11 +15,11 @@ FROM_S = 20.0
 
 
 def mean_age_s(result: vcmvsp.Result, sender: str, receiver: str) -> float:
-    """Age of information over continuous time: the area under a sawtooth that rises at 1 s/s and falls at receptions."""
+    """Mean age of information over continuous time: area under a sawtooth that rises at 1 s/s and falls at receptions."""
     rows = result.radio.to_pandas()
     rows = rows[(rows.sender == sender) & (rows.receiver == receiver)].dropna(subset="received_ns")
     sent, received = (rows[name].to_numpy(float) / 1e9 for name in ("sent_ns", "received_ns"))
-    begin, end = received[:-1] - sent[:-1], received[1:] - sent[:-1]  # the age just after and just before receptions
+    begin, end = received[:-1] - sent[:-1], received[1:] - sent[:-1]  # age after and before each reception
     return float((end**2 - begin**2).sum() / 2 / (received[-1] - received[0]))
 
 
@@ -28,7 +28,7 @@ def test_loss_on_a_straight_line(p: float) -> None:
     """Independent losses p, ``hold`` on a straight leader, age d = T without loss; alpha = 1 - k1 T:
 
     mean |z| = v (d + T p/(1-p)),  var = v^2 (k1 T)^2/(1-alpha^2) T^2 p/(1-p)^2 (1+alpha p)/(1-alpha p),
-    mean age at ticks = d + T p/(1-p),  over continuous time d' + T (1+p)/(2 (1-p)) with the delay d' of a message itself.
+    mean age at ticks = d + T p/(1-p),  over continuous time d' + T (1+p)/(2 (1-p)) with the delay d' of a message.
     """
     agents = {"estimator": "hold", **UNLIMITED}
     scenario = fleet(300.0, [RIGHT_BEHIND, LEFT_BEHIND] * (FOLLOWERS // 2), path="straight", radio=lossy(p), agents=agents)
@@ -43,7 +43,7 @@ def test_loss_on_a_straight_line(p: float) -> None:
     times, z = errors(result)
     z = z[times >= FROM_S]
     assert np.hypot(z[..., 0], z[..., 1]).mean() == pytest.approx(formation["mean_m"], rel=1e-9)  # computed twice
-    assert z[..., 0].var() == pytest.approx(var, rel=0.12)  # on its own, for the mean outweighs it in the RMS
+    assert z[..., 0].var() == pytest.approx(var, rel=0.12)  # separately, as the mean dominates the RMS
     assert radio["age_s"]["mean"] == pytest.approx(d + T * p / (1 - p), rel=0.015)
     frames = radio["frames"] * FOLLOWERS
     assert radio["delivery_ratio"] == pytest.approx(1 - p, abs=5 * math.sqrt(p * (1 - p) / frames))
@@ -52,7 +52,7 @@ def test_loss_on_a_straight_line(p: float) -> None:
 
 
 def test_a_link_keeps_its_draws_when_vehicles_are_added() -> None:
-    """Losses and delays from car1 to car2 are the same in a fleet of three and of six that all talk."""
+    """Losses and delays from car1 to car2, in fleets of three and of six vehicles that all send."""
     radio = lossy(0.3, 0.05, 0.04)
     links = []
     for followers in (2, 5):

@@ -1,4 +1,4 @@
-"""Consensus through the whole platform, where a delay that is wrong by one tick turns stability."""
+"""Consensus through the whole platform, where an error of one tick in the delay changes stability."""
 
 import math
 from collections.abc import Sequence
@@ -15,8 +15,8 @@ from vcmvsp.agents.formation.followers.consensus import Graph, neighbours_of
 pytestmark = pytest.mark.slow
 
 KIND = "consensus"
-SMALL = 1e-3  # m: growth is followed over many powers of ten before the vehicles' greatest speed ends it
-GRAPHS: tuple[tuple[Graph, int, int], ...] = (  # graph, members, greatest age in ticks that is stable at 10 Hz and kappa = 1
+SMALL = 1e-3  # m: growth over many decades before the vehicles' speed limit
+GRAPHS: tuple[tuple[Graph, int, int], ...] = (  # graph, members, greatest stable age in ticks at 10 Hz and kappa = 1
     ("complete", 5, 2),
     ("star", 5, 2),
     ("ring", 6, 3),
@@ -60,12 +60,12 @@ def modes_of(graph: Graph, count: int) -> tuple[Floats, Floats]:
 
 
 def points(scenario: Table, **settings: Any) -> Floats:
-    """Where the vehicles were at every tick, (m, n, 2)."""
+    """Positions of the vehicles at every tick, (m, n, 2)."""
     return poses(vcmvsp.run(scenario, set=settings, mcap=False))[1][..., :2]
 
 
 def sampled(step: float, age: int, ticks: int) -> Floats:
-    """y[n + 1] = y[n] - step y[n - age] from 1, at rest until the first report is heard."""
+    """y[n + 1] = y[n] - step y[n - age] from 1, at rest until the first report."""
     y = [1.0]
     for n in range(ticks):
         y.append(y[n] - (step * y[n - age] if n >= age else 0.0))
@@ -74,7 +74,7 @@ def sampled(step: float, age: int, ticks: int) -> Floats:
 
 @pytest.mark.parametrize(("graph", "count", "last_stable"), GRAPHS)
 def test_the_last_stable_and_the_first_unstable_delay(graph: Graph, count: int, last_stable: int) -> None:
-    """Every mode follows its recursion to the last digits; from any start disagreement shrinks, or grows, in the end."""
+    """Every mode follows its recursion to rounding; from any start the disagreement finally decays, or grows."""
     values, modes = modes_of(graph, count)
     start = SMALL * np.random.default_rng(1).normal(size=(count, 2))
     for age in (last_stable, last_stable + 1):
@@ -91,14 +91,14 @@ def test_the_last_stable_and_the_first_unstable_delay(graph: Graph, count: int, 
 
 @pytest.mark.parametrize(("delay_s", "age"), [(0.0, 1), (0.04, 1), (0.1, 1), (0.101, 2), (0.2, 2), (0.25, 3), (0.3, 3)])
 def test_the_age_is_the_delay_rounded_up_to_ticks_and_at_least_one(delay_s: float, age: int) -> None:
-    """In the stable and in the unstable case alike, the recursion of that very age."""
+    """The recursion of that age, in the stable and in the unstable case."""
     _, modes = modes_of("star", 5)
     way = points(team(SMALL * modes[:, [-1, -1]], 4.0, delay_s=delay_s, graph="star", own="delayed"))
     assert way[..., 0] @ modes[:, -1] == pytest.approx(SMALL * sampled(0.5, age, len(way) - 1), abs=1e-14)
 
 
 def test_below_the_bound_of_continuous_time() -> None:
-    """At 1 kHz, 2 % below tau* = pi / (2 kappa lambda_max) on a path of five (a figure is above it): growth per s."""
+    """At 1 kHz, 2 % below tau* = pi / (2 kappa lambda_max) on a path of five: growth per s."""
     values, modes = modes_of("path", 5)
     age = round(0.98 * math.pi / (2.0 * values[-1]) / 1e-3)
     scenario = team(SMALL * modes[:, [-1, -1]], 2.6, period_s=1e-3, delay_s=1e-3 * age, graph="path", own="delayed")
@@ -107,10 +107,10 @@ def test_below_the_bound_of_continuous_time() -> None:
     assert measured == pytest.approx(0.966, rel=0.01)
 
 
-def test_at_the_bound_it_swings_with_omega_kappa_lambda_max() -> None:
+def test_at_the_bound_it_oscillates_with_omega_kappa_lambda_max() -> None:
     """Path of five at 100 Hz, kappa 1, the delay nearest to tau*: 3.618 rad/s."""
     values, modes = modes_of("path", 5)
-    age = round(math.pi / (2.0 * values[-1]) / 0.01 - 0.5)  # a command is held for a tick: half of it counts as delay
+    age = round(math.pi / (2.0 * values[-1]) / 0.01 - 0.5)  # a command held for a tick: half a tick of delay
     way = points(team(SMALL * modes[:, [-1, -1]], 12.0, period_s=0.01, delay_s=0.01 * age, graph="path", own="delayed"))
     y = way[400:, :, 0] @ modes[:, -1]
     crossings = np.flatnonzero(np.diff(np.sign(y)))
@@ -122,7 +122,7 @@ def test_at_the_bound_it_swings_with_omega_kappa_lambda_max() -> None:
     ("graph", "count", "lambda_2"), [("complete", 5, 5.0), ("star", 5, 1.0), ("ring", 6, 1.0), ("path", 5, 0.38197)]
 )
 def test_without_delay_disagreement_decays_with_lambda_2(graph: Graph, count: int, lambda_2: float) -> None:
-    """Sampled so fast that the one tick by which reports are old costs less than a percent."""
+    """Sampled so fast that the age of one tick costs less than 1 %."""
     values, modes = modes_of(graph, count)
     assert values[1] == pytest.approx(lambda_2, abs=1e-5)
     period_s = round(0.005 / lambda_2, 3)
@@ -131,9 +131,9 @@ def test_without_delay_disagreement_decays_with_lambda_2(graph: Graph, count: in
     assert math.log(y[100] / y[400]) / (300 * period_s) == pytest.approx(lambda_2, rel=0.01)
 
 
-@pytest.mark.parametrize(("graph", "count"), [("complete", 5), ("path", 5)])  # the quickest and the slowest
+@pytest.mark.parametrize(("graph", "count"), [("complete", 5), ("path", 5)])  # fastest and slowest
 def test_with_the_own_point_fresh_they_meet_at_any_delay(graph: Graph, count: int) -> None:
-    """Two seconds, T degree < 1: stable, and never outside of where they started; the other form is far beyond its bound."""
+    """2 s, T degree < 1: stable, and within the hull of the start; the delayed form is far beyond its bound."""
     start = np.random.default_rng(2).uniform(-1.0, 1.0, (count, 2)).tolist()
     way = points(team(start, 150.0, delay_s=2.0, graph=graph))
     assert np.ptp(way[-1], axis=0).max() < 1e-3
@@ -142,7 +142,7 @@ def test_with_the_own_point_fresh_they_meet_at_any_delay(graph: Graph, count: in
 
 @pytest.mark.parametrize("own", ["fresh", "delayed"])
 def test_a_formation_forms_and_moves_over_a_lossy_radio(own: str) -> None:
-    """Wedge of five that flies east at 0.5 m/s; half of the messages lost, the rest a tick or two old."""
+    """Wedge of five that flies east at 0.5 m/s; half of the messages lost, the rest one or two ticks old."""
     start = np.random.default_rng(3).uniform(-4.0, 4.0, (5, 2)).tolist()
     formation = {"shape": "wedge", "spacing": 2.0}
     scenario = team(
@@ -157,8 +157,8 @@ def test_a_formation_forms_and_moves_over_a_lossy_radio(own: str) -> None:
     assert result.metrics["formation"]["final_m"] < 1e-3
 
 
-def test_robots_on_wheels_form_up_with_their_hand_points() -> None:
-    """Column of four that ends up heading north-east, all from other headings; ten ticks of delay."""
+def test_robots_on_wheels_form_a_column_with_their_hand_points() -> None:
+    """Column of four that finally heads north-east, from other headings; ten ticks of delay."""
     start = [(0.0, 0.0, 0.0), (-2.0, 1.0, 3.0), (1.0, -3.0, -1.5), (-1.0, -1.0, 1.0)]
     formation = {"shape": "column", "spacing": 0.8}
     asked: dict[str, Any] = {"handle": 0.3, "heading": math.pi / 4, "velocity": (0.2, 0.2), "max_speed": 0.8}

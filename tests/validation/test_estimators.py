@@ -1,13 +1,12 @@
-"""The leader's state over a lossy channel, through the whole platform: what each estimator leaves of the formation error.
+"""Estimators of the leader's state over a lossy channel, through the whole platform: the remaining formation errors.
 
-Standard triangle on the paths ``slalom`` and ``random``, RMS of |z| from 20 s to 120 s. Published are the numbers of an
-independent simulation of kinematic followers that may reverse and never give their leader up, in which a report may be used in
-the very tick in which it is sent. Here it is a tick old by then, so over losses they cannot be met as they stand, and the way
-from them to the platform has two steps:
+Standard triangle on the paths ``slalom`` and ``random``, RMS of |z| from 20 s to 120 s. The published numbers are those of an
+independent simulation of kinematic followers that may reverse and never time out, in which a report may be used in the tick of
+its sending. Here it is a tick old by then, so that over losses these numbers cannot be met directly; there are two steps:
 
-- `integrated`, in NumPy and apart from the platform, gives what was published, with a least age of none and losses of its own;
-- each follower of the platform has the error that `integrated` gives, with a least age of one tick and the very losses of the
-  run, to the last digits. That the radio loses what it should is seen in how many and how old reports are.
+- `integrated`, in NumPy and independent of the platform, gives the published numbers, with a least age of 0 and its own losses;
+- each follower of the platform has the error that `integrated` gives with a least age of one tick and the losses of the run,
+  to rounding. The losses of the radio are checked by the number and the age of the reports.
 """
 
 import json
@@ -32,10 +31,10 @@ from vcmvsp.cosim.reproduction.figures.scenarios import AHEAD, LEFT_BEHIND, RIGH
 pytestmark = pytest.mark.slow
 
 ALL, BOTH, PATHS = ("hold", "dr", "acc", "plan"), ("hold", "dr"), ("slalom", "random")
-TICKS, FROM = 1201, 200  # of a run, and those that do not count
-SETTLED = 60  # ticks: at that age every estimate has come to a stand
-BATCH = 40  # followers that a published number is of: twenty seeds, two each
-SERVO = np.array([[0.5, 0.3], [0.3, 1.5], [0.75, 1.5], [0.75, 1.75]])  # of `inertial`: lag, rise, fall, most; of v and of w
+TICKS, FROM = 1201, 200  # of a run, and of its start, which does not count
+SETTLED = 60  # ticks: age at which every estimate has stopped
+BATCH = 40  # followers per published number: twenty seeds, two each
+SERVO = np.array([[0.5, 0.3], [0.3, 1.5], [0.75, 1.5], [0.75, 1.75]])  # of `inertial`: lag, rise, fall, maximum; of v and of w
 
 PROBABILITIES = (0.0, 0.1, 0.3, 0.5, 0.7, 0.8, 0.9)
 LOSS = {  # published: RMS of |z|, m, over PROBABILITIES
@@ -58,14 +57,14 @@ INERTIAL = {  # published, of followers with inertia: p -> hold, dr
 }
 TOGETHER = {(0.6, 0.5): (0.219, 0.057), (0.9, 2.0): (0.94, 0.55)}  # published, slalom: (p, delay in s) -> hold, dr
 BURSTS = {5: (0.115, 0.035, 0.036), 10: (0.24, 0.11, 0.12), 20: (0.53, 0.37, 0.45)}  # frames -> hold, dr, dr without a horizon
-NOISE = (0.076, 0.065)  # published, slalom, p = 0.5, 0.15 m in what the leader reports: hold, dr
+NOISE = (0.076, 0.065)  # published, slalom, p = 0.5, 0.15 m noise of the leader's pose: hold, dr
 FREE = "dr, free"  # dr without a horizon
 PATIENT = {"timeout_s": 1e9, "max_reverse": 1e9}
 
 
 @pytest.fixture(autouse=True)
 def reversing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Followers of the integration may reverse at any speed, too."""
+    """Followers of the integration may reverse at any speed."""
     monkeypatch.setattr(plain, "SLOWEST", -math.inf)
 
 
@@ -81,15 +80,15 @@ def integrated(
     inertial: bool = False,
     noise: Floats | None = None,
 ) -> Floats:
-    """RMS of |z|, m, of each of n followers, the second, fourth, ... on the leader's left.
+    """RMS of |z|, m, of each of n followers; the second, fourth, ... are on the leader's left.
 
     Args:
-        path: of the leader.
-        crew: the estimator of each, n names.
-        missed: which report, by tick, does not reach which follower, (ticks, n).
-        age: of the others when they can be used first, ticks.
+        path: path of the leader.
+        crew: estimator of each follower, n names.
+        missed: lost reports, by tick and follower, (ticks, n).
+        age: age of the others at their first use, ticks.
         inertial: whether followers have lags and limits.
-        noise: in the poses that the leader reports, (ticks, 3).
+        noise: errors of the reported poses, (ticks, 3).
     """
     ticks, count = missed.shape
     lead = plain.leader(path, ticks * T)
@@ -118,7 +117,7 @@ def integrated(
 
 
 def predictions(told: plain.LeaderTrack, estimator: str) -> Floats:
-    """What an estimator makes of each report at each age: (reports, ages, 5), for higher ages as at the last."""
+    """State by each report and age, (reports, ages, 5), constant beyond the last age."""
     if estimator != FREE:
         return plain._predictions(told, estimator, SETTLED)
     with pytest.MonkeyPatch.context() as patch:
@@ -127,25 +126,27 @@ def predictions(told: plain.LeaderTrack, estimator: str) -> Floats:
 
 
 def with_inertia(pose: Floats, speeds: Floats, command: Floats) -> tuple[Floats, Floats]:
-    """A period of ``ds/dt = clip((c - s) / tau, -fall, rise)``, in steps of 20 ms, on arcs of each step's mean speeds."""
+    """A period of ``ds/dt = clip((c - s) / tau, -fall, rise)``, in steps of 20 ms, along arcs with each step's mean speeds."""
     tau, rise, fall, most = SERVO
     steps = 5
     h = T / steps
     goal, share = np.clip(command, -most, most), 1.0 - np.exp(-h / tau)
     for _ in range(steps):
         faster = speeds + np.clip(share * (goal - speeds), -fall * h, rise * h)
-        mean = 0.5 * (speeds + faster) * (h / T)  # as the way of a whole period
+        mean = 0.5 * (speeds + faster) * (h / T)  # as the motion of a whole period
         pose, speeds = plain._arc(pose, mean), faster
     return pose, speeds
 
 
 def parts_rms(each: Floats, parts: int) -> list[float]:
-    """Root mean square over as many equal parts."""
+    """Root mean square over equal parts."""
     return [float(value) for value in np.sqrt((each.reshape(parts, -1) ** 2).mean(axis=1))]
 
 
 def assert_published(found: Floats, published: float, share: float = 0.1, deviations: float = 2.0, case: object = "") -> None:
-    """Within a share of it and its last digit, or, where few followers make most of it, some deviations of batches of forty."""
+    """Within a share of the number and its last digit, or within some deviations of batches of forty, if few followers
+    dominate.
+    """
     whole = parts_rms(found, 1)[0]
     scatter = float(np.std(parts_rms(found, len(found) // BATCH)))
     digit = 5e-5 if published < 0.01 else 5e-4
@@ -158,7 +159,7 @@ def chances(seed: int, count: int) -> Floats:
 
 @pytest.mark.parametrize("path", PATHS)
 def test_the_integration_gives_the_published_errors_over_loss(path: str) -> None:
-    """Of 240 followers each, at a least age of none: 10 %, and 20 % at p = 0.9."""
+    """With 240 followers each, at a least age of 0: 10 %, and 20 % at p = 0.9."""
     count = 6 * BATCH
     missed = chances(1, count * len(PROBABILITIES)) < np.repeat(PROBABILITIES, count)
     crew = np.repeat(ALL, missed.shape[1]).tolist()
@@ -166,7 +167,7 @@ def test_the_integration_gives_the_published_errors_over_loss(path: str) -> None
     for name, rows in zip(ALL, found, strict=True):
         for p, row, published in zip(PROBABILITIES, rows, LOSS[path][name], strict=True):
             assert_published(row, published, 0.2 if p >= 0.9 else 0.1, case=(name, p))
-    # dr is the safe one: a change of speed that has gone on for long is over, where the leader's speeds are random
+    # dr is robust: a change of speed that has lasted is over, if the leader's speeds are random
     mean = np.sqrt((found**2).mean(axis=-1))
     of = {name: dict(zip(PROBABILITIES, row, strict=True)) for name, row in zip(ALL, mean.tolist(), strict=True)}
     assert all(of["dr"][p] <= 0.6 * of["hold"][p] for p in (0.3, 0.5, 0.7, 0.8))
@@ -176,7 +177,7 @@ def test_the_integration_gives_the_published_errors_over_loss(path: str) -> None
 
 @pytest.mark.parametrize("path", PATHS)
 def test_the_integration_gives_the_published_errors_with_inertia(path: str) -> None:
-    """Of 120 followers each, behind a leader without: 10 %."""
+    """With 120 followers each, behind a leader without inertia: 10 %."""
     count = 3 * BATCH
     missed = chances(2, count * 3) < np.repeat([*INERTIAL[path]], count)
     crew = np.repeat(BOTH, missed.shape[1]).tolist()
@@ -188,7 +189,7 @@ def test_the_integration_gives_the_published_errors_with_inertia(path: str) -> N
 
 @pytest.mark.parametrize("path", PATHS)
 def test_the_integration_gives_the_published_errors_over_delay(path: str) -> None:
-    """The delay is the age: of whole periods, so all is as published, within 5 % and a digit."""
+    """The age is the delay, of whole periods: within 5 % and a digit."""
     for at, delay_s in enumerate(DELAYS_S):
         found = integrated(path, np.repeat(ALL, 2).tolist(), np.zeros((TICKS, 8), bool), round(delay_s / T))
         for name, rms in zip(ALL, parts_rms(found, len(ALL)), strict=True):
@@ -197,7 +198,9 @@ def test_the_integration_gives_the_published_errors_over_delay(path: str) -> Non
 
 
 def test_the_integration_gives_the_published_errors_with_delay_noise_and_bursts() -> None:
-    """Of 240 and more each: 10 %, 20 % at p = 0.9; for ``dr`` in bursts of ten, what was published is a fifth too low."""
+    """With 240 followers and more each: 10 %, 20 % at p = 0.9; for ``dr`` in bursts of ten the published number is a fifth too
+    low.
+    """
     count = 6 * BATCH
     for (p, delay_s), published in TOGETHER.items():
         missed = np.tile(chances(3, count) < p, 2)
@@ -216,7 +219,7 @@ def test_the_integration_gives_the_published_errors_with_delay_noise_and_bursts(
         found = integrated("slalom", np.repeat(("hold", "dr", FREE), 2 * count).tolist(), np.tile(missed, 3), 0).reshape(3, -1)
         for row, number in zip(found, by_name, strict=True):
             assert_published(row, number, deviations=3.0, case=mean)
-    _, dr, free = parts_rms(found, 3)  # of the longest
+    _, dr, free = parts_rms(found, 3)  # of the longest bursts
     assert dr < 0.9 * free
 
 
@@ -224,7 +227,7 @@ def test_the_integration_gives_the_published_errors_with_delay_noise_and_bursts(
 
 
 def crew_of(estimators: Sequence[str], each: int) -> list[dict[str, Any]]:
-    """As many followers of each estimator, on both sides, that may reverse and never give their leader up."""
+    """An equal number of followers per estimator, on both sides, that may reverse and never time out."""
     sides = (RIGHT_BEHIND, LEFT_BEHIND)
     law = {FREE: {"estimator": "dr", "horizon_s": 1e9}}
     return [{**sides[i % 2], **PATIENT, **law.get(name, {"estimator": name})} for name in estimators for i in range(each)]
@@ -239,13 +242,13 @@ def run(
     out: Path | None = None,
     **more: Any,
 ) -> vcmvsp.Result:
-    scenario = fleet(120.0, followers, path=path, radio=radio, leader={"tell": ["a", "plan"]}, **more)  # for all kinds
+    scenario = fleet(120.0, followers, path=path, radio=radio, leader={"tell": ["a", "plan"]}, **more)  # for every estimator
     scenario["vehicle"][0].update(lead or {})
     return vcmvsp.run(scenario, out=out, mcap=out is not None)
 
 
 def losses(result: vcmvsp.Result) -> NDArray[np.bool_]:
-    """Which of the leader's reports, by tick, were lost on the way to which follower, (ticks, n)."""
+    """Lost reports of the leader, by tick and follower, (ticks, n)."""
     table = result.radio.to_pandas().query("sender == 'car1'")
     tick = np.rint(table.sent_ns.to_numpy() / 1e9 / T).astype(int)
     column = table.receiver.astype(str).str.removeprefix("car").astype(int).to_numpy() - 2
@@ -263,13 +266,13 @@ def rms(result: vcmvsp.Result) -> Floats:
 @pytest.mark.parametrize("p", [0.3, 0.8])
 @pytest.mark.parametrize("path", PATHS)
 def test_the_error_at_a_loss(path: str, p: float) -> None:
-    """Of each follower, as its own losses make it; and of each estimator with the losses of all, which does better."""
+    """Of each follower with its own losses; and the order of the estimators with the losses of all followers."""
     result = run(path, crew_of(ALL, 4), lossy(p))
     found, missed = rms(result), losses(result)
     assert found == pytest.approx(integrated(path, np.repeat(ALL, 4).tolist(), missed, 1), rel=1e-6)
     frames = missed[:-1].size
     assert missed[:-1].mean() == pytest.approx(p, abs=4.0 * math.sqrt(p * (1.0 - p) / frames))
-    # all of them with all these losses
+    # every estimator with all these losses
     count = missed.shape[1]
     everyone = integrated(path, np.repeat(ALL, count).tolist(), np.tile(missed, len(ALL)), 1)
     hold, dr, acc, plan = parts_rms(everyone, len(ALL))
@@ -286,7 +289,7 @@ def test_the_error_at_a_loss(path: str, p: float) -> None:
 @pytest.mark.parametrize("delay_s", [0.3, 2.0])
 @pytest.mark.parametrize("path", PATHS)
 def test_the_error_at_a_delay(path: str, delay_s: float) -> None:
-    """2 s is as far as a plan of twenty speeds besides those of now goes."""
+    """2 s is the range of a plan of twenty speeds in addition to the present ones."""
     result = run(path, crew_of(ALL, 2), lossy(delay_s=delay_s))
     found = rms(result)
     age = round(delay_s / T)
@@ -294,7 +297,7 @@ def test_the_error_at_a_delay(path: str, delay_s: float) -> None:
     of = dict(zip(ALL, parts_rms(found, len(ALL)), strict=True))
     if delay_s <= 0.5:
         assert of["dr"] <= 0.6 * of["hold"]
-    v, w = plain.leader(path).speeds[FROM:TICKS].T  # what is kept moves on at v + L' w in that time
+    v, w = plain.leader(path).speeds[FROM:TICKS].T  # the held point moves on at v + L' w in that time
     assert of["hold"] == pytest.approx(delay_s * math.sqrt((v**2 + (ASIDE * w) ** 2).mean()), rel=0.1)
 
 
@@ -309,14 +312,14 @@ def test_loss_and_delay_together(p: float, delay_s: float) -> None:
 
 
 def bursts(mean_frames: float) -> dict[str, Any]:
-    """Half of the frames lost, in runs of that mean length: the chain has 1 - 2/mean of its state left after a period."""
+    """Half of the frames lost, in runs of that mean length: after a period the chain keeps 1 - 2/mean of its state."""
     rate = -math.log(1.0 - 2.0 / mean_frames) / T
     return {**lossy(), "loss": {"kind": "gilbert_elliott", "to_bad_per_s": rate / 2, "to_good_per_s": rate / 2}}
 
 
 @pytest.mark.parametrize("mean_frames", [5, 10])
 def test_the_error_in_bursts_of_losses(mean_frames: int) -> None:
-    """Half of the frames lost, in rows of that mean length."""
+    """Half of the frames lost, in runs of that mean length."""
     kinds = ("hold", "dr", FREE)
     result = run("slalom", crew_of(kinds, 8), bursts(mean_frames))
     found, missed = rms(result), losses(result)
@@ -329,7 +332,7 @@ def test_the_error_in_bursts_of_losses(mean_frames: int) -> None:
 
 @pytest.mark.parametrize(("path", "p"), [("slalom", 0.0), ("slalom", 0.8), ("random", 0.5)])
 def test_followers_with_inertia(path: str, p: float) -> None:
-    """Behind a leader without. Their poses are those of small steps, here as there."""
+    """Behind a leader without inertia; both integrate poses in small steps."""
     each = 4 if p else 2
     result = run(path, crew_of(BOTH, each), lossy(p), kind="inertial", lead={"kind": "kinematic"})
     expected = integrated(path, np.repeat(BOTH, each).tolist(), losses(result), 1, inertial=True)
@@ -337,7 +340,7 @@ def test_followers_with_inertia(path: str, p: float) -> None:
 
 
 def test_noise_of_the_leaders_pose(tmp_path: Path) -> None:
-    """0.15 m in what it reports, half of the frames lost; the law filters it, losses keep it."""
+    """0.15 m in the reported pose, half of the frames lost; the law filters the noise, losses hold it."""
     fixes = {"rate_hz": 10.0, "sigma_m": 0.15, "sigma_rad": 0.0}
     lead = {"pose_source": "positioning", "positioning": fixes}
     result = run("slalom", crew_of(BOTH, 4), lossy(0.5), lead=lead, out=tmp_path)

@@ -1,9 +1,9 @@
-"""Reports sent only when needed, through the whole platform: what they save, and what losses do to that.
+"""Reports sent only when needed, through the whole platform: savings, and the effect of losses.
 
 The leader drives its random path for 120 s ahead of the standard triangle, threshold 0.02 m. A simulation in which a report is
-used in the very tick it was sent has 0.86 reports a second and an RMS of |z| of 0.021 m; with losses of 0.3 each way, 0.19 m
+used in the tick of its sending has 0.86 reports a second and an RMS of |z| of 0.021 m; with losses of 0.3 each way, 0.19 m
 without confirmations, and 0.022 m and 2.0 reports a second with them. Here a report is used a period later: by then the leader
-has left the threshold further behind, and a confirmation is back after two periods at the earliest, not one.
+has exceeded the threshold further, and a confirmation takes at least two periods, not one.
 """
 
 import functools
@@ -44,17 +44,17 @@ def rms(*results: vcmvsp.Result) -> float:
     return float(np.sqrt(np.mean(error(*results) ** 2)))
 
 
-def test_it_sends_less_than_a_tenth_and_the_error_keeps_near_the_threshold() -> None:
+def test_it_sends_less_than_a_tenth_with_an_error_near_the_threshold() -> None:
     result = run(0.0, acknowledge=True)
     assert reports_per_s(result) == pytest.approx(0.86, rel=0.05)
-    assert 0.021 < rms(result) < 0.021 + 0.5 * 0.3 * 0.1  # a period's way at most on top, seldom all of it
+    assert 0.021 < rms(result) < 0.021 + 0.5 * 0.3 * 0.1  # up to a period's motion more, seldom all of it
     assert error(result).max() < 0.15
 
 
-def test_confirmations_are_small_and_as_many_as_reports_that_arrived() -> None:
+def test_confirmations_are_small_and_one_per_received_report() -> None:
     frames = run(0.3, acknowledge=True).radio.to_pandas()
     reports, answers = frames[frames.sender == "car1"], frames[frames.sender != "car1"]
-    assert set(answers.receiver) == {"car1"}  # to the leader alone
+    assert set(answers.receiver) == {"car1"}  # to the leader only
     assert len(answers) == (reports.outcome == "received").sum()
     assert answers.size_bytes.max() <= 8
     assert reports.size_bytes.min() > 60
@@ -67,7 +67,7 @@ def test_without_losses_confirmations_change_nothing() -> None:
     assert np.array_equal(error(sure), error(blind))
 
 
-def test_losses_make_it_fragile_unless_followers_confirm() -> None:
+def test_with_losses_only_confirmations_keep_the_error_small() -> None:
     blind = [run(0.3, acknowledge=False, seed=seed) for seed in SEEDS]
     sure = [run(0.3, acknowledge=True, seed=seed) for seed in SEEDS]
     assert reports_per_s(*blind) == pytest.approx(0.86, rel=0.05)

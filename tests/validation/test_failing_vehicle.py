@@ -1,4 +1,4 @@
-"""A vehicle that dies in a run: its agent is not asked any more, its last orders count, and nothing is heard of it."""
+"""A vehicle that fails in a run: its agent is no longer called, its last command counts, and it sends nothing."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ DIES_S = 4.0
 
 
 @pytest.mark.parametrize("latency_s", [0.0, 0.25])
-def test_a_dead_vehicle_stands_still_and_sends_nothing(latency_s: float) -> None:
+def test_a_failed_vehicle_stands_still_and_sends_nothing(latency_s: float) -> None:
     scenario = fleet(8.0, radio={"preset": "ideal"})
     scenario["agents"] = {"latency_s": latency_s}
     scenario["vehicle"][0]["agent"]["fails_s"] = DIES_S
@@ -19,12 +19,12 @@ def test_a_dead_vehicle_stands_still_and_sends_nothing(latency_s: float) -> None
     times, moved = poses(result)
     stands = times >= DIES_S + latency_s
     assert (moved[stands, 0] == moved[stands, 0][0]).all()
-    assert (moved[~stands, 0][1:] != moved[~stands, 0][:-1]).any(axis=1)[-3:].all()  # until then it moves
+    assert (moved[~stands, 0][1:] != moved[~stands, 0][:-1]).any(axis=1)[-3:].all()  # moving until then
     sent = result.radio.to_pandas().query("sender == 'car1'").sent_ns / 1e9
     assert sent.max() == pytest.approx(DIES_S - 0.1 + latency_s)
 
 
-def test_it_does_not_matter_where_it_dies() -> None:
+def test_a_failure_does_not_depend_on_the_process() -> None:
     scenario = fleet(6.0, radio={"preset": "ideal"})
     scenario["vehicle"][1]["agent"]["fails_s"] = 3.0
     digest = vcmvsp.run(scenario, mcap=False).metrics["digest"]
@@ -33,8 +33,8 @@ def test_it_does_not_matter_where_it_dies() -> None:
     assert "fails_s = 3.0" in vcmvsp.run(scenario, mcap=False).scenario
 
 
-def test_who_waits_for_answers_gives_up_one_that_is_dead() -> None:
-    """Five times ``silence_s`` after its death reports are as rare again as they were, and none is repeated for its sake."""
+def test_answers_of_a_failed_follower_are_not_awaited() -> None:
+    """Five times ``silence_s`` after the failure, reports are as rare as before, and none is repeated."""
     scenario = fleet(60.0, path="straight", radio={"preset": "ideal"})
     scenario["agents"] = {"sending": {"when": "needed"}, "formation": {"shape": "wedge"}}
     for vehicle in scenario["vehicle"][1:]:
@@ -46,7 +46,7 @@ def test_who_waits_for_answers_gives_up_one_that_is_dead() -> None:
     assert rare <= 15  # every silence_s
 
 
-def test_one_that_dies_far_from_its_place_never_settles_and_one_in_its_place_has_settled() -> None:
+def test_a_vehicle_failed_off_its_slot_never_settles() -> None:
     for at_s, settles in ((1.0, False), (15.0, True)):
         scenario = fleet(20.0, [{"pose": (-1.5, 0.0, 0.0)}], path="straight", radio={"preset": "ideal"})
         scenario["vehicle"][1]["agent"]["fails_s"] = at_s

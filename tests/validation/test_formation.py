@@ -22,8 +22,8 @@ from vcmvsp.cosim.types import Follows, Velocity
 pytestmark = pytest.mark.slow
 
 
-class Closer(LeaderFollower):
-    """Keeps 1.5 m at first, and 1.0 m from ``at_s`` on."""
+class StepFollower(LeaderFollower):
+    """A follower at 1.5 m, and at 1.0 m from ``at_s`` on."""
 
     def __init__(self, at_s: float, k1: float) -> None:
         super().__init__("car1", 1.5, k1=k1, max_reverse=1e9)
@@ -41,7 +41,7 @@ def test_step_response_of_a_servo(k1: float, share: float) -> None:
     """0.5 m behind the slot at v = 0.3 m/s, servo lag 0.5 s, 10 Hz (Fig 30): the sampled servo, state (z1, v_f - v_l)."""
     at_s, tau = 40.0, 0.5
     scenario = fleet(65.0, [{"distance": 1.5}], path="straight", kind="lag")
-    result = vcmvsp.run(scenario, agents={"car2": Closer(at_s, k1=k1)}, mcap=False)
+    result = vcmvsp.run(scenario, agents={"car2": StepFollower(at_s, k1=k1)}, mcap=False)
     times, z = errors(result)
     z1 = z[times >= at_s, 0, 0]
     assert z1 == pytest.approx(0.5 * servo_step(k1, T, tau, len(z1)), abs=1e-6)
@@ -49,7 +49,7 @@ def test_step_response_of_a_servo(k1: float, share: float) -> None:
 
 
 def test_a_body_settles_later_than_a_point() -> None:
-    """The same start with p2dx bodies in Bullet, which take 0.9 s to reach 90 % of 0.3 m/s."""
+    """A start in the slot with p2dx bodies in Bullet, which take 0.9 s to reach 90 % of 0.3 m/s."""
     scenario = fleet(10.0, [{}], path="straight", kind="p2dx", physics={"kind": "bullet"})
     body = vcmvsp.run(scenario, set={"vehicle.car1.kind": "kinematic"}, mcap=False)
     point = vcmvsp.run(scenario, set={"vehicle.car1.kind": "kinematic", "physics.kind": "kinematic"}, mcap=False)
@@ -58,17 +58,17 @@ def test_a_body_settles_later_than_a_point() -> None:
 
 
 def test_the_platform_adds_nothing_to_the_law() -> None:
-    """A start away from the slot decays by (1 - k1 T) a period, to the last digits: no delay and no sample is lost between."""
+    """A start off the slot decays by (1 - k1 T) a period, to rounding: no delay and no lost sample."""
     result = vcmvsp.run(fleet(10.0, [{"pose": (-1.5, 0.0, 0.0), **UNLIMITED}], path="straight"), mcap=False)
     times, z = errors(result)
-    heard = 0.5 + V * T  # the first report is acted upon at the second tick
+    heard = 0.5 + V * T  # the first report acts at the second tick
     assert z[1:, 0, 0] == pytest.approx(heard * (1 - K1 * T) ** np.arange(len(times) - 1), abs=1e-12)
 
 
 @pytest.mark.parametrize("path", ["straight", "circle"])
 @pytest.mark.parametrize(("probability", "delay_s"), [(0.0, 0.0), (0.0, 1.0), (0.6, 0.0), (0.6, 0.3)])
-def test_dead_reckoning_leaves_nothing_on_lines_and_circles(path: str, probability: float, delay_s: float) -> None:
-    """Whatever the loss and the delay: the leader's speeds are constant."""
+def test_dead_reckoning_has_no_error_on_lines_and_circles(path: str, probability: float, delay_s: float) -> None:
+    """For any loss and delay: the leader's speeds are constant."""
     result = vcmvsp.run(
         fleet(70.0, path=path, radio=lossy(probability, delay_s, 0.02 if delay_s else 0.0), agents=UNLIMITED), mcap=False
     )

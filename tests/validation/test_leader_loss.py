@@ -1,4 +1,4 @@
-"""Members die on the way: who follows whom then, since when, and how far the error goes."""
+"""Members that fail during a run: new parents, their times, and the errors."""
 
 import math
 from itertools import pairwise
@@ -16,35 +16,35 @@ DIES_S = 40.0
 
 
 def loss_of(car: str, duration_s: float = 60.0, period_s: float = 0.1) -> vcmvsp.Result:
-    """A column of six on the circle, heartbeat 1 s, one of whose members dies."""
+    """A column of six on the circle, heartbeat 1 s; one member fails."""
     agents = {"heartbeat_s": 1.0, "handle": 0.5, "period_s": period_s}
     scenario = team(6, duration_s, COLUMN, agents=agents, record={"period_s": 0.1})
     return vcmvsp.run(scenario, set={f"vehicle.{car}.agent.fails_s": DIES_S}, mcap=False)
 
 
-def test_the_one_behind_a_dead_member_follows_the_one_before_it() -> None:
+def test_the_follower_of_a_failed_member_follows_its_predecessor() -> None:
     """Re-parented at 41.0 s; its error peaks at 0.32 m and is below 5 cm 4.4 s after the loss (simulated)."""
     result = loss_of("car3")
     times, errors = link_errors(result)
     parents = parents_of(result)
-    assert parents["car3"] == [(0.0, "car2"), (DIES_S, None)]  # the dead follow nobody
+    assert parents["car3"] == [(0.0, "car2"), (DIES_S, None)]  # a failed member has no parent
     assert parents["car4"] == [(0.0, "car3"), (41.0, "car2")]
     assert all(len(parents[car]) == 1 for car in ("car2", "car5", "car6"))
     after = times >= DIES_S
     assert errors["car4"][after].max() == pytest.approx(0.32, rel=0.05)
     assert times[after][errors["car4"][after] > 0.05][-1] + 0.1 - DIES_S == pytest.approx(4.4, abs=0.11)
     _, moved = poses(result)
-    assert (moved[after, 2] == moved[after, 2][0]).all()  # car3 stands
+    assert (moved[after, 2] == moved[after, 2][0]).all()  # car3 at rest
     assert all(errors[car][-1] < 1e-3 for car in ("car2", "car4", "car5", "car6"))
 
 
 @pytest.mark.parametrize(("period_s", "most_m"), [(0.1, 0.04), (0.05, 0.02)])
-def test_those_further_behind_notice_little(period_s: float, most_m: float) -> None:
-    """A simulation in which a report is used in the very tick in which it is sent has them below 2 cm.
+def test_errors_further_behind_are_small(period_s: float, most_m: float) -> None:
+    """In a simulation in which a report is used in the tick of its sending, the errors are below 2 cm.
 
-    Here each hop costs a tick of age: of the jump of speed, as the one before them falls back and catches up, the next learns a
-    period later and the one behind that two, and all that time errors grow by the difference. So it is < 2 cm at 20 Hz, and at
-    10 Hz, with ticks twice as long, < 4 cm.
+    Here each hop costs a tick of age: as the member before them falls back and catches up, its jump of speed reaches the next
+    follower a period later and the second after two; meanwhile the errors grow by the difference. Hence < 2 cm at 20 Hz and,
+    with ticks twice as long, < 4 cm at 10 Hz.
     """
     times, errors = link_errors(loss_of("car3", period_s=period_s, duration_s=50.0))
     after = times >= DIES_S
@@ -52,8 +52,8 @@ def test_those_further_behind_notice_little(period_s: float, most_m: float) -> N
 
 
 @pytest.mark.parametrize("topology", ["star", "chain", "k-tree"])
-def test_when_the_leader_dies_the_lowest_member_leads_and_the_others_keep_the_shape(topology: str) -> None:
-    """It comes to a stop, for there is nothing to follow; the others end in their places around it."""
+def test_after_a_leaders_failure_the_lowest_member_leads_and_the_shape_is_kept(topology: str) -> None:
+    """The new leader stops, as it has no parent; the others end in their slots around it."""
     formation = {"shape": "wedge", "topology": topology, "spacing": 1.0}
     scenario = team(6, 60.0, formation, leader={"path": "straight"}, agents={"heartbeat_s": 1.0})
     result = vcmvsp.run(scenario, set={"vehicle.car1.agent.fails_s": DIES_S}, mcap=False)
@@ -67,8 +67,8 @@ def test_when_the_leader_dies_the_lowest_member_leads_and_the_others_keep_the_sh
     assert moved[-1, 1, 0] == pytest.approx(moved[-1, 0, 0] - 0.866 + 0.3 * (1.0 + 0.5), abs=0.05)  # dr for 1 s, faded in 1 s
 
 
-def test_losses_alone_raise_as_many_false_alarms_as_the_formula_says() -> None:
-    """(1 - p) / T p^(t / T) a second and link, here p = 0.7 and t = 1 s (p = 0.5: 18 an hour). Each is taken back."""
+def test_losses_raise_false_alarms_at_the_computed_rate() -> None:
+    """(1 - p) / T p^(t / T) per second and link, here p = 0.7 and t = 1 s (p = 0.5: 18 an hour). Each alarm is withdrawn."""
     p, duration_s, links = 0.7, 200.0, 5
     agents = {"heartbeat_s": 1.0, "timeout_s": 1e9}
     scenario = team(links + 1, duration_s, COLUMN, agents=agents, radio=lossy(p), record={"period_s": 10.0})

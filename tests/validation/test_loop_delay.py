@@ -1,5 +1,5 @@
-"""Three delays that are easily taken for one another, and what each of them does: of the leader's reports (the radio's delay),
-of the follower's own loop (its agent's latency), and between its decisions (its agent's period).
+"""Three delays and their different effects: of the leader's reports (the radio's delay), of the follower's loop (its agent's
+latency), and between its decisions (its agent's period).
 """
 
 import math
@@ -14,12 +14,14 @@ from tests.support.validation.fleets import K1, UNLIMITED, Floats, R, T, V, W, e
 pytestmark = pytest.mark.slow
 
 START = 0.5  # m behind the slot
-FINE = 0.01  # s: a period that is short against the delays
+FINE = 0.01  # s: short against the delays
 LATE = 0.3  # s of latency, thirty such periods
 
 
-def alone(k1: float, latency_s: float, duration_s: float, *, period_s: float = FINE) -> tuple[Floats, Floats]:
-    """A follower behind its slot at a leader that stands, its loop closed late: times and z1."""
+def follower_of_a_leader_at_rest(
+    k1: float, latency_s: float, duration_s: float, *, period_s: float = FINE
+) -> tuple[Floats, Floats]:
+    """Times and z1 of a follower behind its slot at a leader at rest, with latency in its loop."""
     scenario = fleet(duration_s, [{"pose": (-1.0 - START, 0.0, 0.0), "k1": k1, **UNLIMITED}], path="straight", radio=lossy())
     settings = {
         "vehicle.car1.agent.speed": 0.0,
@@ -33,7 +35,7 @@ def alone(k1: float, latency_s: float, duration_s: float, *, period_s: float = F
 
 @pytest.mark.parametrize("delay_s", [0.1, 1.0, 5.0, 10.0])
 def test_late_reports_shift_the_follower_and_never_destabilise_it(delay_s: float) -> None:
-    """Lag v d, reached as exp(-k t) whatever the delay; with k d up to 8, five times what the loop itself could bear."""
+    """Lag v d, reached as exp(-k t) at any delay; k d up to 8, five times the stability limit of the loop."""
     radio = lossy(delay_s=delay_s)
     times, z = errors(
         vcmvsp.run(fleet(delay_s + 25.0, [UNLIMITED], path="straight", radio=radio, agents={"estimator": "hold"}), mcap=False)
@@ -44,27 +46,27 @@ def test_late_reports_shift_the_follower_and_never_destabilise_it(delay_s: float
 
 
 def test_late_reports_on_a_circle_shift_the_follower_along_its_arc() -> None:
-    """|z| = 2 R sin(w d / 2) behind a leader on the circle, settled at an age of 5 s as well as at 1 s."""
+    """|z| = 2 R sin(w d / 2) behind a leader on the circle, settled at ages of 1 s and of 5 s."""
     for delay_s in (1.0, 5.0):
         scenario = fleet(60.0 + delay_s, [UNLIMITED], radio=lossy(delay_s=delay_s), agents={"estimator": "hold"})
         _, z = errors(vcmvsp.run(scenario, mcap=False))
         assert np.hypot(*z[-1, 0]) == pytest.approx(2.0 * R * math.sin(0.5 * W * delay_s), rel=1e-4)
 
 
-def test_a_late_loop_overshoots_from_k_d_over_one_e_on() -> None:
-    """z' = -k z(t - d). Sampled, the double root lies at k T = d^d / (d + 1)^(d + 1), d in ticks: 0.362 for k d, for d = 30."""
+def test_a_late_loop_overshoots_for_k_d_above_one_over_e() -> None:
+    """z' = -k z(t - d). Sampled, the double root is at k T = d^d / (d + 1)^(d + 1), d in ticks: k d = 0.362 for d = 30."""
     ticks = round(LATE / FINE)
     limit = ticks**ticks / (ticks + 1) ** (ticks + 1) * ticks
     assert limit == pytest.approx(1.0 / math.e, rel=0.02)
     for k_d, overshoots in ((0.34, False), (0.97 * limit, False), (1.04 * limit, True), (0.40, True)):
-        _, z = alone(k_d / LATE, LATE, 12.0)
+        _, z = follower_of_a_leader_at_rest(k_d / LATE, LATE, 12.0)
         assert (z.min() < 0.0) == overshoots
 
 
 @pytest.mark.parametrize(("period_s", "share"), [(0.1, 0.0), (0.5, 0.0), (1.0, 0.0), (2.0, 0.6), (2.4, 0.92), (2.6, None)])
-def test_a_slow_agent_bounds_the_gain_along(period_s: float, share: float | None) -> None:
+def test_a_slow_agent_bounds_the_gain(period_s: float, share: float | None) -> None:
     """z1[n + 1] = (1 - k1 T) z1[n] (Fig 33): overshoot k1 T - 1, unstable (None) for k1 T > 2."""
-    _, z = alone(K1, 0.0, 20 * period_s, period_s=period_s)
+    _, z = follower_of_a_leader_at_rest(K1, 0.0, 20 * period_s, period_s=period_s)
     assert z[1:] == pytest.approx(START * (1.0 - K1 * period_s) ** np.arange(len(z) - 1), abs=1e-6)
     if share is None:
         assert abs(z[-1]) > 2.0 * START
@@ -72,7 +74,7 @@ def test_a_slow_agent_bounds_the_gain_along(period_s: float, share: float | None
         assert overshoot(z) == pytest.approx(share, abs=1e-9)
 
 
-K = 2.0  # 1/s, for the three knobs
+K = 2.0  # 1/s, for the test of three delays
 
 
 @pytest.mark.parametrize(
@@ -88,8 +90,8 @@ K = 2.0  # 1/s, for the three knobs
         (0.6, 0.3, 0.3),
     ],
 )
-def test_each_of_three_knobs_moves_its_own_number_only(delay_s: float, latency_s: float, period_s: float) -> None:
-    """The standing lag tells the age of reports, v d; how a start error goes away, the latency and the period of the loop.
+def test_each_of_three_delays_has_its_own_effect_only(delay_s: float, latency_s: float, period_s: float) -> None:
+    """The steady lag gives the age of reports, v d; the decay of a start error, the latency and the period of the loop.
 
     The leader decides at 10 Hz throughout; latency and period are those of the follower's agent.
     """
@@ -101,7 +103,7 @@ def test_each_of_three_knobs_moves_its_own_number_only(delay_s: float, latency_s
     assert lag == pytest.approx(V * delay_s, abs=1e-6)
     ticks = z[:: round(period_s / T), 0, 0] - lag  # at the follower's own ticks
     age = round(latency_s / period_s)
-    first = math.ceil(delay_s / period_s - 1e-9)  # the tick at which it hears of the leader; it acts on it ``age`` later
+    first = math.ceil(delay_s / period_s - 1e-9)  # tick of its first report; it acts ``age`` later
     expected = [*ticks[: first + age + 1]]
     while len(expected) < len(ticks):
         expected.append(expected[-1] - K * period_s * expected[-1 - age])

@@ -1,11 +1,11 @@
-"""A vehicle with an agent and a program that keeps the run's time: the same bytes wherever the agent runs."""
+"""A vehicle with an agent and a program in simulated time: equal bytes in any process."""
 
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.support.netsim.socket_programs import played, scenario
+from tests.support.netsim.socket_programs import run_programs, scenario
 from vcmvsp.cosim.sockets import Socket
 
 pytestmark = [pytest.mark.processes, pytest.mark.sockets]
@@ -26,13 +26,13 @@ def play(socket: Socket) -> None:
 
 
 @pytest.mark.parametrize("routing", [{}, {"routing": {"kind": "flooding"}}], ids=["direct", "routed"])
-def test_both_send_at_one_instant_in_the_same_order_everywhere(tmp_path: Path, routing: dict[str, Any]) -> None:
+def test_simultaneous_messages_have_a_fixed_order_in_any_process(tmp_path: Path, routing: dict[str, Any]) -> None:
     (tmp_path / "talker.py").write_text(TALKER)
     radio = {"preset": "wifi-b-1", "loss": {"probability": 0.3}}
     content = scenario(tmp_path, "tom", "zed", radio=radio, **routing)
     content["sockets"]["vehicles"] = ["tom"]
     for vehicle in content["vehicle"]:
         vehicle["agent"] = {"kind": f"{tmp_path / 'talker.py'}:Talker"}
-    here, elsewhere = (played(content, {"tom": play}, mcap=False, agents=where) for where in ("inprocess", "process"))
+    here, elsewhere = (run_programs(content, {"tom": play}, mcap=False, agents=where) for where in ("inprocess", "process"))
     assert here.radio.equals(elsewhere.radio)
     assert here.metrics["digest"] == elsewhere.metrics["digest"]

@@ -1,4 +1,4 @@
-"""Relays round two corners: what rays reach, and walls do not."""
+"""Relays around two corners: coverage with rays, and with walls only."""
 
 import pytest
 
@@ -7,8 +7,8 @@ import vcmvsp
 RELAYS = "vehicle.relay.count"
 
 
-def test_rays_reach_round_corners_where_walls_do_not() -> None:
-    """A second relay helps with rays, and hardly where all that is not in sight is silent."""
+def test_rays_reach_around_corners_and_walls_do_not() -> None:
+    """A second relay helps with rays, and hardly if all links without line of sight are lost."""
     shares = []
     for keys in (
         {"radio.path_loss.reflections": 0},

@@ -1,4 +1,4 @@
-"""A star of followers that stretches beyond its leader's radio is lost without routing and kept with it (Toh 2012, 7.2)."""
+"""A star of followers beyond its leader's radio range: lost without routing, kept with it (Toh 2012, 7.2)."""
 
 import tomllib
 from functools import cache
@@ -36,7 +36,7 @@ def run(kind: str) -> vcmvsp.Result:
 
 @cache
 def perfect() -> vcmvsp.Result:
-    """The same over a radio that reaches everybody at once."""
+    """The same scenario over a radio without range limit or delay."""
     scenario = {**tomllib.loads(TEXT), "radio": {"preset": "ideal"}, "routing": {"kind": "none"}}
     return vcmvsp.run(scenario, set=SETTINGS, mcap=False)
 
@@ -45,7 +45,7 @@ def rms_m(result: vcmvsp.Result) -> float:
     return float(result.metrics["formation"]["rms_m"])
 
 
-def test_without_routing_those_out_of_reach_never_hear_their_leader() -> None:
+def test_without_routing_distant_followers_receive_nothing() -> None:
     result = run("none")
     each = result.metrics["formation"]["per_follower"]
     assert all(each[name]["rms_m"] < 0.05 for name in ("car2", "car3"))
@@ -58,11 +58,11 @@ def test_without_routing_those_out_of_reach_never_hear_their_leader() -> None:
 
 
 @pytest.mark.parametrize("kind", ["flooding", "static", "distance_vector"])
-def test_with_it_they_keep_their_places_as_by_a_perfect_radio(kind: str) -> None:
+def test_with_routing_all_followers_keep_their_slots(kind: str) -> None:
     result, routing = run(kind), run(kind).metrics["routing"]
     assert rms_m(result) < 2.0 * rms_m(perfect())
     assert routing["messages"] == 240
-    assert routing["hops_max"] >= 3  # 10 m apart, and a reach of 25 m
+    assert routing["hops_max"] >= 3  # spacing 10 m, range 25 m
     assert routing["delivery_ratio"] > 0.85
     assert result.metrics["radio"]["age_s"]["max"] < 1.0
     assert result.metrics["radio"]["frames"] == 240 + routing["forwarded"] + routing["control_frames"]
@@ -70,7 +70,7 @@ def test_with_it_they_keep_their_places_as_by_a_perfect_radio(kind: str) -> None
 
 
 class Caller(Agent):
-    """Calls the leader, once a second, and stands still: after 25 s the others are too far away."""
+    """Calls the leader once a second, at rest: after 25 s the others are too far away."""
 
     period = 1.0
 
@@ -97,7 +97,7 @@ def test_an_agent_calls_another_over_several_hops(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["flooding", "static", "distance_vector"])
-def test_the_same_seed_gives_the_same_wherever_agents_run(kind: str) -> None:
+def test_a_seed_gives_equal_results_in_any_process(kind: str) -> None:
     settings = {**SETTINGS, **KINDS[kind], "duration_s": 3.0, "metrics.from_s": 1.0}
     here, apart = (vcmvsp.run("relay-chain", set=settings, agents=runs, mcap=False) for runs in ("inprocess", "process"))
     assert here.metrics["digest"] == apart.metrics["digest"]
@@ -106,7 +106,7 @@ def test_the_same_seed_gives_the_same_wherever_agents_run(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["flooding", "static", "distance_vector"])
 def test_recorded_radio_gives_the_same_table(kind: str, tmp_path: Path) -> None:
-    """Frames meet the fates that they met; the network layer finds what to do with them anew."""
+    """The outcomes of frames are those of the recording; the network layer decides anew."""
     settings = {**SETTINGS, **KINDS[kind], "duration_s": 3.0, "metrics.from_s": 1.0}
     first = vcmvsp.run("relay-chain", set=settings, out=tmp_path / "one")
     again = replay(tmp_path / "one", radio="recorded", out=tmp_path / "two")

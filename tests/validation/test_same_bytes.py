@@ -1,4 +1,4 @@
-"""Scenario and seed fix every byte that a run leaves, wherever agents run and whatever else the machine does."""
+"""Scenario and seed determine every byte of a run, for any place of the agents and any load of the machine."""
 
 import json
 import os
@@ -34,12 +34,12 @@ NAMES = {
     "formation_error.png",
     "report.html",
 }
-SHORT = {"duration_s": 4.0, "metrics.from_s": 2.0}  # three p2dx in Bullet; loss and jitter are on
+SHORT = {"duration_s": 4.0, "metrics.from_s": 2.0}  # three p2dx in Bullet; with loss and jitter
 
 
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory: pytest.TempPathFactory, figures: None) -> dict[str, bytes]:
-    """What the run leaves when all agents run in this process."""
+    """Files of the run with all agents in this process, by name."""
     folder = tmp_path_factory.mktemp("reference")
     vcmvsp.run("formation-circle", set=SHORT, out=folder)
     left = contents(folder)
@@ -88,7 +88,7 @@ def test_in_processes(processes: int, reference: dict[str, bytes], tmp_path: Pat
 
 @pytest.fixture
 def busy() -> Iterator[None]:
-    """Every core has something else to do."""
+    """A busy loop on every core."""
     spinning = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(os.cpu_count() or 1)]
     yield
     for process in spinning:
@@ -109,8 +109,8 @@ def test_on_a_busy_machine_with_another_hash_seed(reference: dict[str, bytes], t
 def test_with_latency_below_and_above_the_period(
     latency_s: float, reference: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The kernel does not wait at t for what takes effect at t + latency, and yet nothing changes."""
-    monkeypatch.setenv("VCMVSP_FIGURES", "0")  # they would be drawn from the tables that are compared
+    """At t the kernel does not wait for commands due at t + latency; the results are equal."""
+    monkeypatch.setenv("VCMVSP_FIGURES", "0")  # figures would be drawn from the compared tables
     settings = {**SHORT, "physics.kind": "kinematic", "agents.latency_s": latency_s, "agents.processes": 2}
     vcmvsp.run("formation-circle", set=settings, agents="inprocess", out=tmp_path / "inprocess")
     vcmvsp.run("formation-circle", set=settings, agents="process", out=tmp_path / "process")
@@ -123,7 +123,7 @@ def test_with_latency_below_and_above_the_period(
 
 
 def test_agents_as_objects(reference: dict[str, bytes], tmp_path: Path) -> None:
-    """Built here with the same parameters, they do what the scenario's would do; they may be mixed with these."""
+    """Agents built here with equal parameters replace those of the scenario; both kinds may be mixed."""
     leader, follower = Trajectory("circle", 0.3, 0.15), LeaderFollower("car1", 1.0, 30.0)
     vcmvsp.run("formation-circle", set=SHORT, agents={"car1": leader, "car2": follower}, out=tmp_path / "out")
     left = contents(tmp_path / "out")
@@ -131,7 +131,7 @@ def test_agents_as_objects(reference: dict[str, bytes], tmp_path: Path) -> None:
 
 
 def test_hosts_started_by_hand(reference: dict[str, bytes], tmp_path: Path) -> None:
-    """Two hosts elsewhere, one started before the run and one after it; the first serves two vehicles."""
+    """Two hosts in other processes, one started before the run and one after it; the first serves two vehicles."""
     endpoint = f"tcp/127.0.0.1:{free_ports(1, socket.SOCK_STREAM)}"
     logs = [(tmp_path / name).open("w+") for name in ("early.txt", "late.txt")]
 
@@ -144,7 +144,7 @@ def test_hosts_started_by_hand(reference: dict[str, bytes], tmp_path: Path) -> N
 
     def tell(text: str) -> None:
         told.append(text)
-        if len(told) == 4:  # where to dial in, and a line for each vehicle
+        if len(told) == 4:  # the address, and a line for each vehicle
             started.append(host(logs[1], "car2"))
 
     try:

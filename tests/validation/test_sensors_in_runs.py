@@ -1,4 +1,4 @@
-"""Sensors in whole runs: who gets readings, what they cost, and that they are the same everywhere."""
+"""Sensors in whole runs: delivery of readings, their cost, and equal readings in any process."""
 
 from pathlib import Path
 from typing import Any
@@ -29,21 +29,21 @@ ROOM: dict[str, Any] = {
         },
     },
     "vehicle": [
-        {"name": "a", "agent": {"kind": f"{__name__}:Looker", "scanner": "scan"}},
-        {"name": "b", "pose": [0.0, 1.5, 0.0], "agent": {"kind": f"{__name__}:Looker", "scanner": ""}},
+        {"name": "a", "agent": {"kind": f"{__name__}:WallApproach", "scanner": "scan"}},
+        {"name": "b", "pose": [0.0, 1.5, 0.0], "agent": {"kind": f"{__name__}:WallApproach", "scanner": ""}},
     ],
 }
 
 
-class Looker(Agent):
-    """Drives at the wall, slower the nearer it is; tells what it sees."""
+class WallApproach(Agent):
+    """Drives at the wall, slower near it; sends its nearest range and yaw rate."""
 
     def __init__(self, scanner: str = "scan") -> None:
         self.scanner = scanner
         self.sensors = (scanner, "imu") if scanner else ("imu",)
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
-        assert set(obs.readings) <= {"odometry", self.scanner, "imu"}  # and nothing that it did not ask for
+        assert set(obs.readings) <= {"odometry", self.scanner, "imu"}  # no other sensors
         scan = obs.readings.get(self.scanner)
         nearest = float(scan.ranges.min()) if isinstance(scan, Scan) else 1.0
         imu = obs.readings.get("imu")
@@ -51,7 +51,7 @@ class Looker(Agent):
         return Velocity(linear=(min(0.5, 0.2 * nearest), 0.0, 0.0))
 
 
-def test_the_same_bytes_wherever_those_who_look_run(tmp_path: Path) -> None:
+def test_equal_bytes_with_sensors_in_any_process(tmp_path: Path) -> None:
     recorded = {**ROOM, "record": {"sensors": ["scan", "cam"]}}
     here = contents(vcmvsp.run(recorded, out=tmp_path / "here").folder or tmp_path)
     away = contents(vcmvsp.run(recorded, agents="process", out=tmp_path / "away").folder or tmp_path)
@@ -61,7 +61,7 @@ def test_the_same_bytes_wherever_those_who_look_run(tmp_path: Path) -> None:
     assert again.metrics["radio"]["frames"] > 0
 
 
-def test_a_picture_or_scan_that_nobody_looks_at_is_never_made(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unused_pictures_and_scans_are_never_made(monkeypatch: pytest.MonkeyPatch) -> None:
     looked = []
     measure = RangeScanner.measure_all.__func__  # type: ignore[attr-defined]
 
@@ -75,20 +75,20 @@ def test_a_picture_or_scan_that_nobody_looks_at_is_never_made(monkeypatch: pytes
     monkeypatch.setattr(RangeScanner, "measure_all", classmethod(counted))
     monkeypatch.setattr(Camera, "measure", never)
     alone = vcmvsp.run(ROOM)
-    assert 20 <= len(looked) <= 30  # of a alone: ten a second, of which a fifth drop out
+    assert 20 <= len(looked) <= 30  # of vehicle a only: ten a second, a fifth of them dropped
     looked.clear()
     everybody = vcmvsp.run({**ROOM, "record": {"sensors": ["scan"]}})
     assert len(looked) > 40
-    assert everybody.states.equals(alone.states)  # being recorded changes nothing
+    assert everybody.states.equals(alone.states)  # recording changes nothing
 
 
-def test_readings_do_not_depend_on_who_else_carries_sensors() -> None:
+def test_readings_do_not_depend_on_sensors_of_other_vehicles() -> None:
     def heard(vehicles: list[dict[str, Any]]) -> list[Any]:
         result = vcmvsp.run({**ROOM, "vehicle": vehicles})
         return result.states.filter(result.states["vehicle"].to_numpy() == "a")["x"].to_pylist()
 
     a, b = ROOM["vehicle"]
-    bare = {**b, "pose": [0.0, -50.0, 0.0], "sensors": {}, "agent": {"kind": f"{__name__}:Looker", "scanner": ""}}
+    bare = {**b, "pose": [0.0, -50.0, 0.0], "sensors": {}, "agent": {"kind": f"{__name__}:WallApproach", "scanner": ""}}
     assert heard([a, bare]) == heard([a, {**bare, "sensors": ROOM["vehicles"]["sensors"]}])
 
 

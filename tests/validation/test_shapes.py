@@ -1,4 +1,4 @@
-"""Shapes and topologies through the whole platform: what is kept exactly, what grows with distance, and a change on the way."""
+"""Shapes and topologies through the whole platform: exact ones, errors that grow with distance, and a change during the run."""
 
 import itertools
 from typing import Any
@@ -39,8 +39,8 @@ def test_trees_and_graphs_keep_their_shape_too() -> None:
         assert vcmvsp.run(team(5, 60.0, formation), mcap=False).metrics["formation"]["final_m"] < 1e-6
 
 
-def test_a_star_grows_with_the_lever_arm_and_a_chain_does_not() -> None:
-    """Column of 7, random leader, without any delay and free to reverse: simulated .003 to .040 and .003 to .007 m (RMS)."""
+def test_errors_grow_with_the_lever_arm_in_a_star_only() -> None:
+    """Column of 7, random leader, without delay and free to reverse: simulated .003 to .040 and .003 to .007 m (RMS)."""
     free: dict[str, Any] = {"handle": 0.6, "max_reverse": 1e9}
     star = [LeaderFollower("leader", slot=(-0.8 * hop, 0.0), **free) for hop in range(1, 7)]
     before = ("leader", "f0", "f1", "f2", "f3", "f4")
@@ -56,8 +56,8 @@ def test_a_star_grows_with_the_lever_arm_and_a_chain_does_not() -> None:
     assert of_chain.max() < 0.008
 
 
-def test_so_it_is_with_messages_a_tick_old() -> None:
-    """The same through the platform: a column suits a chain."""
+def test_a_chain_suits_a_column() -> None:
+    """The law of the previous test through the platform: a chain suits a column."""
     formation = {**COLUMN, "topology": "star"}
     rest: dict[str, Any] = {"leader": {"path": "random"}, "agents": {"handle": 0.5}, "metrics": {"from_s": 20.0}}
     star = rms_of_links(vcmvsp.run(team(7, 120.0, formation, **rest), mcap=False))
@@ -72,18 +72,18 @@ CHANGES = ((20.0, "column"), (45.0, "diamond"))
 
 
 @pytest.mark.parametrize(("topology", "probability"), [("star", 0.0), ("chain", 0.0), ("k-tree", 0.5)])
-def test_a_team_takes_another_shape_and_nobodys_way_crosses_anothers(topology: str, probability: float) -> None:
+def test_a_team_changes_its_shape_without_crossing_ways(topology: str, probability: float) -> None:
     formation = {"shape": "wedge", "topology": topology, "spacing": 1.0, "changes": CHANGES}
     result = vcmvsp.run(team(7, 75.0, formation, leader={"path": "straight"}, radio=lossy(probability)), mcap=False)
     times, errors = link_errors(result)
     _, moved = poses(result)
-    beside_leader = moved[:, 1:, :2] - moved[:, :1, :2]  # it drives along x
+    beside_leader = moved[:, 1:, :2] - moved[:, :1, :2]  # the leader drives along x
     changes = [
         (int(np.argmax(times > at_s)), int(np.argmax(times >= settled_s))) for at_s, settled_s in ((20, 44.9), (45, 75.0))
     ]
     for begin, end in changes:
         ways = [(tuple(begins), tuple(ends)) for begins, ends in zip(beside_leader[begin], beside_leader[end], strict=True)]
-        assert max(np.hypot(a[0] - p[0], a[1] - p[1]) for a, p in ways) > 0.5  # they do change places
+        assert max(np.hypot(a[0] - p[0], a[1] - p[1]) for a, p in ways) > 0.5  # members do change places
         assert not any(crosses(*one, *other) for one, other in itertools.combinations(ways, 2))
         assert max(error[begin + 10] for error in errors.values()) > 0.1
         assert max(error[end] for error in errors.values()) < 2e-3
@@ -91,8 +91,8 @@ def test_a_team_takes_another_shape_and_nobodys_way_crosses_anothers(topology: s
     assert column == pytest.approx(np.array([(-float(row), 0.0) for row in range(6, 0, -1)]), abs=0.02)
 
 
-def test_a_new_shape_comes_down_a_lossy_chain() -> None:
-    """Each hears its neighbours alone, and every other message is lost: all the same, all adopt it, one after the other."""
+def test_a_new_shape_propagates_along_a_lossy_chain() -> None:
+    """Each receives its neighbours only, with half of the messages lost: all adopt the shape, one after the other."""
     formation = {**COLUMN, "changes": ((10.0, "echelon"),)}
     result = vcmvsp.run(team(6, 60.0, formation, leader={"path": "straight"}, radio=neighbours_only(6, 0.5)), mcap=False)
     side = 0.8 * np.sqrt(0.5)
@@ -103,6 +103,6 @@ def test_a_new_shape_comes_down_a_lossy_chain() -> None:
     assert list(adopted) == [f"car{number}" for number in range(2, 7)]
     hops = np.diff([10.0, *adopted.values()])
     assert hops.min() >= T - 1e-9
-    assert hops.sum() > 5 * T + 1e-9  # some were lost
-    assert all(len(parents) == 2 for parents in parents_of(result).values())  # from its start, and from the change on
+    assert hops.sum() > 5 * T + 1e-9  # some messages were lost
+    assert all(len(parents) == 2 for parents in parents_of(result).values())  # from the start, and from the change on
     assert result.metrics["formation"]["final_m"] < 1e-3

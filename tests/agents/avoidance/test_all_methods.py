@@ -1,4 +1,4 @@
-"""All methods, through `AvoidanceSteering`: fields of boxes, every kind of scanner, and what they must not do."""
+"""All methods through `AvoidanceSteering`: fields of boxes and every kind of scanner."""
 
 import math
 from itertools import pairwise
@@ -17,11 +17,11 @@ from tests.support.agents.obstacle_fields import (
     WHEELS,
     WINGS,
     Box,
-    Way,
+    DriveResult,
     drive,
-    scattered,
-    seen_from,
-    steered,
+    observation_from,
+    scattered_boxes,
+    steer_to_goal,
     steering,
     sweep,
     to_goal,
@@ -56,7 +56,8 @@ RING: Any = {"beams": 32, "fov": math.tau, "first": 0.0}
 def test_it_touches_nothing_and_mostly_gets_there(method: Settings, scanner: str, every: int) -> None:
     rng = np.random.default_rng(5)
     ways = [
-        steered(method, scattered(rng), (6.0, 0.0), every=every, seconds=45.0, beams=121, **ALONG[scanner]) for _ in range(3)
+        steer_to_goal(method, scattered_boxes(rng), (6.0, 0.0), every=every, seconds=45.0, beams=121, **ALONG[scanner])
+        for _ in range(3)
     ]
     assert min(way.clearance for way, _ in ways) > WHEELS.radius_m
     assert sum(there for _, there in ways) >= (1 if method is FIELD else 2)
@@ -64,17 +65,17 @@ def test_it_touches_nothing_and_mostly_gets_there(method: Settings, scanner: str
 
 @pytest.mark.parametrize("level", [1, 2])
 def test_gaps_lead_through_fields_of_boxes(level: int) -> None:
-    """Their middles alone do not: what stands nearer than a gap reaches into the way there."""
+    """Heading for the middle of a gap is not enough: obstacles nearer than the gap reach into the way."""
     rng, stuck = np.random.default_rng(5), 0
     for k in range(18):
-        boxes = scattered(rng)
-        if k in {4, 5, 7, 10, 14, 15, 17}:  # where heading for the middle stood for ever
-            way, there = steered(Gap(level=level), boxes, (6.0, 0.0), seconds=45.0)
+        boxes = scattered_boxes(rng)
+        if k in {4, 5, 7, 10, 14, 15, 17}:  # fields in which heading for the middle got stuck
+            way, there = steer_to_goal(Gap(level=level), boxes, (6.0, 0.0), seconds=45.0)
             stuck += not there
-            assert level == 1 or way.clearance > WHEELS.radius_m  # at level 1 nothing slows it down near things
+            assert level == 1 or way.clearance > WHEELS.radius_m  # level 1 does not limit the speed
             turns = [each.yaw_rate for each in way.decisions if each.mode == "turn"]
-            assert sum(a != b for a, b in pairwise(turns)) <= 3  # it does not tremble
-    assert stuck <= 1  # between two boxes it still turns to and fro at one place
+            assert sum(a != b for a, b in pairwise(turns)) <= 3  # no trembling
+    assert stuck <= 1  # between two boxes it still turns to and fro
 
 
 @pytest.mark.parametrize("start", [(-1.8, 1.3, 0.0), (-1.0, -1.2, 0.3), (-0.8, 0.9, -0.3)])
@@ -86,7 +87,7 @@ def test_gaps_lead_through_a_door_that_is_seen_from_the_side(start: tuple[float,
         ((-3.0, 4.0), (0.0, 4.01)),
         ((-3.0, -4.01), (0.0, -4.0)),
     ]
-    way, there = steered(Gap(), walls, (2.0, 0.4), start=start)
+    way, there = steer_to_goal(Gap(), walls, (2.0, 0.4), start=start)
     assert there
     assert way.clearance > WHEELS.radius_m
 
@@ -94,21 +95,21 @@ def test_gaps_lead_through_a_door_that_is_seen_from_the_side(start: tuple[float,
 @pytest.mark.parametrize("bad", [math.nan, 0.0, -math.inf])
 @pytest.mark.parametrize("speed", [0.0, 0.1])
 @pytest.mark.parametrize("method", IN_THE_AIR)
-def test_a_beam_that_is_out_of_order_drives_nobody_on(method: Settings, speed: float, bad: float) -> None:
+def test_a_faulty_beam_does_not_raise_the_speed(method: Settings, speed: float, bad: float) -> None:
     for beam in range(0, 32, 5):
         made, fastest = steering(method, WINGS), 0.0
         for tick in range(20):
             scan = sweep((0.0, 0.0, 0.0), [], tick, **RING)
             if tick >= 2:
                 scan.ranges[beam] = bad
-            decision = made.steer(seen_from((0.0, 0.0, 0.0), scan, tick), Task((speed, 0.0)))
+            decision = made.steer(observation_from((0.0, 0.0, 0.0), scan, tick), Task((speed, 0.0)))
             fastest = max(fastest, math.hypot(*decision.velocity))
         assert fastest <= speed + 1e-9
 
 
 def hovering(method: Settings, task: Task, boxes: list[Box]) -> float:
     made = steering(method, WINGS)
-    decision = made.steer(seen_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), boxes, **RING), 0), task)
+    decision = made.steer(observation_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), boxes, **RING), 0), task)
     return math.hypot(*decision.velocity)
 
 
@@ -121,29 +122,29 @@ def test_a_hovering_vehicle_goes_on_hovering(method: Settings, yaw_rate: float) 
 
 @pytest.mark.parametrize("method", [Gap(), Vfh()])
 def test_a_vehicle_that_keeps_a_place_in_the_air_stays_near_it(method: Settings) -> None:
-    """Its place is 2 cm off, and something stands 0.7 m away: no reason to go elsewhere, nor to hurry."""
+    """Its place is 2 cm off, an obstacle 0.7 m away: it neither leaves nor hurries."""
     for aside in np.linspace(-math.pi, math.pi, 9):
         aim = 0.02 * math.cos(aside), 0.02 * math.sin(aside)
         assert hovering(method, Task((0.8 * aim[0], 0.8 * aim[1]), 0.0, aim, (1.0, 1.0)), AHEAD) <= 0.017
 
 
-def test_a_follower_in_the_air_catches_up_no_faster_than_its_place_is_far() -> None:
+def test_a_follower_in_the_air_catches_up_in_proportion_to_distance() -> None:
     task = Task((0.1, 0.0), 0.0, (0.5, 0.0), (1.0, 0.0))
     assert hovering(Vfh(level=1), task, AHEAD) == pytest.approx(0.4)
 
 
 @pytest.mark.parametrize("speed", [0.5, 3.0])
-def test_what_vanishes_is_not_believed_wherever_the_speed_was_limited(speed: float) -> None:
+def test_vanished_returns_do_not_raise_a_limited_speed(speed: float) -> None:
     made, task = steering(PotentialField(max_speed=3.0), WINGS), Task((speed, 0.0), max_speed=3.0)
     near = [((2.9 if speed > 1.0 else 1.1, -3.0), (3.5, 3.0))]
-    before = made.steer(seen_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), near, **RING), 0), task)
-    after = made.steer(seen_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), [], 1, **RING), 1), task)
+    before = made.steer(observation_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), near, **RING), 0), task)
+    after = made.steer(observation_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), [], 1, **RING), 1), task)
     assert made.level >= 1
     assert math.hypot(*after.velocity) <= math.hypot(*before.velocity) + 1e-9 < speed
 
 
-class Asked:
-    """Keeps what it was asked."""
+class RecordingVfh:
+    """Method: Vfh; records the present velocity of each task."""
 
     def __init__(self) -> None:
         self.now = list[tuple[float, float]]()
@@ -153,19 +154,19 @@ class Asked:
         return Vfh().method(WHEELS, 0.1).decide(view, task)
 
 
-def test_a_method_is_told_what_was_commanded_after_all_limits() -> None:
-    made, asked = steering(Vfh()), Asked()
+def test_a_method_receives_the_command_after_all_limits() -> None:
+    made, asked = steering(Vfh()), RecordingVfh()
     made._method = asked
     wall: list[Box] = [((0.4, -0.1), (0.5, 0.1))]
     for tick in range(3):
-        made.drive(seen_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), wall, tick), tick), (0.5, 0.1), (0.3, 0.0))
-    made.limit(seen_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), wall, 3), 3), (0.02, 0.2))
-    last = made.drive(seen_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), wall, 4), 4), (0.5, 0.1), (0.3, 0.0))
+        made.drive(observation_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), wall, tick), tick), (0.5, 0.1), (0.3, 0.0))
+    made.limit(observation_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), wall, 3), 3), (0.02, 0.2))
+    last = made.drive(observation_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), wall, 4), 4), (0.5, 0.1), (0.3, 0.0))
     assert asked.now[0] == (0.0, 0.0)
-    assert asked.now[1][0] <= 0.4 * (0.4 - 0.23 - 0.03) + 1e-9  # 0.4 m away, it keeps 0.23 m
+    assert asked.now[1][0] <= 0.4 * (0.4 - 0.23 - 0.03) + 1e-9  # distance 0.4 m, keep 0.23 m
     assert asked.now[3] == (0.02, 0.2)
-    made.steer(seen_from((0.0, 0.0, 0.0), None, 5), Task((0.5, 0.0)))
-    made.drive(seen_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), wall, 6), 6), (0.5, 0.1), (0.3, 0.0))
+    made.steer(observation_from((0.0, 0.0, 0.0), None, 5), Task((0.5, 0.0)))
+    made.drive(observation_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), wall, 6), 6), (0.5, 0.1), (0.3, 0.0))
     assert asked.now[4] == (0.0, 0.0) != (last.velocity[0], last.yaw_rate)
 
 
@@ -176,13 +177,13 @@ ALL: list[tuple[Settings, Body]] = [
     (DynamicWindow(), ROBOT),
 ]
 BOTH_SIDES = [(each, body, math.pi) for each, body in ALL]
-BOTH_SIDES += [(each, body, math.tau) for each, body in ALL if not isinstance(each, Vfh)]  # whose sectors begin at a side
+BOTH_SIDES += [(each, body, math.tau) for each, body in ALL if not isinstance(each, Vfh)]  # sectors of Vfh begin at a side
 places = st.none() | st.tuples(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0))
 
 
 @pytest.mark.parametrize(("method", "body"), ALL)
 @given(st.floats(-0.1, 0.6), st.floats(-1.2, 1.2), places)
-def test_where_all_is_free_the_task_is_left_as_it_is(
+def test_without_near_returns_the_task_is_unchanged(
     method: Settings, body: Body, v: float, w: float, aim: Point | None
 ) -> None:
     for seen in (view(np.full(64, math.inf), math.tau), view(np.full(64, 2.0))):
@@ -226,7 +227,7 @@ def test_any_scan_gives_a_decision_within_the_limits(
 
 
 def task_and_mirrored(rng: np.random.Generator, body: Body) -> list[Task]:
-    """To nowhere, to a place, or behind a leader."""
+    """A task and its mirror image: without aim, with an aim, or behind a leader."""
     (x, y), (lead_x, lead_y), turn, kind = rng.uniform(-2, 2, 2), rng.uniform(-2, 2, 2), rng.normal(), rng.integers(3)
     across = 0.1 if body.flies else 0.0
     return [
@@ -240,7 +241,7 @@ def test_a_mirrored_scan_gives_the_mirrored_decision(method: Settings, body: Bod
     rng, modes = np.random.default_rng(3), set()
     for _ in range(200):
         ranges = np.repeat(rng.uniform(0.3, 2.0, int(rng.integers(5, 40))), 4)
-        other = ranges[::-1] if fov == math.pi else np.roll(ranges[::-1], 1)  # the whole turn begins straight behind
+        other = ranges[::-1] if fov == math.pi else np.roll(ranges[::-1], 1)  # a whole turn begins straight behind
         task, mirrored = task_and_mirrored(rng, body)
         here, there = method.method(body, 0.1), method.method(body, 0.1)
         for k in range(3):
@@ -264,13 +265,13 @@ def test_where_there_is_no_way_it_turns_to_one_side(method: Settings, body: Body
     assert len({each.yaw_rate for each in decisions}) == 1
 
 
-# --- ways around things, on wheels ---
+# --- motion around obstacles, on wheels ---
 
 DRIVING = pytest.mark.parametrize("method", [Vfh(), DynamicWindow()])
-KEPT_M = ROBOT.radius_m + 0.05 - 0.02  # what is between two beams is not seen
+KEPT_M = ROBOT.radius_m + 0.05 - 0.02  # obstacles between two beams are not seen
 
 
-def driven(method: Settings, start: Pose, **options: Any) -> Way:
+def driven(method: Settings, start: Pose, **options: Any) -> DriveResult:
     return drive(method.method(ROBOT, 0.1), start, to_goal, reached, beams=128, fov=math.pi, **options)
 
 
@@ -286,7 +287,7 @@ def test_it_gets_around_a_pillar_without_dithering(method: Settings, start: list
 
 
 @DRIVING
-def test_it_goes_through_a_door_and_touches_nothing_where_there_is_none(method: Settings) -> None:
+def test_it_goes_through_a_door_and_touches_nothing_without_one(method: Settings) -> None:
     door: list[Box] = [((-0.1, -5.0), (0.1, -0.45)), ((-0.1, 0.45), (0.1, 5.0))]
     way = driven(method, (-3.0, 0.3, 0.1), boxes=door)
     assert reached(way.end)
@@ -308,11 +309,11 @@ def test_by_vfh_it_gets_around_a_wall() -> None:
     assert way.clearance > KEPT_M
 
 
-# --- where beams point ---
+# --- bearings of beams ---
 
 
 @pytest.mark.parametrize("first", [0.0, -math.pi, 2.0, 5.0])
-def test_more_room_is_on_the_side_where_it_is_wherever_the_beams_begin(first: float) -> None:
+def test_the_roomier_side_does_not_depend_on_the_first_beam(first: float) -> None:
     bearings = first + math.tau / 36 * np.arange(36)
     for side in (1, -1):
         assert view(np.where(side * np.sin(bearings) > 0.1, 5.0, 0.5), math.tau, first).roomier_side(1.4) == side
@@ -327,15 +328,16 @@ def test_where_there_is_no_way_it_turns_to_the_side_with_more_room(method: Setti
         near, far = sorted((side * 0.3, side * 0.4)), sorted((-side * 0.8, -side * 0.9))
         walls += [((-3.0, near[0]), (3.0, near[1])), ((-3.0, far[0]), (3.0, far[1]))]
         decision = steering(method).drive(
-            seen_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), walls, beams=180, fov=math.tau, first=first), 0), (0.3, 0.0)
+            observation_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), walls, beams=180, fov=math.tau, first=first), 0),
+            (0.3, 0.0),
         )
         assert (decision.mode, decision.velocity[0]) == ("turn", 0.0)
         assert math.copysign(1.0, decision.yaw_rate) == -side
 
 
 @pytest.mark.parametrize("turns", [-1, 0, 1])
-def test_a_bearing_is_found_however_many_turns_away(turns: int) -> None:
-    """A scanner that looks back, with a gap straight where one wants to go."""
+def test_bearings_count_modulo_whole_turns(turns: int) -> None:
+    """A scanner that looks back, with a gap in the wanted direction."""
     ranges = np.full(181, 0.8)
     ranges[150:176] = 5.0  # 230 to 255 degrees
     back = view(ranges, first=math.radians(80.0))
@@ -347,87 +349,87 @@ def test_a_bearing_is_found_however_many_turns_away(turns: int) -> None:
             assert len(gaps_ahead(back, bearing, 1.2)[0].begin) <= 2
 
 
-# --- where the task goes slowly, or not at all ---
+# --- slow tasks, and tasks at rest ---
 
 
 @pytest.mark.parametrize("method", METHODS, ids=NAMES)
-def test_a_turn_on_the_spot_stays_one(method: Settings) -> None:
+def test_a_turn_on_the_spot_has_no_speed(method: Settings) -> None:
     walls = [*AHEAD, ((-1.0, -0.1), (-0.55, 0.1))]
     made = steering(method)
     for tick in range(10):
-        here = seen_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), walls, tick, fov=math.tau), tick)
+        here = observation_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), walls, tick, fov=math.tau), tick)
         assert made.drive(here, (0.0, 0.8), (3.0, 0.0)).velocity[0] == 0.0
 
 
 @pytest.mark.parametrize("v", [0.0, 0.05])
-def test_what_is_behind_does_not_drive_a_robot_on(v: float) -> None:
+def test_obstacles_behind_do_not_speed_up_a_robot(v: float) -> None:
     made = steering(PotentialField())
     behind: list[Box] = [((-1.2, -0.25), (-0.7, 0.25))]
     for tick in range(10):
-        here = seen_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), behind, tick, fov=math.tau), tick)
+        here = observation_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), behind, tick, fov=math.tau), tick)
         assert 0.0 <= made.drive(here, (v, 0.8)).velocity[0] <= v
 
 
 @pytest.mark.parametrize("aside", [0.0, 0.05, 0.1])
-def test_between_two_boxes_the_field_does_not_turn_to_and_fro(aside: float) -> None:
+def test_between_two_boxes_the_field_does_not_oscillate(aside: float) -> None:
     boxes: list[Box] = [((0.75, 0.1 + aside), (1.25, 0.6 + aside)), ((0.75, -0.6 + aside), (1.25, -0.1 + aside))]
-    way, _ = steered(PotentialField(), boxes, (6.0, 0.0), seconds=30.0)
+    way, _ = steer_to_goal(PotentialField(), boxes, (6.0, 0.0), seconds=30.0)
     rates = [each.yaw_rate for each in way.decisions if abs(each.yaw_rate) > 0.05]
     assert sum(a * b < 0.0 for a, b in pairwise(rates)) <= 3
 
 
-def test_what_flies_takes_up_its_task_though_things_are_near_that_it_does_not_see_beyond() -> None:
-    """It keeps its heading, and its aim is out of view: on wheels it would first have to see that the way is free."""
+def test_a_flying_vehicle_resumes_its_task_beside_obstacles() -> None:
+    """It keeps its heading, and its aim is out of view; a vehicle on wheels would first have to see a free way."""
     made, here = steering(Gap(), WINGS), (0.0, 0.0, 0.0)
-    made.steer(seen_from(here, sweep(here, AHEAD, 0), 0), Task((0.3, 0.0), 0.0, (3.0, 0.0)))
+    made.steer(observation_from(here, sweep(here, AHEAD, 0), 0), Task((0.3, 0.0), 0.0, (3.0, 0.0)))
     beside: list[Box] = [((0.9, -0.9), (1.0, -0.7))]
     back = Task((-0.3, 0.0), 0.0, (-3.0, 0.0))
-    assert made.steer(seen_from(here, sweep(here, beside, 1), 1), back).mode == "task"
+    assert made.steer(observation_from(here, sweep(here, beside, 1), 1), back).mode == "task"
 
 
 # --- scanners that change ---
 
 
-def test_other_beams_are_believed_after_half_a_second() -> None:
+def test_changed_beams_are_accepted_after_half_a_second() -> None:
     made, here = steering(Gap()), (0.0, 0.0, 0.0)
-    modes = [made.drive(seen_from(here, sweep(here, [], 0, beams=2), 0), (0.3, 0.0)).mode]
-    modes += [made.drive(seen_from(here, sweep(here, [], k), k), (0.3, 0.0)).mode for k in range(1, 10)]
+    modes = [made.drive(observation_from(here, sweep(here, [], 0, beams=2), 0), (0.3, 0.0)).mode]
+    modes += [made.drive(observation_from(here, sweep(here, [], k), k), (0.3, 0.0)).mode for k in range(1, 10)]
     assert modes == ["task"] + ["blind"] * 5 + ["task"] * 4
 
 
-def test_beams_that_always_lie_otherwise_are_never_believed() -> None:
+def test_beams_that_keep_changing_are_never_accepted() -> None:
     made, here = steering(Gap()), (0.0, 0.0, 0.0)
-    modes = {made.drive(seen_from(here, sweep(here, [], k, beams=100 + k), k), (0.3, 0.0)).mode for k in range(1, 30)}
-    again = made.drive(seen_from(here, sweep(here, [], 30, beams=101), 30), (0.3, 0.0)).mode
-    assert (modes, again) == ({"task", "blind"}, "task")  # those of the first scan
+    modes = {made.drive(observation_from(here, sweep(here, [], k, beams=100 + k), k), (0.3, 0.0)).mode for k in range(1, 30)}
+    again = made.drive(observation_from(here, sweep(here, [], 30, beams=101), 30), (0.3, 0.0)).mode
+    assert (modes, again) == ({"task", "blind"}, "task")  # the beams of the first scan
 
 
-def test_a_scan_of_the_future_is_none() -> None:
+def test_a_future_scan_is_not_used() -> None:
     made, here = steering(Gap()), (0.0, 0.0, 0.0)
-    modes = [made.drive(seen_from(here, sweep(here, [], 3), k), (0.3, 0.0)).mode for k in range(5)]
+    modes = [made.drive(observation_from(here, sweep(here, [], 3), k), (0.3, 0.0)).mode for k in range(5)]
     assert modes == ["blind", "blind", "blind", "task", "task"]
 
 
-# --- scanners that sit elsewhere, or look elsewhere ---
+# --- scanners off the middle, or with another field of view ---
 
 
 @pytest.mark.parametrize("method", METHODS, ids=NAMES)
-def test_one_whose_scanner_sits_behind_its_middle_keeps_as_far_away(method: Settings) -> None:
-    """A wall across the way: with ranges taken for those from its middle, it would come nearer by how far that is off."""
+def test_the_distance_kept_does_not_depend_on_the_place_of_the_scanner(method: Settings) -> None:
+    """A wall across the way: if ranges were taken from the middle of the body, it would come nearer by the offset."""
     made, x, wall = AvoidanceSteering(method), 0.0, [((2.0, -5.0), (2.2, 5.0))]
     made.start(info(body=WHEELS, sensors=("scan",), beside_m={"scan": 0.15}))
     for tick in range(300):
         scan = sweep((x - 0.15, 0.0, 0.0), wall, tick)
-        x += 0.1 * made.drive(seen_from((x, 0.0, 0.0), scan, tick, 0.3), (0.3, 0.0)).velocity[0]
+        x += 0.1 * made.drive(observation_from((x, 0.0, 0.0), scan, tick, 0.3), (0.3, 0.0)).velocity[0]
     assert 2.0 - x >= method.kept_m(WHEELS) - 1e-9
 
 
-def test_a_robot_hardly_moves_to_where_its_scanner_does_not_look() -> None:
+def test_a_robot_moves_slowly_outside_its_field_of_view() -> None:
     for method in METHODS:
         made, here = steering(method), (0.0, 0.0, 0.0)
         back = sweep(here, [], fov=math.pi, first=0.5 * math.pi)
-        assert made.drive(seen_from(here, back, 0), (0.6, 0.1)) == ((0.1, 0.0), 0.1, "task")
-        assert made.drive(seen_from(here, back, 0), (-0.3, 0.0)).velocity == (-0.3, 0.0)
+        assert made.drive(observation_from(here, back, 0), (0.6, 0.1)) == ((0.1, 0.0), 0.1, "task")
+        assert made.drive(observation_from(here, back, 0), (-0.3, 0.0)).velocity == (-0.3, 0.0)
         made = steering(method)
-        assert made.drive(seen_from(here, sweep(here, []), 0), (-0.3, 0.0)).velocity == (-0.1, 0.0)
-        assert made.drive(seen_from(here, sweep(here, []), 0), (0.6, 0.0)).velocity == (0.6, 0.0)
+        assert made.drive(observation_from(here, sweep(here, []), 0), (-0.3, 0.0)).velocity == (-0.1, 0.0)
+        assert made.drive(observation_from(here, sweep(here, []), 0), (0.6, 0.0)).velocity == (0.6, 0.0)

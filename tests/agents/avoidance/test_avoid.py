@@ -1,4 +1,4 @@
-"""Avoidance around anybody's agent: what the task says, what is done of it, and what goes wrong in building it."""
+"""Avoidance around any agent: forwarding of the task's output, limits, and errors in building it."""
 
 import math
 import tomllib
@@ -19,15 +19,15 @@ from vcmvsp.cosim.types import Follows, Velocity, Waypoint
 pytestmark = pytest.mark.slow
 
 HERE = "tests.agents.avoidance.test_avoid"
-PUSHLESS: Any = {"gain": 1e-9, "tang": 0.0}  # a field that leads nowhere: what is left is the limits
+PUSHLESS: Any = {"gain": 1e-9, "tang": 0.0}  # a field without effect: only the limits remain
 KIND = "vcmvsp.agents.avoidance.avoid:Avoid"
 FREE = (math.inf,) * 32
 NEAR = (0.8, *FREE[1:])
 WHEELS, WINGS = Body(width_m=0.4, radius_m=0.25), Body(width_m=0.5, radius_m=0.25, flies=True)
 
 
-class Says(Agent):
-    """Returns what it is given, in turn, and notes how often it was asked."""
+class ScriptedTask(Agent):
+    """Task: returns the given commands in turn and notes the number of calls."""
 
     period = 0.2
     sensors: tuple[str, ...] | None = ("gps",)
@@ -53,7 +53,7 @@ class Says(Agent):
 
 
 class Forward(Agent):
-    """Straight ahead, whatever comes."""
+    """Task: drives straight ahead."""
 
     def __init__(self, speed: float = 0.6) -> None:
         self.speed = speed
@@ -63,7 +63,7 @@ class Forward(Agent):
 
 
 class Idle(Agent):
-    """Has no act of its own."""
+    """An agent without `act`."""
 
 
 def around(task: Agent, body: Body = WHEELS, goal: tuple[float, float] | None = None, **settings: Any) -> Avoid:
@@ -78,11 +78,11 @@ def act(agent: Agent, ranges: tuple[float, ...] = FREE, at_ms: int = 0, yaw: flo
     return agent.act(Uav((0.0, 0.0, height), yaw).see(now_ns, scan=ring(ranges, now_ns)), Radio("a", ("a", "b")))
 
 
-# --- what is passed on ---
+# --- forwarding ---
 
 
-def test_the_task_is_started_asked_and_closed_and_all_it_says_is_passed_on() -> None:
-    task = Says(Velocity(linear=(0.3, 0.0, 0.0), yaw_rate=0.1))
+def test_the_task_is_started_called_and_closed_and_its_output_forwarded() -> None:
+    task = ScriptedTask(Velocity(linear=(0.3, 0.0, 0.0), yaw_rate=0.1))
     made = around(task)
     radio = Radio("a", ("a", "b"))
     made.act(Uav((0.0, 0.0, 0.0)).see(0), radio)
@@ -93,24 +93,24 @@ def test_the_task_is_started_asked_and_closed_and_all_it_says_is_passed_on() -> 
     assert [message.body for message in radio.drain()] == [{"x": 1.0}]
 
 
-@pytest.mark.parametrize(("task", "sensors"), [("Says", ("gps", "scan")), ("Forward", None)])
-def test_it_looks_at_what_the_task_looks_at_and_at_its_scanner(task: str, sensors: tuple[str, ...] | None) -> None:
+@pytest.mark.parametrize(("task", "sensors"), [("ScriptedTask", ("gps", "scan")), ("Forward", None)])
+def test_it_reads_the_sensors_of_the_task_and_its_scanner(task: str, sensors: tuple[str, ...] | None) -> None:
     made = Avoid({"kind": f"{HERE}:{task}"}, PotentialField())
     assert made.sensors == sensors
-    assert made.period == (0.2 if task == "Says" else 0.1)
+    assert made.period == (0.2 if task == "ScriptedTask" else 0.1)
 
 
-def test_on_wheels_velocities_are_of_the_body() -> None:
+def test_on_wheels_velocities_are_in_the_body_frame() -> None:
     said = Velocity(linear=(0.3, 0.0, 0.0), yaw_rate=0.1)
-    made = around(Says(said, said))
+    made = around(ScriptedTask(said, said))
     assert act(made, yaw=1.0) == said
     assert act(made, (0.5, *FREE[1:])).linear[0] == 0.0
 
 
-def test_in_the_air_they_are_of_the_world_and_the_height_is_the_tasks() -> None:
-    """Heading north, with something 0.8 m north of it: what the task wants to the north is limited, east and up are not."""
+def test_in_the_air_velocities_are_in_the_world_frame() -> None:
+    """Heading north, with an obstacle 0.8 m north: the velocity to the north is limited, east and up are not."""
     said = Velocity(linear=(0.2, 0.5, 0.1), yaw_rate=0.3)
-    made = around(Says(said, said), WINGS, **PUSHLESS)
+    made = around(ScriptedTask(said, said), WINGS, **PUSHLESS)
     free = act(made, yaw=math.pi / 2)
     assert (*free.linear, free.yaw_rate) == pytest.approx((0.2, 0.5, 0.1, 0.3))
     near = act(made, NEAR, yaw=math.pi / 2)
@@ -118,34 +118,34 @@ def test_in_the_air_they_are_of_the_world_and_the_height_is_the_tasks() -> None:
 
 
 def test_without_a_usable_scan_a_vehicle_hovers() -> None:
-    made = around(Says(Velocity(linear=(0.2, 0.5, 0.1), yaw_rate=0.3)), WINGS)
+    made = around(ScriptedTask(Velocity(linear=(0.2, 0.5, 0.1), yaw_rate=0.3)), WINGS)
     assert act(made, (0.0,) * 32) == Velocity()
 
 
-def test_a_command_left_in_force_is_looked_at_again() -> None:
+def test_a_command_in_force_is_limited_again() -> None:
     said = Velocity(linear=(0.6, 0.0, 0.0))
-    made = around(Says(None, said, None, None), WINGS, **PUSHLESS)
+    made = around(ScriptedTask(None, said, None, None), WINGS, **PUSHLESS)
     assert act(made) is None
     assert act(made) == act(made) == said
     assert act(made, NEAR).linear[0] == pytest.approx(0.4 * 0.17, abs=1e-6)
 
 
-def test_a_way_point_is_the_autopilots_until_something_is_near() -> None:
+def test_a_way_point_is_forwarded_until_an_obstacle_is_near() -> None:
     there = Waypoint(position=(3.0, 0.0, 4.0), speed=0.5, yaw=0.4)
-    made = around(Says(there, there, there, there), WINGS, **PUSHLESS)
+    made = around(ScriptedTask(there, there, there, there), WINGS, **PUSHLESS)
     assert act(made) is there
     near = act(made, (1.19, *FREE[1:]))
     assert (*near.linear, near.yaw_rate) == pytest.approx((0.3, 0.0, 0.4, 0.4))
     assert act(made, (*FREE[:16], 1.19, *FREE[17:]), height=4.0).linear == pytest.approx((0.5, 0.0, 0.0))
-    assert not isinstance(act(made), Waypoint)  # all gone at once: not yet
+    assert not isinstance(act(made), Waypoint)  # all returns vanished at once: doubted
 
 
-def test_at_a_way_point_it_arrives() -> None:
-    made = around(Says(*[Waypoint(position=(0.1, 0.0, 0.0))] * 2), WINGS, **PUSHLESS)
+def test_it_slows_down_at_a_way_point() -> None:
+    made = around(ScriptedTask(*[Waypoint(position=(0.1, 0.0, 0.0))] * 2), WINGS, **PUSHLESS)
     assert act(made, (*FREE[:16], 1.19, *FREE[17:])).linear == pytest.approx((0.08, 0.0, 0.0))
 
 
-# --- what cannot be built ---
+# --- refusals ---
 
 
 def scenario(agent: dict[str, Any], kind: str = "kinematic", **more: Any) -> dict[str, Any]:
@@ -201,7 +201,7 @@ def test_a_task_may_be_in_a_file_beside_the_scenario(tmp_path: Any) -> None:
 @pytest.mark.parametrize("engine", ["kinematic", "bullet"])
 @pytest.mark.parametrize("turn", [0.0, 0.5])
 def test_a_robot_driven_at_a_wall_does_not_touch_it(engine: str, turn: float) -> None:
-    """Nothing leads it around the wall; its speed alone is limited. The body reaches 0.224 m from its reference point."""
+    """The field has no effect; only the speed is limited. The body reaches 0.224 m from its reference point."""
     wall = {"kind": "boxes", "boxes": [{"center": [2.2, 0.0, 0.5], "size": [0.4, 8.0, 1.0]}]}
     straight = {"task": {"kind": f"{HERE}:Forward"}, "avoidance": {**FIELD, **PUSHLESS, "keep_m": 0.27}}
     given = scenario(straight, "amigobot", physics={"kind": engine}, world=wall)
@@ -214,7 +214,7 @@ def test_a_robot_driven_at_a_wall_does_not_touch_it(engine: str, turn: float) ->
 
 
 @pytest.mark.parametrize(("kind", "method", "keeps"), [("amigobot", "gap", 0.224), ("quadrotor", "potential_field", 0.6)])
-def test_a_patrol_that_looks_at_nothing_is_led_past_a_pillar(kind: str, method: str, keeps: float) -> None:
+def test_a_patrol_without_sensors_is_steered_past_a_pillar(kind: str, method: str, keeps: float) -> None:
     pillar = {"kind": "boxes", "boxes": [{"center": [2.5, 0.05, 1.0], "size": [0.5, 0.5, 2.0]}]}
     task = {"kind": "patrol", "way": [[5.0, 0.0, 1.0]], "speed": 0.5, "loop": False, "flies": kind == "quadrotor"}
     given = scenario({"task": task, "avoidance": {"kind": method}, "goal": [5.0, 0.0]}, kind, world=pillar, duration_s=25.0)
@@ -227,22 +227,22 @@ def test_a_patrol_that_looks_at_nothing_is_led_past_a_pillar(kind: str, method: 
     assert math.hypot(x[-1] - 5.0, y[-1]) < 0.35
 
 
-class Tells(Agent):
-    """Notes what the avoidance notes, too."""
+class NotingTask(Agent):
+    """Task: notes the keys of the avoidance, too."""
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
         self.note(mode="mine", level=7.0, more=True)
         return Velocity(linear=(0.1, 0.0, 0.0))
 
 
-def test_a_task_may_note_what_the_avoidance_notes() -> None:
-    """News of the avoidance counts."""
-    made = around(Tells())
+def test_a_task_may_note_the_keys_of_the_avoidance() -> None:
+    """The notes of the avoidance prevail."""
+    made = around(NotingTask())
     act(made)
     assert made.drain_notes() == {"mode": "task", "level": 0.0, "more": True}
 
 
-def test_avoidance_may_go_around_avoidance() -> None:
+def test_avoidance_may_wrap_avoidance() -> None:
     inner = {"kind": f"{HERE}:Forward"}
     made = Avoid({"kind": "avoid", "task": inner, "avoidance": {"kind": "gap"}}, PotentialField())
     made.start(info(body=WHEELS))
@@ -251,13 +251,13 @@ def test_avoidance_may_go_around_avoidance() -> None:
 
 
 @pytest.mark.parametrize("ranges", [FREE, NEAR])
-def test_a_way_point_on_wheels_is_refused_whatever_stands_around(ranges: tuple[float, ...]) -> None:
+def test_a_way_point_on_wheels_is_refused_with_and_without_obstacles(ranges: tuple[float, ...]) -> None:
     with pytest.raises(ValueError, match="a vehicle on wheels accepts velocities only"):
-        act(around(Says(Waypoint(position=(0.0, 5.0, 0.0)))), ranges)
+        act(around(ScriptedTask(Waypoint(position=(0.0, 5.0, 0.0)))), ranges)
 
 
-def test_another_method_can_be_set_in_a_scenario_that_has_keys_of_one() -> None:
-    """Keys that the other one does not have are left out, those that were set with it are not."""
+def test_another_method_can_be_set_over_keys_of_the_first() -> None:
+    """Keys unknown to the new method are dropped, unless they were set with it."""
     result = vcmvsp.run("corridor", set={"agents.avoidance.kind": "vfh", "duration_s": 0.2}, mcap=False)
     avoidance = tomllib.loads(result.scenario)["agents"]["avoidance"]
     assert (avoidance["kind"], avoidance["max_speed"], "lookahead_m" in avoidance) == ("vfh", 0.3, False)

@@ -1,4 +1,4 @@
-"""The dynamic window: how far an arc leads, that it can always stop on it, and where a vehicle goes then."""
+"""The dynamic window: lengths of free arcs, stopping before contact, and acceleration limits."""
 
 import math
 
@@ -41,7 +41,7 @@ def stopping_m(v: float) -> float:
 @given(
     st.integers(0, 2**32), st.sampled_from((0.0, 1e-12, 1e-6, 0.01)) | st.floats(0.0, 8.0), st.booleans(), st.floats(0.05, 0.6)
 )
-def test_an_arc_leads_as_far_as_small_steps_on_it_do(seed: int, curvature: float, to_right: bool, keep: float) -> None:
+def test_free_arc_lengths_agree_with_small_steps(seed: int, curvature: float, to_right: bool, keep: float) -> None:
     rng = np.random.default_rng(seed)
     points = rng.uniform(-1.5, 1.5, (12, 2))
     points = points[np.hypot(*points.T) > keep + 1e-3]
@@ -59,18 +59,18 @@ def test_an_arc_leads_as_far_as_small_steps_on_it_do(seed: int, curvature: float
 
 @settings(max_examples=15)
 @given(st.integers(0, 2**32), st.floats(-3.0, 3.0))
-def test_many_arcs_at_once_lead_as_far_as_each_alone(seed: int, turned: float) -> None:
+def test_many_arcs_at_once_equal_single_arcs(seed: int, turned: float) -> None:
     points = np.random.default_rng(seed).uniform(-1.5, 1.5, (30, 2))
     curvatures = np.linspace(-4.0, 4.0, 23) + turned
     alone = [min(float(clearances(point[None], np.array([k]), KEEP)[0]) for point in points) for k in curvatures]
     assert clearances(points, curvatures, KEEP) == pytest.approx(alone)
 
 
-def test_what_is_touched_stops_whoever_goes_towards_it_and_nobody_who_leaves() -> None:
+def test_a_touched_obstacle_stops_approach_and_not_departure() -> None:
     for x, free in ((0.1, 0.0), (-0.1, math.inf)):
         assert clearances(np.array([[x, 0.05]]), np.zeros(1), KEEP)[0] >= min(free, 1e6)
         assert (clearances(np.array([[x, 0.05]]), np.zeros(1), KEEP)[0] == 0.0) == (free == 0.0)
-    assert clearances(np.array([[0.0, 0.2]]), np.array([5.0, 100.0]), KEEP).tolist() == [0.0, 0.0]  # also where it is circled
+    assert clearances(np.array([[0.0, 0.2]]), np.array([5.0, 100.0]), KEEP).tolist() == [0.0, 0.0]  # on a circle around it, too
     assert clearances(np.empty((0, 2)), np.array([0.0, 1.0]), KEEP).tolist() == [math.inf, math.inf]
 
 
@@ -78,9 +78,7 @@ def test_what_is_touched_stops_whoever_goes_towards_it_and_nobody_who_leaves() -
 @given(
     st.integers(0, 2**32), st.floats(0.0, 0.6), st.floats(-1.0, 1.0), st.floats(-1.5, 1.5), st.sampled_from((math.pi, math.tau))
 )
-def test_whatever_it_commands_it_can_stop_before_it_touches_anything(
-    seed: int, v: float, w: float, y: float, fov: float
-) -> None:
+def test_every_command_allows_a_stop_before_contact(seed: int, v: float, w: float, y: float, fov: float) -> None:
     method, now = DynamicWindow().method(ROBOT, PERIOD_S), (v, w)
     view = scan(rooms(seed), fov)
     for _ in range(3):
@@ -95,12 +93,12 @@ def test_whatever_it_commands_it_can_stop_before_it_touches_anything(
 
 
 @given(st.integers(0, 2**32))
-def test_it_stays_in_the_window_that_its_accelerations_open(seed: int) -> None:
+def test_commands_stay_within_the_acceleration_window(seed: int) -> None:
     set_to = DynamicWindow()
     method, ranges = set_to.method(ROBOT, PERIOD_S), rooms(seed) + 0.3
     last = method.decide(scan(np.full(181, math.inf)), Task((0.3, 0.0), 0.2, (2.0, 0.0)))
     for k in range(5):
-        task = Task((0.3, 0.0), 0.2, (2.0, 0.0), (2.0, 0.0), now=(last.velocity[0], last.yaw_rate))  # it may catch up
+        task = Task((0.3, 0.0), 0.2, (2.0, 0.0), (2.0, 0.0), now=(last.velocity[0], last.yaw_rate))  # with a leader
         now = method.decide(scan(ranges - 0.02 * k), task)
         if now.mode == "avoid":
             assert abs(now.velocity[0] - last.velocity[0]) <= set_to.acceleration * PERIOD_S + 1e-12
@@ -108,6 +106,6 @@ def test_it_stays_in_the_window_that_its_accelerations_open(seed: int) -> None:
         last = now
 
 
-def test_what_flies_is_refused() -> None:
+def test_flying_vehicles_are_refused() -> None:
     with pytest.raises(ValueError, match='"dynamic_window" is for vehicles on wheels'):
         DynamicWindow().method(Body(width_m=0.5, radius_m=0.25, flies=True), PERIOD_S)

@@ -1,4 +1,4 @@
-"""Through gaps: which way is taken, how, and that it leads there."""
+"""Gaps: choice of a gap, motion towards it, and gaps in a scan."""
 
 import math
 from typing import Any, NamedTuple
@@ -61,11 +61,11 @@ def test_the_lane_is_as_wide_as_the_body_and_the_margins() -> None:
         assert decide(seen([((0.6, room), (0.6, 0.9))], beams=8192), task).mode == mode
 
 
-def test_what_stands_still_stands() -> None:
+def test_a_task_at_rest_is_kept() -> None:
     assert decide(seen(BLOCKED), Task((0.0, 0.0), 0.0, (3.0, 0.0))) == Decision((0.0, 0.0), 0.0, "task")
 
 
-def test_on_the_spot_anything_may_turn_that_goes_nowhere_in_sight() -> None:
+def test_a_turn_on_the_spot_without_an_aim_in_view_is_unchanged() -> None:
     for aim in (None, (-3.0, 0.0)):
         assert decide(seen(BLOCKED), Task((0.0, 0.0), 0.4, aim)) == Decision((0.0, 0.0), 0.4, "task")
 
@@ -76,7 +76,7 @@ def test_with_an_aim_out_of_sight_the_way_ahead_counts() -> None:
     assert decide(seen(sides(at(57.1, 0.68), at(62.3, 0.93))), task).mode == "task"
 
 
-def test_on_its_way_around_something_it_wants_to_see_that_it_can_go_on() -> None:
+def test_avoidance_ends_only_with_a_free_way_in_view() -> None:
     method, behind = Gap().method(SMALL, 0.1), Task((0.3, 0.0), 0.5, at(100.0, 0.5))
     beside = seen([((-9.0, 0.4), (9.0, 0.4))])
     assert method.decide(beside, behind).mode == "task"
@@ -115,7 +115,7 @@ def test_in_a_whole_turn_the_leader_behind_is_followed_through_the_gap_behind() 
     decision = decide(seen(walls, math.tau), Task((0.3, 0.0), 0.0, (1.0, 0.0), (-2.0, -0.3)))
     assert decision.mode == "avoid"
     assert decision.yaw_rate == -1.2
-    assert decision.velocity[0] == 0.0  # there is a wall ahead
+    assert decision.velocity[0] == 0.0  # wall ahead
 
 
 def test_the_only_useful_gap_may_be_the_fourth() -> None:
@@ -138,7 +138,7 @@ def test_without_a_goal_the_straightest_gap_is_taken() -> None:
     walls, task = wall_with_doors(0.8, [(0.1, 0.8), (-1.2, -0.4)]), Task((0.3, 0.0))
     near, far = 0.5 * (math.atan2(0.1, 0.8) + 0.25 * math.pi), -0.5 * (math.atan2(0.4, 0.8) + math.atan2(1.2, 0.8))
     assert decide(seen(walls), task, lookahead_m=1.6, top=4).yaw_rate == pytest.approx(1.5 * near, abs=0.02)
-    assert decide(seen(walls), task, lookahead_m=1.6).yaw_rate == pytest.approx(1.5 * far, abs=0.02)  # one of the widest
+    assert decide(seen(walls), task, lookahead_m=1.6).yaw_rate == pytest.approx(1.5 * far, abs=0.02)  # widest only
 
 
 def test_equal_gaps_the_wider_one_is_taken() -> None:
@@ -146,7 +146,7 @@ def test_equal_gaps_the_wider_one_is_taken() -> None:
     angles = np.linspace(first, last, 181)
     ranges = np.full(181, 0.9)
     ranges[np.abs(np.abs(angles) - 1.0) < 0.3] = 5.0
-    for near, side in ((0, 1), (-1, -1)):  # the sides of one gap are nearer, so that it is narrower
+    for near, side in ((0, 1), (-1, -1)):  # one gap is narrower, because its sides are nearer
         nearer = ranges.copy()
         nearer[:90] = np.where(nearer[:90] < 5.0, 0.8, 5.0)
         scan = view(nearer if near == 0 else nearer[::-1])
@@ -155,7 +155,7 @@ def test_equal_gaps_the_wider_one_is_taken() -> None:
 
 @pytest.mark.parametrize(("body", "half"), [(SMALL, 0.225), (SQUARE, 0.3), (DRONE, 0.26)])
 def test_a_gap_must_have_room_for_the_body_and_the_margins(body: Body, half: float) -> None:
-    """And for a turn on the spot within it."""
+    """And for a turn on the spot within the gap."""
     for width, mode in ((2.0 * half - 0.02, "turn"), (2.0 * half + 0.02, "avoid")):
         d = 0.5 * width
         walls = [
@@ -174,10 +174,10 @@ def test_a_larger_distance_needs_a_wider_gap() -> None:
     assert decide(seen(walls), Task((0.3, 0.0)), lookahead_m=1.25, keep_m=0.4).mode == "turn"
 
 
-# --- how it goes there ---
+# --- motion towards a gap ---
 
 
-def test_one_that_flies_goes_sideways() -> None:
+def test_a_flying_vehicle_moves_sideways() -> None:
     walls = wall_with_doors(0.8, [LEFT], half=1.6)
     decision = decide(seen(walls, math.tau), Task((0.25, 0.0), 0.1, (3.0, 0.6)), DRONE, lookahead_m=1.9)
     middle = 0.5 * (math.atan2(0.4, 0.8) + math.atan2(1.2, 0.8))
@@ -193,7 +193,7 @@ def test_only_a_follower_that_lags_speeds_up_around_obstacles() -> None:
         assert math.hypot(*decision.velocity) == pytest.approx(of)
 
 
-def test_one_that_had_turned_on_the_spot_goes_on_as_fast_as_before() -> None:
+def test_after_a_turn_on_the_spot_it_resumes_its_speed() -> None:
     scan = seen([((0.8, -0.5), (0.8, 0.3))])
     method = Gap().method(SMALL, 0.1)
     assert method.decide(seen([]), Task((0.2, 0.0), 0.0, (3.0, 0.0))).mode == "task"
@@ -201,8 +201,8 @@ def test_one_that_had_turned_on_the_spot_goes_on_as_fast_as_before() -> None:
     assert 0.1 < decision.velocity[0] < 0.2
 
 
-def test_while_it_turns_by_much_it_creeps_only_where_the_way_ahead_is_free() -> None:
-    """A gap on the right, hardly behind: the aim is behind something further round."""
+def test_in_sharp_turns_it_creeps_only_with_a_free_way_ahead() -> None:
+    """A gap on the right, slightly behind; the aim is behind an obstacle further round."""
     angles = np.degrees(bearings(720, math.tau))
     ranges = np.where(abs(angles + 110.0) < 25.0, 3.0, 0.7)
     task = Task((0.3, 0.0), 0.0, at(-150.0, 0.9))
@@ -221,7 +221,7 @@ def test_without_a_gap_it_turns_to_the_leader_or_the_goal(y: float, side: int, b
         assert decide(seen(BLOCKED), task, body) == Decision((0.0, 0.0), side * 0.6, "turn")
 
 
-def test_one_that_roams_turns_to_the_side_with_more_room() -> None:
+def test_without_a_goal_it_turns_to_the_side_with_more_room() -> None:
     for off, side in ((0.1, -1), (-0.1, 1)):
         walls = [((0.5, -9.0), (0.5, 9.0)), ((-9.0, 0.45 - off), (9.0, 0.45 - off)), ((-9.0, -0.45 - off), (9.0, -0.45 - off))]
         assert decide(seen(walls), Task((0.3, 0.0))).yaw_rate == side * 0.6
@@ -240,10 +240,7 @@ def test_it_goes_on_turning_to_one_side_until_there_is_a_gap() -> None:
     assert method.decide(seen(BLOCKED), other).yaw_rate == math.copysign(0.6, -turned.yaw_rate or other.aim[1])  # type: ignore[index]
 
 
-# --- all in all ---
-
-
-# --- gaps in a scan: each is met once, as wide as it is, wherever the scan begins ---
+# --- gaps in a scan: each is found once, with its width, for any first beam ---
 
 
 L = 2.0
@@ -254,8 +251,8 @@ def found(walls: list[Wall], lookahead: float = L, beams: int = BEAMS) -> Gaps:
     return gaps(ranges_of(walls, beams=beams), lookahead, -0.5 * math.pi, math.pi / (beams - 1))
 
 
-def held_at(these: Gaps, bearing: float, beams: int = BEAMS) -> int | None:
-    """Which of them holds the beam at a bearing, over half a turn."""
+def gap_at(these: Gaps, bearing: float, beams: int = BEAMS) -> int | None:
+    """Index of the gap that contains the beam at a bearing, of a scan over half a turn."""
     beam = (bearing + 0.5 * math.pi) / (math.pi / (beams - 1))
     held = np.flatnonzero((these.begin <= beam) & (beam < these.end))
     return int(held[0]) if len(held) else None
@@ -273,7 +270,7 @@ class Door(NamedTuple):
 
     @property
     def jambs(self) -> tuple[float, float]:
-        """How far away they are, m: on the right, on the left."""
+        """Distances of the right and the left jamb, m."""
         (_, right), (left, _) = self.walls
         return math.hypot(*right), math.hypot(*left)
 
@@ -296,17 +293,17 @@ def test_a_door_is_too_wide_by_the_spacing_of_the_beams_on_either_side(
     step = math.pi / (beams - 1)
     spacing = [step * jamb**2 / (distance * math.cos(tilt)) for jamb in door.jambs]  # along the wall
     these = found(door.walls, 2.5, beams)
-    which = held_at(these, door.bearing, beams)
+    which = gap_at(these, door.bearing, beams)
     assert which is not None
     assert -1e-9 <= these.width[which] - width <= 1.1 * sum(spacing)
 
 
 def test_a_wall_with_one_door_has_two_crossings_besides_the_free_sides() -> None:
     these = found(wall_with_doors(1.0, [(-0.4, 0.4)]))
-    assert len(these.begin) == 3  # the door, and where the wall is further away than one looks
+    assert len(these.begin) == 3  # the door, and the wall beyond the look-ahead distance on both sides
     inner = np.concatenate([these.begin, these.end])
     inner = inner[(inner > 0) & (inner < BEAMS)]
-    aside = math.acos(1.0 / L) / math.pi * (BEAMS - 1)  # beams from the middle to where the wall leaves the look-ahead distance
+    aside = math.acos(1.0 / L) / math.pi * (BEAMS - 1)  # beams from the middle to the end of the wall in view
     assert sum(abs(inner - 255.5) < aside - 1) == 2
 
 
@@ -316,7 +313,7 @@ def test_a_return_at_the_lookahead_distance_is_no_gap_and_counts_once() -> None:
     assert sorted(zip(these.begin.tolist(), these.end.tolist(), strict=True)) == [(3, 4), (5, 6)]
 
 
-def test_all_free_is_one_gap_and_none_free_is_none() -> None:
+def test_all_beams_free_is_one_gap_and_none_free_is_no_gap() -> None:
     for cyclic in (False, True):
         free = gaps(np.full(8, math.inf), 1.2, -0.5 * math.pi, math.pi / 7, cyclic)
         assert (free.begin.tolist(), free.end.tolist()) == ([0], [8])
@@ -333,7 +330,7 @@ def test_a_gap_at_the_border_is_closed_there_at_the_lookahead_distance() -> None
     assert these.bearing[0] == pytest.approx(0.15)
 
 
-def test_seen_under_half_a_turn_or_more_a_gap_is_as_wide_as_both_sides_are_away() -> None:
+def test_a_gap_of_half_a_turn_or_more_is_as_wide_as_both_distances() -> None:
     ranges = np.full(360, 9.0)
     ranges[10], ranges[100] = 0.5, 0.7
     these = gaps(ranges, 2.0, 0.0, math.radians(1.0), cyclic=True)
@@ -398,8 +395,8 @@ def test_gaps_are_the_runs_of_free_beams_the_widest_first(ranges: Array, cyclic:
 
 
 @pytest.mark.parametrize("turn_deg", [-40, -10, 0, 10, 40])
-def test_where_a_gap_at_the_border_is_does_not_depend_on_the_heading(turn_deg: int) -> None:
-    """A pillar straight ahead of a vehicle that has turned: the ways around it are thought to be where they were before."""
+def test_the_place_of_a_gap_at_the_border_does_not_depend_on_the_heading(turn_deg: int) -> None:
+    """A pillar straight ahead of a vehicle that has turned: the ways around it keep their places."""
     turn = math.radians(turn_deg)
     scan = view(ranges_of([((1.0, -0.2), (1.0, 0.2))], (0.0, 0.0, turn)))
     _, places = gaps_ahead(scan, -turn, 1.2)
@@ -407,7 +404,7 @@ def test_where_a_gap_at_the_border_is_does_not_depend_on_the_heading(turn_deg: i
     assert sorted(places + turn) == pytest.approx([-aside, aside], abs=0.01)
 
 
-def test_a_whole_turn_is_cut_a_quarter_turn_aside() -> None:
+def test_in_a_whole_turn_gaps_end_a_quarter_turn_aside() -> None:
     scan = view(ranges_of([((1.0, -0.2), (1.0, 0.2))], beams=720, fov=math.tau), math.tau)
     these, places = gaps_ahead(scan, 0.0, 1.2)
     aside = 0.5 * (math.atan2(0.2, 1.0) + 0.5 * math.pi)
@@ -423,7 +420,7 @@ def test_a_narrow_door_looks_no_wider_where_the_quarter_turn_ends_in_it(distance
     assert (np.diff(ahead.width) <= 0.0).all()
 
 
-def test_a_post_beside_a_vehicle_that_sees_all_around_closes_nothing() -> None:
+def test_in_a_whole_turn_a_near_post_closes_no_gap() -> None:
     ranges = np.full(360, np.inf)
     ranges[:5] = ranges[-5:] = 0.2
     look = view(ranges, fov=math.tau)

@@ -1,4 +1,4 @@
-"""A lane is free when no return lies in it, whatever else there is."""
+"""A lane is free if and only if no return lies in it."""
 
 import math
 
@@ -20,8 +20,8 @@ def towards(bearing: float) -> Point:
     return math.cos(bearing), math.sin(bearing)
 
 
-def held(scan: View, bearing: float, half: float, length: float) -> bool:
-    """Whether a return lies in the lane, one beam after the other."""
+def lane_occupied(scan: View, bearing: float, half: float, length: float) -> bool:
+    """Whether a return lies in the lane, beam by beam."""
     for distance, angle in zip(scan.ranges.tolist(), scan.bearings.tolist(), strict=True):
         if distance < math.inf:
             ahead, aside = math.cos(angle - bearing), abs(math.sin(angle - bearing))
@@ -34,9 +34,9 @@ def held(scan: View, bearing: float, half: float, length: float) -> bool:
 def test_a_lane_is_free_of_returns(ranges: Array, bearing: float, half: float, length: float, fov: float) -> None:
     scan = view(ranges, fov)
     free, rounding = lane_free(scan, bearing, half, length), 1e-9
-    if held(scan, bearing, half - rounding, length - rounding):
+    if lane_occupied(scan, bearing, half - rounding, length - rounding):
         assert not free
-    if not held(scan, bearing, half + rounding, length + rounding):
+    if not lane_occupied(scan, bearing, half + rounding, length + rounding):
         assert free
     if free:
         assert lane_free(scan, bearing, 0.5 * half, 0.5 * length)
@@ -45,8 +45,8 @@ def test_a_lane_is_free_of_returns(ranges: Array, bearing: float, half: float, l
 
 
 @given(Ranges, st.floats(0.05, 0.6), st.floats(0.1, 2.0), st.sampled_from([math.pi, math.tau]), st.sampled_from([0.0, 2.9]))
-def test_ways_are_those_that_a_disc_can_follow(ranges: Array, half: float, length: float, fov: float, first: float) -> None:
-    """One beam after the other, and as far as a disc gets straight on."""
+def test_ways_are_the_bearings_open_to_a_disc(ranges: Array, half: float, length: float, fov: float, first: float) -> None:
+    """Beam by beam, and against the free distance of a disc."""
     scan = view(ranges, fov, first)
     for bearing, free in zip(scan.bearings.tolist(), ways(scan, half, length).tolist(), strict=True):
         near = [(d, b) for d, b in zip(scan.ranges.tolist(), scan.bearings.tolist(), strict=True) if d <= length]
@@ -67,8 +67,8 @@ def test_how_far_a_disc_gets_to_a_wall() -> None:
     assert free_m(view(np.zeros(181)), (1.0, 0.0), 0.3, 3.0) <= 0.0
 
 
-def test_a_return_exactly_aside_is_in_the_lane() -> None:
-    """Quarter turns are rounded."""
+def test_a_return_at_90_degrees_is_in_the_lane() -> None:
+    """With rounding of quarter turns."""
     ranges = np.full(181, math.inf)
     ranges[[0, 180]] = 0.2
     assert not lane_free(view(ranges), 0.0, 0.3, 1.0)

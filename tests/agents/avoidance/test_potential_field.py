@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.agents.obstacle_fields import PILLAR, Box, Way, clearance, drive, fly, look
+from tests.support.agents.obstacle_fields import PILLAR, Box, DriveResult, clearance, drive, fly, look
 from tests.support.agents.scans import Point, Pose, view
 from vcmvsp.agents.avoidance import PotentialField, Task, View
 from vcmvsp.agents.avoidance.method import Method
@@ -48,8 +48,8 @@ def passed(place: Point | Pose) -> bool:
 
 def drive_to(
     goal: Point, start: Pose, boxes: Sequence[Box] = (PILLAR,), *, beams: int = 128, fov: float = math.tau
-) -> tuple[Way, bool]:
-    """A robot's way to a goal, and whether it is there: it turns towards it, and drives as far as it looks there."""
+) -> tuple[DriveResult, bool]:
+    """A robot's path to a goal, and whether it arrived: it turns towards the goal, at a speed of 0.3 m/s cos(bearing)."""
 
     def task(pose: Pose) -> Task:
         bearing = wrap(math.atan2(goal[1] - pose[1], goal[0] - pose[0]) - pose[2])
@@ -69,13 +69,13 @@ def test_one_beam_of_32_pushes_as_printed(range_m: float, push: float) -> None:
 
 
 @pytest.mark.parametrize("range_m", [0.65, 0.6, 0.3, 0.0, math.nan, -math.inf])
-def test_at_the_core_and_inside_it_pushes_away_with_11_and_no_more(range_m: float) -> None:
+def test_at_the_core_and_inside_it_the_push_is_11(range_m: float) -> None:
     x, y, most = repulsion(one(range_m, beam=8), REACH, CORE)
     assert (x, y, most) == pytest.approx((0.0, -11.0, 11.0), abs=1e-12)
 
 
 @given(ranges=st.lists(RANGES, min_size=2, max_size=64))
-def test_no_scan_pushes_with_more_than_11_of_each_of_32_beams(ranges: list[float]) -> None:
+def test_the_push_is_at_most_11_for_each_of_32_beams(ranges: list[float]) -> None:
     x, y, most = repulsion(seen(ranges), REACH, CORE)
     assert math.hypot(x, y) <= most * (1 + 1e-12) <= 11 * 32 * (1 + 1e-9)
 
@@ -95,13 +95,13 @@ def test_a_turned_scan_pushes_the_turned_way(ranges: list[float], by: int) -> No
     assert turned[:2] == pytest.approx(rotate2(x, y, by * math.tau / n), abs=1e-9)
 
 
-def test_the_push_is_that_of_the_angle_filled_and_not_of_the_resolution() -> None:
+def test_the_push_depends_on_the_angle_filled_and_not_on_the_resolution() -> None:
     pushes = [repulsion(look((-1.1, 0.05, 0.0), [PILLAR], beams=n), REACH, CORE)[:2] for n in (512, 1024, 4096)]
     assert pushes[0] == pytest.approx(pushes[2], rel=0.03)
     assert pushes[1] == pytest.approx(pushes[2], rel=0.015)
 
 
-def test_what_is_seen_pushes_the_same_when_less_is_seen_beside_it() -> None:
+def test_the_push_of_an_obstacle_does_not_depend_on_the_field_of_view() -> None:
     whole = repulsion(look((-1.1, 0.05, 0.0), [PILLAR], beams=512), REACH, CORE)
     half = repulsion(look((-1.1, 0.05, 0.0), [PILLAR], beams=257, fov=math.pi), REACH, CORE)
     behind = repulsion(look((-1.1, 0.05, math.pi), [PILLAR], beams=257, fov=math.pi), REACH, CORE)
@@ -124,10 +124,10 @@ def test_cruise_balances_at_the_closed_form(c: float) -> None:
 def test_the_side_is_kept_until_nothing_is_in_reach() -> None:
     left, right, free = one(0.9, beam=1), one(0.9, beam=31), one(math.inf)
     fresh = {view is left: field().decide(view, ahead(0.3)).velocity[1] for view in (left, right)}
-    assert fresh[True] < 0.0 < fresh[False]  # past what it meets, on the nearer side
+    assert fresh[True] < 0.0 < fresh[False]  # past the obstacle on the nearer side
     method = field()
     assert method.decide(left, ahead(0.3)).velocity[1] == fresh[True]
-    assert method.decide(right, ahead(0.3)).velocity[1] < 0.0  # as it has begun
+    assert method.decide(right, ahead(0.3)).velocity[1] < 0.0  # the side chosen first
     method.decide(free, ahead(0.3))
     assert method.decide(right, ahead(0.3)).velocity[1] == fresh[False]
 
@@ -145,7 +145,7 @@ def test_a_vehicle_that_hovers_is_pushed_to_the_edge_of_the_reach_and_rests() ->
 # On wheels
 
 
-def test_the_hand_of_a_robot_goes_where_that_of_a_vehicle_in_the_air_goes() -> None:
+def test_the_hand_of_a_robot_moves_like_a_vehicle_in_the_air() -> None:
     view, task = one(1.0, beam=2), Task((0.3, 0.0), 0.2)
     hand = field().decide(view, Task((0.3, 0.2 * ROBOT.radius_m))).velocity
     v, w = axle_velocity(*hand, 0.0, ROBOT.radius_m)
@@ -165,8 +165,8 @@ def test_a_robot_that_is_pushed_back_turns_on_the_spot_one_way_until_it_can_go(s
     turns = modes.index("avoid")
     assert modes == ["turn"] * turns + ["avoid"] * modes.count("avoid") + ["task"] * modes.count("task")
     assert {decision.yaw_rate for decision in way.decisions[:turns]} == {0.6 * side}
-    assert way.decisions[-1].mode == "task"  # it has left
-    assert way.clearance == pytest.approx(0.65, abs=MM)  # it has come no nearer than it was
+    assert way.decisions[-1].mode == "task"  # out of reach
+    assert way.clearance == pytest.approx(0.65, abs=MM)  # no nearer than at the start
 
 
 @pytest.mark.parametrize(("beams", "fov"), [(32, math.tau), (512, math.tau), (181, math.pi)])
@@ -177,7 +177,7 @@ def test_a_robot_gets_around_a_pillar_without_entering_its_core(beams: int, fov:
     assert way.seconds < 32.0
     assert way.clearance > CORE
     modes = [decision.mode for decision in way.decisions]
-    assert sum(a != b for a, b in pairwise(modes)) == 2  # around it once, and no wavering
+    assert sum(a != b for a, b in pairwise(modes)) == 2  # around it once, without wavering
 
 
 def gate(width: float) -> list[Box]:

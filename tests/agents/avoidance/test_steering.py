@@ -1,4 +1,4 @@
-"""Steering: what goes in and out of a method, limits, notes, and what becomes of bad scans."""
+"""Steering: inputs and outputs of a method, limits, notes, and bad scans."""
 
 import math
 from typing import Any
@@ -24,8 +24,8 @@ WHEELS, WINGS = Body(width_m=0.4, radius_m=0.25), Body(width_m=0.5, radius_m=0.2
 FREE = [math.inf] * 32
 
 
-class Asked(Settings, frozen=True, kw_only=True, tag="asked"):
-    """A method that does what the task says, or what it is told here, and keeps what it was asked."""
+class FixedAnswer(Settings, frozen=True, kw_only=True, tag="asked"):
+    """A method that returns the task, or a fixed answer, and records its inputs."""
 
     answer: tuple[float, float, float] | None = None
 
@@ -36,12 +36,12 @@ class Asked(Settings, frozen=True, kw_only=True, tag="asked"):
     def default_keep_m(self, body: Body) -> float:
         return 0.5
 
-    def method(self, body: Body, period_s: float) -> "AskedMethod":
-        return AskedMethod(self)
+    def method(self, body: Body, period_s: float) -> "FixedAnswerMethod":
+        return FixedAnswerMethod(self)
 
 
-class AskedMethod:
-    def __init__(self, settings: Asked) -> None:
+class FixedAnswerMethod:
+    def __init__(self, settings: FixedAnswer) -> None:
         self.settings, self.asked = settings, list[tuple[View, Task]]()
 
     def decide(self, view: View, task: Task) -> Decision:
@@ -53,7 +53,7 @@ class AskedMethod:
 
 
 def steering(chosen: Settings | None = None, body: Body = WINGS) -> AvoidanceSteering:
-    made = AvoidanceSteering(chosen or Asked())
+    made = AvoidanceSteering(chosen or FixedAnswer())
     made.start(info(body=body, sensors=("scan",)))
     return made
 
@@ -74,12 +74,12 @@ def ahead(distance: float) -> list[float]:
 
 GO = Task((1.0, 0.0), 0.2)
 
-# --- what goes in and out ---
+# --- inputs and outputs of a method ---
 
 
 def test_places_in_the_world_are_handed_on_in_the_body_frame() -> None:
-    """At (1, 2), heading north: a place 3 m north of it is ahead, one 1 m west of it on the left."""
-    made = steering(Asked(max_speed=0.7), WHEELS)
+    """At (1, 2), heading north: a place 3 m to the north is ahead, one 1 m to the west is on the left."""
+    made = steering(FixedAnswer(max_speed=0.7), WHEELS)
     made.drive(obs(scan(FREE), yaw=math.pi / 2), (0.3, 0.1), aim=(1.0, 5.0), leader=(0.0, 2.0))
     _, task = made._method.asked[0]  # type: ignore[attr-defined]
     assert (task.velocity, task.yaw_rate, task.max_speed) == ((0.3, 0.0), 0.1, 0.7)
@@ -87,8 +87,8 @@ def test_places_in_the_world_are_handed_on_in_the_body_frame() -> None:
     assert task.leader == pytest.approx((0.0, 1.0))
 
 
-def test_what_the_method_wants_is_limited_by_what_it_is_near_to() -> None:
-    made = steering(Asked(answer=(2.0, 0.5, 0.3)))
+def test_the_decision_is_limited_near_obstacles() -> None:
+    made = steering(FixedAnswer(answer=(2.0, 0.5, 0.3)))
     decision = made.steer(obs(scan(ahead(0.8))), GO)
     assert decision.velocity == pytest.approx((0.4 * 0.27, 0.5), abs=1e-6)
     assert (decision.yaw_rate, decision.mode) == (0.3, "avoid")
@@ -96,13 +96,13 @@ def test_what_the_method_wants_is_limited_by_what_it_is_near_to() -> None:
 
 def test_level_2_begins_for_the_fastest_of_task_decision_and_own_motion() -> None:
     for task, answer, own in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)):
-        made = steering(Asked(answer=(answer, 0.0, 0.0)))
+        made = steering(FixedAnswer(answer=(answer, 0.0, 0.0)))
         made.steer(obs(scan(ahead(2.1)), velocity=(0.0, own, 5.0)), Task((task, 0.0)))
         assert made.level == 2  # 0.5 + 1 / 0.6 m
 
 
 def test_limits_apply_without_the_method() -> None:
-    made = steering(Asked(answer=(9.0, 9.0, 9.0)), WHEELS)
+    made = steering(FixedAnswer(answer=(9.0, 9.0, 9.0)), WHEELS)
     assert made.limit(obs(scan(ahead(0.8))), (1.0, 0.1)).velocity == pytest.approx((0.4 * 0.27, 0.0), abs=1e-6)
     assert made.limit(obs(scan(ahead(0.5))), (1.0, 0.1)) == Decision((0.0, 0.0), 0.1, "task")
     assert made.limit(obs(None), (1.0, 0.1)) == Decision((0.0, 0.0), 0.0, "blind")
@@ -124,30 +124,30 @@ def test_a_second_run_begins_afresh() -> None:
     assert made.notes == {"mode": "task", "level": 0}
 
 
-# --- what cannot be started ---
+# --- refusals at the start ---
 
 
 def test_a_vehicle_without_that_scanner_is_refused() -> None:
     with pytest.raises(ValueError, match=r"avoidance\.scanner = 'scan': a has no such sensor; its sensors: gps, lidar"):
-        AvoidanceSteering(Asked()).start(info(body=WHEELS, sensors=("gps", "lidar")))
-    AvoidanceSteering(Asked(scanner="lidar")).start(info(body=WHEELS, sensors=("gps", "lidar")))
+        AvoidanceSteering(FixedAnswer()).start(info(body=WHEELS, sensors=("gps", "lidar")))
+    AvoidanceSteering(FixedAnswer(scanner="lidar")).start(info(body=WHEELS, sensors=("gps", "lidar")))
 
 
 def test_a_vehicle_of_unknown_size_is_refused() -> None:
     with pytest.raises(ValueError, match="needs the size of a"):
-        AvoidanceSteering(Asked()).start(info())
+        AvoidanceSteering(FixedAnswer()).start(info())
 
 
-def test_parameters_that_a_method_of_ones_own_refuses_are_the_scenarios() -> None:
-    class Refused(Asked, frozen=True, kw_only=True, tag="refused"):
-        def method(self, body: Body, period_s: float) -> AskedMethod:
+def test_an_error_of_a_custom_method_names_the_scenario_key() -> None:
+    class Refused(FixedAnswer, frozen=True, kw_only=True, tag="refused"):
+        def method(self, body: Body, period_s: float) -> FixedAnswerMethod:
             raise ScenarioError("must be > 0", key="avoidance.params.size")
 
     with pytest.raises(ValueError, match=r"avoidance\.params\.size: must be > 0"):
         steering(Refused())
 
 
-def test_what_a_method_raises_is_not_hidden() -> None:
+def test_exceptions_of_a_method_are_not_hidden() -> None:
     class Broken:
         def decide(self, view: View, task: Task) -> Decision:
             raise TypeError("mine")
@@ -196,16 +196,16 @@ def test_without_a_usable_scan_the_vehicle_stops(what: str, level: int) -> None:
     assert made.steer(obs(scan(ahead(3.0), 200), 200), GO).mode == "task"
 
 
-def test_a_scan_that_is_old_is_none() -> None:
-    made = steering(Asked(stale_s=0.3))
+def test_an_old_scan_is_not_used() -> None:
+    made = steering(FixedAnswer(stale_s=0.3))
     modes = [made.steer(obs(scan(FREE, 0), at_ms), GO).mode for at_ms in (0, 300, 301)]
     assert modes == ["task", "task", "blind"]
 
 
 @pytest.mark.parametrize("gone", [math.inf, 6.0])
 @pytest.mark.parametrize("level", [1, 2])
-def test_where_something_was_near_and_all_is_gone_at_once_it_is_not_believed_for_half_a_second(gone: float, level: int) -> None:
-    made = steering(Asked(level=level))
+def test_an_empty_scan_after_near_returns_is_doubted_for_half_a_second(gone: float, level: int) -> None:
+    made = steering(FixedAnswer(level=level))
     slow, later, levels = made.steer(obs(scan(ahead(0.8))), GO).velocity[0], [], []
     for at_ms in (100, 200, 500, 590, 600, 700):
         later.append(made.steer(obs(scan([gone] * 32, at_ms), at_ms), GO).velocity[0])
@@ -213,11 +213,11 @@ def test_where_something_was_near_and_all_is_gone_at_once_it_is_not_believed_for
     if level == 2:
         assert 0.0 < slow < 0.2
         assert later == pytest.approx([slow, slow, slow, slow, 1.0, 1.0])
-    assert levels[:4] == [level] * 4  # something is still near
-    assert levels[-1] == 0 or level == 2  # which ends later
+    assert levels[:4] == [level] * 4  # still within the release time
+    assert levels[-1] == 0 or level == 2  # level 2 ends later
 
 
-def test_blind_ticks_do_not_make_an_empty_scan_believed() -> None:
+def test_blind_ticks_do_not_confirm_an_empty_scan() -> None:
     made = steering()
     made.steer(obs(scan(ahead(0.8))), GO)
     assert made.steer(obs(None, 100), GO).velocity == (0.0, 0.0)
@@ -244,7 +244,7 @@ methods = st.sampled_from([PotentialField, Gap, Vfh, DynamicWindow])
 def test_a_bad_scan_never_makes_it_faster(
     distances: list[float], kind: type[Any], bad: str, speed: float, flies: bool, level: int
 ) -> None:
-    """Where something was seen in the reach of the method last; in the open there is nothing to fear."""
+    """With a last usable scan that has returns in the reach of the method."""
     distances = [min(distances[0], 1.1), *distances[1:]]
     made = steering(kind(level=level), WINGS if flies and kind is not DynamicWindow else WHEELS)
     task = Task((speed, 0.0), 0.1)
@@ -255,7 +255,7 @@ def test_a_bad_scan_never_makes_it_faster(
 
 @settings(max_examples=200)
 @given(methods, st.lists(st.floats(width=32), max_size=40), angles, angles, st.floats())
-def test_no_scan_whatever_raises(kind: type[Any], values: list[float], first: float, step: float, furthest: float) -> None:
+def test_no_scan_raises_an_exception(kind: type[Any], values: list[float], first: float, step: float, furthest: float) -> None:
     made = steering(kind(), WHEELS)
     made.steer(obs(scan(values, angle_min=first, angle_step=step, range_max=furthest)), GO)
     made.steer(obs(scan(values, 100), 100), GO)
@@ -263,16 +263,16 @@ def test_no_scan_whatever_raises(kind: type[Any], values: list[float], first: fl
     assert math.isfinite(math.hypot(*decision.velocity))
 
 
-def test_level_2_begins_earlier_where_commands_come_late() -> None:
-    """0.5 m are kept; at 1 m/s 1.67 m are needed to brake, and 0.4 m go by until a command counts."""
+def test_level_2_begins_earlier_with_command_latency() -> None:
+    """Keep 0.5 m; at 1 m/s braking takes 1.67 m, and the latency of a command 0.4 m."""
     for latency_s, level in ((0.0, 0), (0.4, 2)):
-        made = AvoidanceSteering(Asked())
+        made = AvoidanceSteering(FixedAnswer())
         made.start(info(latency_s=latency_s, body=WINGS, sensors=("scan",)))
         made.steer(obs(scan(ahead(2.3))), GO)
         assert made.level == level
 
 
-# --- levels of nearness, and limits of the speed: by their rules, over random scans, and as closed forms ---
+# --- levels of nearness, and limits of the speed: rules, random scans and closed forms ---
 
 
 KEEP, APPROACH = 0.5, 0.4
@@ -288,7 +288,7 @@ def seen(distances: list[float]) -> View:
 
 
 def walls(half_width: float, end: float = math.inf, count: int = 361) -> View:
-    """The half turn ahead in a corridor along x, closed by a wall at ``end``."""
+    """View of the half turn ahead in a corridor along x, closed by a wall at ``end``."""
     bearing = np.linspace(-math.pi / 2, math.pi / 2, count)
     with np.errstate(divide="ignore"):
         aside = half_width / np.abs(np.sin(bearing))
@@ -333,7 +333,7 @@ def test_no_velocity_that_all_beams_allow_is_nearer_to_the_wanted_one(distances:
 
 
 def test_motion_along_a_wall_goes_on_where_motion_into_it_does_not() -> None:
-    """A wall on the left at 0.8 m, seen by 64 beams: of a velocity that leads at it askew, more than half is left along it."""
+    """A wall on the left at 0.8 m, seen by 64 beams: of an oblique velocity, more than half remains along the wall."""
     bearing = math.tau * np.arange(64) / 64
     with np.errstate(divide="ignore"):
         wall = seen(np.where(np.sin(bearing) > 0.1, 0.8 / np.sin(bearing), np.inf).tolist())
@@ -342,7 +342,7 @@ def test_motion_along_a_wall_goes_on_where_motion_into_it_does_not() -> None:
     assert y <= APPROACH * (0.8 - KEEP - 0.03) + 1e-9
 
 
-def test_512_beams_that_all_hold_it_are_no_problem() -> None:
+def test_512_limiting_beams_stop_it() -> None:
     assert limited_flight((3.0, 1.0), seen([0.2] * 512), KEEP, APPROACH) == pytest.approx((0.0, 0.0), abs=1e-8)
 
 
@@ -357,7 +357,7 @@ def test_on_wheels_a_speed_is_never_raised_nor_reversed(distances: list[float], 
 
 
 @given(ranges, st.floats(0.0, 2.0), st.floats(0.05, KEEP))
-def test_on_wheels_no_return_of_the_lane_is_driven_at_too_fast(distances: list[float], v: float, lane: float) -> None:
+def test_on_wheels_returns_in_the_lane_limit_the_speed(distances: list[float], v: float, lane: float) -> None:
     view = seen(distances)
     limited = limited_drive(v, view, KEEP, lane, APPROACH)
     for distance, (x, y) in zip(view.ranges.tolist(), view.units.tolist(), strict=True):
@@ -373,7 +373,7 @@ def test_a_corridor_of_90_cm_does_not_slow_an_amigobot_down_and_its_end_does() -
     assert near_end == pytest.approx(APPROACH * (1.0 - 0.266 - 0.03))
 
 
-def test_levels_hold_an_amigobot_back_for_what_is_ahead_and_not_for_walls_beside_it_whatever_is_kept() -> None:
+def test_levels_limit_an_amigobot_for_walls_ahead_and_not_for_walls_beside_it() -> None:
     for keep in (0.266, 0.6):
         levels = ObstacleLevels(PotentialField(keep_m=keep), AMIGO)
         view = walls(0.45)
@@ -383,12 +383,12 @@ def test_levels_hold_an_amigobot_back_for_what_is_ahead_and_not_for_walls_beside
 
 
 @pytest.mark.parametrize(("behind", "v", "left"), [(math.inf, -0.3, -0.1), (0.2, -0.3, 0.0), (0.7, -0.3, -0.068)])
-def test_reverse_is_slow_and_limited_by_what_is_seen_behind(behind: float, v: float, left: float) -> None:
+def test_reverse_is_slow_and_limited_by_returns_behind(behind: float, v: float, left: float) -> None:
     view = seen([math.inf, math.inf, behind, math.inf])  # ahead, left, behind, right
     assert limited_drive(v, view, KEEP, 0.2, APPROACH) == pytest.approx(left)
 
 
-def test_who_sees_nothing_behind_is_let_back() -> None:
+def test_reverse_is_allowed_without_returns() -> None:
     assert limited_drive(-0.1, walls(0.45, 0.3), KEEP, 0.2, APPROACH) == -0.1
 
 
@@ -398,7 +398,7 @@ def test_who_sees_nothing_behind_is_let_back() -> None:
 @pytest.mark.parametrize(
     ("speed", "latency", "begins"), [(0.0, 0.0, 0.9), (0.3, 0.0, 0.9), (0.6, 0.0, 1.2), (0.6, 0.5, 1.5), (3.0, 0.0, 15.6)]
 )
-def test_level_2_begins_where_braking_must(speed: float, latency: float, begins: float) -> None:
+def test_level_2_begins_at_the_braking_distance(speed: float, latency: float, begins: float) -> None:
     """The larger of keep + 0.3 m and keep + v latency + v^2 / (2 a), a = 0.3 m/s2."""
     assert second_m(speed, 0.6, 0.3, latency) == pytest.approx(begins)
     levels = ObstacleLevels(PotentialField(keep_m=0.6), DRONE, latency)
@@ -406,14 +406,14 @@ def test_level_2_begins_where_braking_must(speed: float, latency: float, begins:
     assert levels.update(0, begins - 1e-6, speed) == 2
 
 
-def test_levels_0_and_1_are_told_apart_by_the_reach_of_the_method() -> None:
+def test_level_1_begins_at_the_reach_of_the_method() -> None:
     levels = ObstacleLevels(PotentialField(), DRONE)
     assert [levels.update(0, nearest, 0.1) for nearest in (math.inf, 1.2, 1.19, 0.91)] == [0, 0, 1, 1]
 
 
-def test_level_2_ends_when_things_have_been_further_away_for_half_a_second() -> None:
+def test_level_2_ends_after_half_a_second_beyond_its_release_distance() -> None:
     levels = ObstacleLevels(PotentialField(), DRONE)
-    places = [0.8, 1.04, 1.04, 1.06, 1.06, 1.04, 1.06, *[1.06] * 4, 1.06]  # 0.9 begins, 1.05 ends, and starts to count anew
+    places = [0.8, 1.04, 1.04, 1.06, 1.06, 1.04, 1.06, *[1.06] * 4, 1.06]  # begins at 0.9, ends at 1.05; time restarted
     assert [levels.update(100 * MS * tick, nearest, 0.0) for tick, nearest in enumerate(places)] == [2] * 11 + [1]
 
 
@@ -424,8 +424,8 @@ def test_without_the_second_level_nothing_is_limited() -> None:
 
 
 @pytest.mark.parametrize("start", [0.8, 1.5, 3.0])
-def test_the_way_left_along_a_beam_decays_exponentially(start: float) -> None:
-    """v = approach (D - keep - 0.03) has D - keep - 0.03 decay with exp(-approach t); in periods of 0.1 s by 1 - 0.04 each."""
+def test_the_remaining_distance_decays_exponentially(start: float) -> None:
+    """v = approach (D - keep - 0.03): D - keep - 0.03 decays with exp(-approach t), i.e. by 1 - 0.04 per period of 0.1 s."""
     distance = start
     for _ in range(100):
         distance -= 0.1 * limited_flight((9.0, 0.0), seen([distance, math.inf, math.inf, math.inf]), KEEP, APPROACH)[0]

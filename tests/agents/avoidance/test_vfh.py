@@ -1,4 +1,4 @@
-"""VFH+: what is enlarged, what is blocked and for how long, and where a vehicle goes then."""
+"""VFH+: enlargement of obstacles, blocked sectors and their duration, and the chosen direction."""
 
 import math
 
@@ -33,13 +33,13 @@ def posts(*places: tuple[float, float], beams: int = 361, fov: float = math.tau)
     st.floats(0.1, 0.8),
     st.sampled_from((36, 72, 128)),
 )
-def test_an_obstacle_stands_in_the_directions_in_which_a_disc_would_touch_it(
+def test_an_obstacle_blocks_the_directions_in_which_a_disc_touches_it(
     distance: float, bearing: float, keep: float, sectors: int
 ) -> None:
     near = histogram(scan([distance, math.inf], 1.0, bearing), keep, sectors)
     for k in range(sectors):
         off = abs(wrap(math.tau * k / sectors - bearing))
-        aside = distance * math.sin(off)  # how far the post is from the line that the disc goes along
+        aside = distance * math.sin(off)  # distance of the post from the axis of the disc's way
         if abs(aside - keep) < 1e-9 or abs(off - math.pi / 2) < 1e-9:
             continue
         touches = off < math.pi / 2 and aside < keep
@@ -77,14 +77,14 @@ def test_a_narrow_opening_is_entered_in_its_middle() -> None:
 
 def test_it_keeps_to_the_side_it_has_chosen() -> None:
     method = Vfh().method(DRONE, 0.1)
-    first = method.decide(posts((1.0, 0.05)), AHEAD).velocity[1]  # a little to the left: past it on the right
+    first = method.decide(posts((1.0, 0.05)), AHEAD).velocity[1]  # slightly on the left: past it on the right
     assert first < 0.0
     assert method.decide(posts((1.0, -0.05)), AHEAD).velocity[1] < 0.0
     assert Vfh().method(DRONE, 0.1).decide(posts((1.0, -0.05)), AHEAD).velocity[1] > 0.0
 
 
-def test_what_is_blocked_stays_in_its_place_while_the_vehicle_turns() -> None:
-    """A post that is seen once and then at a distance between both thresholds, from a robot that turns as it was told to."""
+def test_blocked_sectors_keep_their_place_while_the_vehicle_turns() -> None:
+    """A post seen once near, then between both thresholds, from a robot that turns as commanded."""
     method = Vfh().method(ROBOT, 0.1)
     bearing, now = 0.0, (0.0, 0.0)
     for _ in range(8):
@@ -94,7 +94,7 @@ def test_what_is_blocked_stays_in_its_place_while_the_vehicle_turns() -> None:
         bearing -= 0.1 * decision.yaw_rate
 
 
-def test_the_direction_before_stays_in_its_place_while_the_vehicle_turns() -> None:
+def test_the_previous_direction_keeps_its_place_while_the_vehicle_turns() -> None:
     method = Vfh().method(ROBOT, 0.1)
     assert isinstance(method, _Vfh)
     rate = method.decide(posts((1.0, 0.1)), AHEAD).yaw_rate
@@ -104,17 +104,17 @@ def test_the_direction_before_stays_in_its_place_while_the_vehicle_turns() -> No
     assert method._previous == pytest.approx(before - 0.1 * rate)
 
 
-def test_a_moving_robot_does_not_turn_past_what_its_circle_touches() -> None:
+def test_a_moving_robot_does_not_turn_past_obstacles_on_its_circle() -> None:
     beside = posts((0.9, math.radians(-40.0)), beams=361, fov=math.pi)
-    right = Task((0.6, 0.0), -0.8, (0.3, -1.7))  # its aim is at -80 degrees
-    assert Vfh().method(ROBOT, 0.1).decide(beside, right).mode == "task"  # it stands yet
-    moving = right._replace(now=(0.6, 0.0))  # at 0.6 m/s and 1.2 rad/s the circle has a radius of 0.5 m
+    right = Task((0.6, 0.0), -0.8, (0.3, -1.7))  # aim at -80 degrees
+    assert Vfh().method(ROBOT, 0.1).decide(beside, right).mode == "task"  # at rest
+    moving = right._replace(now=(0.6, 0.0))  # at 0.6 m/s and 1.2 rad/s the radius is 0.5 m
     decision = Vfh().method(ROBOT, 0.1).decide(beside, moving)
     assert decision.mode == "avoid"
     assert decision.yaw_rate > -1.5 * math.radians(40.0)
 
 
-def test_settings_that_make_no_sense_are_refused() -> None:
+def test_inconsistent_settings_are_refused() -> None:
     with pytest.raises(ValueError, match=r"freed_m = 1 must not be less than blocked_m = 1.2"):
         Vfh(freed_m=1.0).method(ROBOT, 0.1)
     with pytest.raises(ValueError, match=r"blocked_m = 1.2 must exceed the distance kept from obstacles, 1.5 m"):

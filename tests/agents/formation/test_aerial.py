@@ -1,4 +1,4 @@
-"""In the air: leaders, their reports, followers, and what flies around things."""
+"""Formations in the air: leaders, their reports, followers, and avoidance."""
 
 import math
 from typing import Any
@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.agents.aerial_loop import BODY, Drifter, fly
-from tests.support.agents.agent_loop import T, Uav, info, received, said
+from tests.support.agents.agent_loop import T, Uav, info, reception_of, reception_of_body
 from tests.support.agents.scans import ring
 from vcmvsp.agents.avoidance import PotentialField
 from vcmvsp.agents.formation.aerial import AerialFollower, AerialRoute, Airborne
@@ -33,16 +33,16 @@ def report(state: LeaderState, **aloft: Any) -> Report:
     return Report(0, state, aloft)
 
 
-# --- what reports say ---
+# --- contents of reports ---
 
 
 @given(velocity=st.tuples(SPEEDS, SPEEDS, SPEEDS), th=SPEEDS, w=SPEEDS, age_s=st.floats(0.0, 10.0))
-def test_an_old_report_is_moved_by_its_velocity_whatever_the_heading(velocity: Vec3, th: float, w: float, age_s: float) -> None:
+def test_an_old_report_is_moved_by_its_velocity_at_any_heading(velocity: Vec3, th: float, w: float, age_s: float) -> None:
     vx, vy, vz = velocity
     told_of = report(LeaderState(1.0, -2.0, th, 0.0, w), vx=vx, vy=vy, vz=vz, z=4.0)
     then = Airborne(DeadReckoning(horizon_s=2.0, fade_s=1.0)).flight(told_of, age_s)
     fading = min(max(age_s - 2.0, 0.0), 1.0)
-    lasted = min(age_s, 2.0) + fading - 0.5 * fading**2  # at full speed, then at a speed that falls evenly to none in 1 s
+    lasted = min(age_s, 2.0) + fading - 0.5 * fading**2  # at full speed, then with a speed that falls linearly to 0 in 1 s
     assert then.position == pytest.approx((1.0 + vx * lasted, -2.0 + vy * lasted, 4.0 + vz * lasted), abs=1e-9)
     assert then.velocity == pytest.approx([each * (1.0 - fading) for each in velocity], abs=1e-9)
     assert math.cos(then.yaw - th - w * lasted) == pytest.approx(1.0, abs=1e-9)
@@ -51,7 +51,7 @@ def test_an_old_report_is_moved_by_its_velocity_whatever_the_heading(velocity: V
 
 
 @given(v=SPEEDS, w=SPEEDS, th=SPEEDS, age_s=st.floats(0.0, 5.0))
-def test_of_a_vehicle_on_wheels_the_estimate_is_that_of_wheels(v: float, w: float, th: float, age_s: float) -> None:
+def test_reports_of_vehicles_on_wheels_are_estimated_as_on_wheels(v: float, w: float, th: float, age_s: float) -> None:
     told_of = report(LeaderState(1.0, 2.0, th, v, w))
     inner = DeadReckoning()
     expected = inner.predict(told_of, age_s)
@@ -63,13 +63,13 @@ def test_of_a_vehicle_on_wheels_the_estimate_is_that_of_wheels(v: float, w: floa
 
 @pytest.mark.parametrize("nonsense", [math.nan, math.inf, "1", None, [1.0], 1e300])
 @pytest.mark.parametrize("key", ["vx", "vy", "vz", "z"])
-def test_nonsense_of_the_air_leaves_what_the_rest_says(key: str, nonsense: Any) -> None:
+def test_malformed_flight_fields_are_ignored(key: str, nonsense: Any) -> None:
     aloft = {"vx": 1.0, "vy": 1.0, "vz": 1.0, "z": 1.0, key: nonsense}
     told_of = report(LeaderState(0.0, 0.0, 0.0, 1.0, 0.0), **aloft)
     assert Airborne(DeadReckoning()).flight(told_of, 1.0).position == pytest.approx((1.0, 0.0, 0.0))
 
 
-def test_seen_from_above_it_is_where_it_flies_to() -> None:
+def test_the_planar_estimate_follows_the_velocity() -> None:
     told_of = report(LeaderState(0.0, 0.0, 0.5 * math.pi, 0.0, 0.0), vx=1.0, vy=0.5, vz=0.0, z=1.0)
     assert Airborne(DeadReckoning()).predict(told_of, 2.0) == pytest.approx((2.0, 1.0, 0.5 * math.pi, 0.5, 0.0))
 
@@ -86,7 +86,7 @@ def test_all_points_are_reached_in_straight_lines(way: list[Vec3], speed: float,
     points = [note["point"] for note in seen.notes["a"] if "point" in note]
     assert points[-1] == len(way)
     assert [note["status"] for note in seen.notes["a"] if "status" in note] == ["arrived"]
-    assert math.dist(seen.position["a"][-1], way[-1]) < 1e-3  # it goes on to the point itself
+    assert math.dist(seen.position["a"][-1], way[-1]) < 1e-3  # it continues to the point itself
     number = 0
     for position, command, note in zip(seen.position["a"], seen.commands["a"], seen.notes["a"], strict=True):
         number = int(note.get("point", number))
@@ -99,7 +99,7 @@ def test_all_points_are_reached_in_straight_lines(way: list[Vec3], speed: float,
         assert seen.yaw["a"] == pytest.approx([yaw] * len(seen.yaw["a"]), abs=1e-9)
 
 
-def test_it_turns_to_its_course_if_asked_to_and_reports_how_it_moves() -> None:
+def test_with_heading_course_it_turns_and_reports_its_motion() -> None:
     agent = AerialRoute(course_deg=90.0, speed=0.5, heading="course", yaw_rate=0.4)
     seen = fly({"a": agent}, [Uav((0.0, 0.0, 2.0))], 150)
     assert seen.yaw["a"][-1] == pytest.approx(0.5 * math.pi, abs=1e-3)
@@ -112,7 +112,7 @@ def test_it_turns_to_its_course_if_asked_to_and_reports_how_it_moves() -> None:
     assert [message["seq"] for message in seen.messages["a"]] == list(range(150))
 
 
-def test_a_loop_goes_round_and_a_way_of_one_place_ends_nowhere() -> None:
+def test_a_loop_repeats_and_a_loop_of_one_place_hovers() -> None:
     square = ((1.0, 0.0, 1.0), (1.0, 1.0, 1.5), (0.0, 1.0, 1.0), (0.0, 0.0, 1.0))
     seen = fly({"a": AerialRoute(square, loop=True, speed=1.0)}, [Uav((0.0, 0.0, 1.0))], 300)
     points = [note["point"] for note in seen.notes["a"] if "point" in note]
@@ -121,21 +121,21 @@ def test_a_loop_goes_round_and_a_way_of_one_place_ends_nowhere() -> None:
     assert still.position["a"][-1] == (0.0, 0.0, 1.0)
 
 
-def test_it_comes_back_to_the_height_of_its_course() -> None:
+def test_it_returns_to_the_height_of_its_course() -> None:
     agent = AerialRoute(course_deg=0.0, speed=0.5)
     fly({"a": agent}, [Uav((0.0, 0.0, 2.0))], 1)
     blown = agent.act(Uav((0.0, 0.0, 1.5)).see(10**9), Radio("a", ("a",)))
     assert blown.linear == pytest.approx((0.5, 0.0, 0.4))
 
 
-def test_sent_only_when_needed_a_straight_flight_sideways_is_told_by_its_heartbeat_alone() -> None:
+def test_when_needed_a_straight_sideways_flight_sends_only_heartbeats() -> None:
     agent = AerialRoute(course_deg=90.0, sending=Sending(when="needed", silence_s=2.0, acknowledge=False))
     seen = fly({"a": agent}, [Uav((0.0, 0.0, 2.0))], 101)
     assert len(seen.messages["a"]) == 6  # at 0, 2, 4, ... s
 
 
-def test_sent_only_when_needed_followers_know_its_height_too() -> None:
-    """Up and down at 1 m/s: nowhere more wrong than by the threshold and what a tick brings."""
+def test_when_needed_reports_keep_the_height_within_the_threshold() -> None:
+    """Up and down at 1 m/s: the error is at most the threshold plus the motion of a tick."""
     way = ((0.0, 0.0, 2.0), (0.0, 0.0, 0.5), (0.0, 0.0, 2.0))
     agent = AerialRoute(way, speed=1.0, arrive_m=0.2, sending=Sending(when="needed", acknowledge=False))
     seen, reckons = fly({"a": agent}, [Uav((0.0, 0.0, 1.0))], 60), Airborne(DeadReckoning())
@@ -147,13 +147,13 @@ def test_sent_only_when_needed_followers_know_its_height_too() -> None:
 
 
 @pytest.mark.parametrize("estimator", ["acc", "plan"])
-def test_estimators_for_which_reports_in_the_air_hold_nothing_are_refused(estimator: str) -> None:
+def test_estimators_for_wheels_are_refused(estimator: str) -> None:
     with pytest.raises(ScenarioError, match=f"estimator: '{estimator}' is for vehicles on wheels; choose 'hold' or 'dr'"):
         AerialRoute(course_deg=0.0, estimator=estimator)
 
 
-def test_straight_up_or_down_it_keeps_its_course_whatever_its_position_seems_to_be() -> None:
-    """Errors of 5 cm move the next point, seen from above, to all sides; on the way up, and on the last 30 cm of a line."""
+def test_straight_up_or_down_it_keeps_its_course_despite_position_noise() -> None:
+    """Position errors of 5 cm turn the bearing of the next point to all sides: while climbing, and on the last 30 cm."""
     rng = np.random.default_rng(1)
     agent, radio = AerialRoute(((2.0, 2.0, 1.0), (2.0, 2.0, 9.0), (0.0, 2.0, 9.0)), heading="course"), Radio("a", ("a",))
     agent.start(info(body=BODY))
@@ -169,7 +169,7 @@ def test_straight_up_or_down_it_keeps_its_course_whatever_its_position_seems_to_
     agent.act(Uav((2.0, 2.0, 1.0), course).see(0), radio)
     turns((2.0, 2.0, 4.0), 0.0)
     agent.act(Uav((2.0, 2.0, 9.0), course).see(0), radio)
-    turns((1.0, 2.0, 9.0), 1.0)  # west
+    turns((1.0, 2.0, 9.0), 1.0)  # westwards
 
 
 @pytest.mark.parametrize("way", [{}, {"way": ((0.0, 0.0, 1.0),), "course_deg": 0.0}])
@@ -178,11 +178,11 @@ def test_either_a_way_or_a_course(way: dict[str, Any]) -> None:
         AerialRoute(**way)
 
 
-# --- around things ---
+# --- avoidance ---
 
 
 @given(turn=st.integers(0, 31), at=st.integers(0, 31), near=st.floats(0.7, 1.1))
-def test_what_pushes_does_so_in_the_world_whatever_the_heading(turn: int, at: int, near: float) -> None:
+def test_the_push_in_the_world_does_not_depend_on_the_heading(turn: int, at: int, near: float) -> None:
     step = math.tau / 32
     commands = []
     for heading in (0, turn):
@@ -198,7 +198,7 @@ def test_what_pushes_does_so_in_the_world_whatever_the_heading(turn: int, at: in
         assert command.linear == pytest.approx((share * wanted[0], share * wanted[1], 0.0), abs=1e-9)
 
 
-def test_a_vehicle_that_sees_nothing_does_not_climb_either() -> None:
+def test_without_a_scan_a_vehicle_does_not_climb() -> None:
     agent = AerialRoute(((5.0, 0.0, 9.0),), avoidance=PotentialField())
     agent.start(info(body=BODY, sensors=("scan",)))
     command = agent.act(Uav((0.0, 0.0, 2.0)).see(0), Radio("a", ("a",)))
@@ -207,7 +207,7 @@ def test_a_vehicle_that_sees_nothing_does_not_climb_either() -> None:
     assert agent.sensors == ("scan",)
 
 
-# --- followers: the law in closed form, teams, and what they do when nobody is heard ---
+# --- followers: the law in closed form, teams, and loss of reception ---
 
 
 @settings(max_examples=25)
@@ -218,8 +218,8 @@ def test_a_vehicle_that_sees_nothing_does_not_climb_either() -> None:
     off=POINTS,
     gain=st.floats(0.2, 3.0),
 )
-def test_the_error_decays_as_the_law_says(velocity: Vec3, th: float, slot: Vec3, off: Vec3, gain: float) -> None:
-    """Sampled, z[n+1] = (1 - gain T) z[n], from the first report on: velocities are constant, so dr makes no error."""
+def test_the_error_decays_by_the_law(velocity: Vec3, th: float, slot: Vec3, off: Vec3, gain: float) -> None:
+    """Sampled, z[n+1] = (1 - gain T) z[n] from the first report on; velocities are constant, so that dr has no error."""
     x, y = rotate2(slot[0], slot[1], th)
     place = (x, y, 5.0 + slot[2])
     follower = AerialFollower("lead", slot, gain=gain)
@@ -235,7 +235,7 @@ def test_the_error_decays_as_the_law_says(velocity: Vec3, th: float, slot: Vec3,
     assert (follower.follows.slot, follower.follows.handle_m) == (slot[:2], 0.0)
 
 
-def test_its_place_goes_round_with_the_leaders_heading() -> None:
+def test_its_slot_turns_with_the_leaders_heading() -> None:
     follower = AerialFollower("lead", (-1.0, 0.5, 0.3), heading="leader")
     starts = [Uav((0.0, 0.0, 2.0)), Uav((-1.0, 0.5, 2.3))]
     seen = fly({"lead": Drifter((0.2, 0.0, 0.0), yaw_rate=0.3), "f": follower}, starts, 300)
@@ -244,12 +244,13 @@ def test_its_place_goes_round_with_the_leaders_heading() -> None:
     ):
         slot = rotate2(-1.0, 0.5, of)
         error = math.hypot(own[0] - lead[0] - slot[0], own[1] - lead[1] - slot[1])
-        # Velocities are held for a period in which the place's turns: it moves on a chord of it, less than half way off.
+        # Velocities are held for a period, while that of the slot turns: the follower moves on a chord, off by less than half
+        # of it.
         assert error < 0.5 * 0.3**2 * math.hypot(1.0, 0.5) * T / 0.8
         assert math.cos(yaw - of) > 1.0 - 1e-6
 
 
-def test_one_in_the_air_follows_one_on_wheels() -> None:
+def test_a_flying_vehicle_follows_one_on_wheels() -> None:
     names = ("car", "uav")
     car, follower = Trajectory(path="circle", speed=0.3, yaw_rate=0.15), AerialFollower("car", (-0.5, 0.0, 2.0))
     radio = Radio("car", names)
@@ -257,7 +258,7 @@ def test_one_in_the_air_follows_one_on_wheels() -> None:
         agent.start(info(name, names))
     car.act(Uav((0.0, 0.0, 0.0), 0.7).see(0), radio)
     (message,) = radio.drain()
-    heard = Uav((5.0, 5.0, 1.0)).see(10**8, [received(message)])
+    heard = Uav((5.0, 5.0, 1.0)).see(10**8, [reception_of(message)])
     command = follower.act(heard, Radio("uav", names))
     x, y, th = 0.3 * T * math.cos(0.7 + 0.0075), 0.3 * T * math.sin(0.7 + 0.0075), 0.7 + 0.015
     slot = rotate2(-0.5, 0.0, th)
@@ -269,25 +270,25 @@ def test_one_in_the_air_follows_one_on_wheels() -> None:
     assert command.linear == pytest.approx(expected, abs=1e-6)
 
 
-def test_it_hovers_until_it_hears_and_when_it_hears_no_more() -> None:
+def test_it_hovers_without_reception() -> None:
     follower = AerialFollower("lead", (-1.0, 0.0, 0.0), timeout_s=1.0, fade_s=0.5, horizon_s=5.0)
     starts = [Uav((0.0, 0.0, 2.0)), Uav((-1.0, 0.0, 2.0))]
     agents: dict[str, Agent] = {"lead": Drifter((0.3, 0.0, 0.0)), "f": follower}
     seen = fly(agents, starts, 60, lost=lambda tick, sender: tick < 5 or tick >= 20)
     status = [note["status"] for note in seen.notes["f"]]
-    assert status == ["waiting"] * 6 + ["following"] * 23 + ["leader lost"] * 31  # the last report is of 1.9 s
+    assert status == ["waiting"] * 6 + ["following"] * 23 + ["leader lost"] * 31  # the last report dates from 1.9 s
     speed = [math.hypot(*each.linear) for each in seen.commands["f"]]
     assert speed[:6] == [0.0] * 6
     left = np.clip(1.0 - np.arange(31) * T / 0.5, 0.0, 1.0)
     assert speed[29:] == pytest.approx(speed[28] * left, abs=1e-9)
 
 
-def test_one_that_was_busy_otherwise_stops_from_how_it_moves_and_not_from_what_it_was_told_long_ago() -> None:
+def test_after_stand_by_it_stops_from_its_present_velocity() -> None:
     follower, radio = AerialFollower("lead", (-2.0, 0.0, 0.0), fade_s=1.0), Radio("f", ("lead", "f"))
     uav = Uav((-2.0, 0.0, 5.0))
     follower.start(info("f", ("lead", "f"), body=BODY))
     report = {"seq": 0, "t_ns": 0, "x": 0.0, "y": 0.0, "z": 5.0, "th": 0.0, "v": 4.0, "w": 0.0, "vx": 4.0, "vy": 0.0, "vz": 0.0}
-    heard = said("lead", report)
+    heard = reception_of_body("lead", report)
     assert follower.act(uav.see(0, [heard]), radio).linear == (4.0, 0.0, 0.0)
     uav.velocity = (0.0, -1.0, 0.0)
     for tick in range(1, 50):
@@ -298,7 +299,7 @@ def test_one_that_was_busy_otherwise_stops_from_how_it_moves_and_not_from_what_i
     assert {(vx, vz) for vx, _, vz in fading} == {(0.0, 0.0)}
 
 
-def test_it_goes_no_faster_than_it_may() -> None:
+def test_its_speed_is_limited() -> None:
     follower = AerialFollower("lead", (0.0, 0.0, 0.0), max_speed=0.6)
     seen = fly({"lead": Drifter((0.3, 0.0, 0.0)), "f": follower}, [Uav((9.0, 5.0, 2.0)), Uav((0.0, 0.0, 1.0))], 30)
     assert [math.hypot(*each.linear) for each in seen.commands["f"][1:]] == pytest.approx([0.6] * 29)
@@ -314,7 +315,7 @@ def team(shape: Any = "wedge", **more: Any) -> tuple[dict[str, Agent], list[Uav]
     return agents, [Uav((0.0, 0.0, 2.0)), Uav((-1.7, -1.0, 2.0)), Uav((-1.7, 1.0, 2.0))]
 
 
-def test_a_team_flies_its_shape_and_changes_it_when_the_leader_says_so() -> None:
+def test_a_team_flies_its_shape_and_changes_it_with_the_leader() -> None:
     agents, starts = team(changes=((10.0, "column"),))
     seen = fly(agents, starts, 300)
     for tick, places in ((95, [(-math.sqrt(3.0), -1.0), (-math.sqrt(3.0), 1.0)]), (299, [(-2.0, 0.0), (-4.0, 0.0)])):
@@ -325,10 +326,10 @@ def test_a_team_flies_its_shape_and_changes_it_when_the_leader_says_so() -> None
     assert [note["shape"] for note in seen.notes["b"] if "shape" in note] == ["wedge", "column"]
 
 
-def test_members_keep_off_each_other_though_they_are_to_pass_through() -> None:
-    """One that hovers in the way is no wall of the lane, but it is something to keep off, as it is without a passage."""
+def test_members_avoid_each_other_in_a_passage() -> None:
+    """A member that hovers in the way does not make the lane narrow; avoidance keeps off it, with or without a passage."""
     names, commands = ("a", "b", "c"), []
-    near = ring([0.3, *[math.inf] * 31], 10**8)  # the hull of c
+    near = ring([0.3, *[math.inf] * 31], 10**8)  # a return from c
     for passage in (None, Passage()):
         of = Formation(spacing=2.0, members=names, passage=passage)
         radio = Radio("b", names)
@@ -342,10 +343,10 @@ def test_members_keep_off_each_other_though_they_are_to_pass_through() -> None:
 
 def reported(sender: str, x: float, y: float) -> Reception:
     body = {**dict.fromkeys(("seq", "t_ns"), 0), **dict.fromkeys(("th", "v", "w", "vx", "vy", "vz"), 0.0)}
-    return said(sender, {**body, "x": x, "y": y, "z": 2.0, "cl": 1})
+    return reception_of_body(sender, {**body, "x": x, "y": y, "z": 2.0, "cl": 1})
 
 
-# --- what cannot be ---
+# --- refusals ---
 
 
 @pytest.mark.parametrize(

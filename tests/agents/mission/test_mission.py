@@ -1,4 +1,4 @@
-"""A mission on one vehicle: algorithms from a table, facts from the algorithms, one commander, and what is told of it."""
+"""A mission on one vehicle: algorithms from a table, facts from the algorithms, one commander, notes and messages."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.support.agents.aerial_loop import BODY
-from tests.support.agents.agent_loop import Uav, info, said
+from tests.support.agents.agent_loop import Uav, info, reception_of_body
 from tests.support.agents.scans import scan_of
 from vcmvsp.agents.avoidance import Gap
 from vcmvsp.agents.mission.mission import SearchMission
@@ -23,8 +23,8 @@ HERE = "tests.agents.mission.test_mission"
 NAMES = ("a", "b", "c")
 
 
-class Plays(Agent):
-    """An algorithm that says and knows what it is told to, by tick; it remembers what befell it."""
+class ScriptedAlgorithm(Agent):
+    """An algorithm with a constant speed and a script of facts by tick; records its begins and ends."""
 
     sensors = ()
     roster: Any = None
@@ -53,15 +53,15 @@ class Plays(Agent):
 
 
 def table(speed: float, **facts: dict[str, Any]) -> dict[str, Any]:
-    """``facts``: what it knows from a tick on, ``t5={"shared": True}``."""
-    return {"kind": f"{HERE}:Plays", "speed": speed, "facts": {name[1:]: value for name, value in facts.items()}}
+    """Table of an algorithm; ``facts``: its facts from a tick on, ``t5={"shared": True}``."""
+    return {"kind": f"{HERE}:ScriptedAlgorithm", "speed": speed, "facts": {name[1:]: value for name, value in facts.items()}}
 
 
 FOLLOWS = {"kind": "aerial_follower", "formation": {"shape": "line", "spacing": 4.0}}
 
 
-class Flown:
-    """A mission that is asked tick by tick."""
+class MissionRun:
+    """A mission on one vehicle, tick by tick."""
 
     def __init__(self, name: str = "a", *, search: Any = None, track: Any = None, **more: Any) -> None:
         algorithms = {"search": search or table(1.0)} | ({} if track is None else {"track": track})
@@ -77,45 +77,45 @@ class Flown:
         ranges[12:20] = nearest  # ahead
         scan = scan_of(ranges, 6.0, time_ns=number * T_NS)
         uav = Uav((0.0, 0.0, 20.0), velocity=velocity)
-        command = self.agent.act(uav.see(number * T_NS, [said(*each) for each in heard], scan=scan), self.radio)
+        command = self.agent.act(uav.see(number * T_NS, [reception_of_body(*each) for each in heard], scan=scan), self.radio)
         self.notes.append(self.agent.drain_notes())
         self.sent.append([message.body for message in self.radio.drain()])
         return command
 
 
-def test_a_target_that_is_recognised_is_tracked_and_everybody_is_told() -> None:
-    flown = Flown(track=table(2.0, t3={"recognised": True, "place": (4.0, 5.0)}))
+def test_a_recognised_target_is_tracked_and_reported_to_all() -> None:
+    flown = MissionRun(track=table(2.0, t3={"recognised": True, "place": (4.0, 5.0)}))
     commands = [flown.tick(n).linear[0] for n in range(5)]
     assert commands == [1.0, 1.0, 1.0, 2.0, 2.0]
     (track,) = (each for name, each in flown.agent._tasks.items() if name == "track")
-    assert isinstance(track, Plays)
+    assert isinstance(track, ScriptedAlgorithm)
     assert track.calls == [("begin", 3, (4.0, 5.0))]
     assert flown.notes[0] | {"since_s": 0.0} == flown.notes[0]
     assert {key: flown.notes[0][key] for key in ("task", "commander")} == {"task": "search", "commander": "search"}
     assert flown.notes[3]["commander"] == flown.notes[3]["task"] == "track"
     assert flown.notes[3]["why"] == flown.notes[3]["task_why"] == "a target is recognised"
     assert flown.notes[3]["asked1"]
-    assert flown.notes[3]["asked2"]  # what both noted
+    assert flown.notes[3]["asked2"]  # notes of both algorithms
     assert flown.sent[3] == [{"do": "track", "ms": 300, "tg": "alpha", "at": [4.0, 5.0], "since": 300}]
 
 
-def test_a_target_that_another_one_tracks_is_left_to_it() -> None:
+def test_a_target_tracked_by_another_vehicle_is_left_to_it() -> None:
     track = table(2.0, t3={"recognised": True, "place": (4.0, 5.0)}, t9={"recognised": False, "taken": True})
-    flown = Flown(track=track)
+    flown = MissionRun(track=track)
     commands = [flown.tick(n).linear[0] for n in range(12)]
     assert commands == 3 * [1.0] + 6 * [2.0] + 3 * [1.0]
     made = flown.agent._tasks["track"]
-    assert isinstance(made, Plays)
+    assert isinstance(made, ScriptedAlgorithm)
     assert made.calls == [("begin", 3, (4.0, 5.0)), ("end", 9)]
 
 
-def test_without_an_algorithm_for_it_nothing_is_tracked() -> None:
-    flown = Flown(search=table(1.0, t2={"probability": 0.999, "place": (1.0, 1.0), "recognised": True}))
+def test_without_algorithm_there_is_no_tracking() -> None:
+    flown = MissionRun(search=table(1.0, t2={"probability": 0.999, "place": (1.0, 1.0), "recognised": True}))
     assert [flown.tick(n).linear[0] for n in range(5)] == [1.0] * 5
 
 
-def test_near_something_avoidance_commands_and_the_task_has_the_command_back() -> None:
-    flown = Flown(avoidance=Gap(lookahead_m=4.0, max_speed=2.0))
+def test_avoidance_commands_near_obstacles_and_then_the_task_again() -> None:
+    flown = MissionRun(avoidance=Gap(lookahead_m=4.0, max_speed=2.0))
     commanders = []
     for n in range(30):
         flown.tick(n, 3.0 if 5 <= n < 10 else 9.0)
@@ -124,16 +124,16 @@ def test_near_something_avoidance_commands_and_the_task_has_the_command_back() -
     assert all(note.get("task", "search") == "search" for note in flown.notes)
 
 
-def test_whoever_commands_comes_no_nearer_than_it_may() -> None:
-    """Nothing was near a tick ago, so nobody has switched yet; the guard has it brake all the same."""
-    flown = Flown(search=table(4.0), avoidance=Gap(lookahead_m=4.0, max_speed=2.0, keep_m=1.0, approach=0.4, braking=2.0))
+def test_the_guard_keeps_the_distance_for_every_commander() -> None:
+    """The obstacle appeared in the previous tick, before any switch; the guard brakes all the same."""
+    flown = MissionRun(search=table(4.0), avoidance=Gap(lookahead_m=4.0, max_speed=2.0, keep_m=1.0, approach=0.4, braking=2.0))
     flown.tick(0)
     flown.tick(1, 1.5, velocity=(4.0, 0.0, 0.0))
     assert flown.tick(2, 1.5, velocity=(4.0, 0.0, 0.0)).linear[0] <= 0.4 * (1.5 - 1.0) + 1e-9
 
 
-def test_who_is_second_in_its_sector_flies_along_until_the_first_is_busy() -> None:
-    flown = Flown("b", sectors=(("a", "b"), ("c",)))
+def test_the_second_in_a_sector_flies_in_formation_until_the_first_tracks() -> None:
+    flown = MissionRun("b", sectors=(("a", "b"), ("c",)))
     report = {"seq": 0, "t_ns": 0, "x": 10.0, "y": 0.0, "th": 0.0, "v": 1.0, "w": 0.0}
     report |= {"vx": 1.0, "vy": 0.0, "vz": 0.0, "z": 20.0}
     flown.tick(0, 9.0, ("a", report))
@@ -143,11 +143,11 @@ def test_who_is_second_in_its_sector_flies_along_until_the_first_is_busy() -> No
     flown.tick(10, 9.0, ("a", {"do": "track", "ms": 900, "tg": "alpha", "at": [0.0, 0.0], "since": 800}))
     assert flown.notes[-1]["task"] == "search"
     assert flown.agent.follows is None
-    assert not [body for body in flown.sent[-1] if "seq" in body]  # nobody comes after it
+    assert not [body for body in flown.sent[-1] if "seq" in body]  # no followers
 
 
-def test_who_leads_a_sector_tells_how_it_moves_while_it_searches() -> None:
-    flown = Flown(sectors=(("a", "b"), ("c",)), track=table(2.0, t3={"recognised": True, "place": (4.0, 5.0)}))
+def test_the_leader_of_a_sector_reports_its_motion_while_it_searches() -> None:
+    flown = MissionRun(sectors=(("a", "b"), ("c",)), track=table(2.0, t3={"recognised": True, "place": (4.0, 5.0)}))
     for n in range(5):
         flown.tick(n)
     reports = [[body for body in sent if "seq" in body] for sent in flown.sent]
@@ -155,8 +155,8 @@ def test_who_leads_a_sector_tells_how_it_moves_while_it_searches() -> None:
     assert (reports[2][0]["seq"], reports[2][0]["vx"], reports[2][0]["z"]) == (2, 1.0, 20.0)
 
 
-def test_who_flies_along_finds_the_files_that_its_algorithm_names_in_the_folder_of_the_scenario(tmp_path: Path) -> None:
-    """Where files are is known while a mission is built, not when it starts."""
+def test_files_of_the_formation_algorithm_are_found_beside_the_scenario(tmp_path: Path) -> None:
+    """The folder of files is available while a mission is built, not when it starts."""
     own = "class Guess:\n    def predict(self, report, age_s):\n        return report.pose, 0.0, 0.0\n"
     (tmp_path / "own.py").write_text(own)
     formation = FOLLOWS | {"estimator": "own.py:Guess"}
@@ -167,7 +167,7 @@ def test_who_flies_along_finds_the_files_that_its_algorithm_names_in_the_folder_
         assert list(agent._tasks) == tasks
 
 
-def test_missions_without_a_meaning_are_refused() -> None:
+def test_inconsistent_missions_are_refused() -> None:
     with pytest.raises(ScenarioError, match="an algorithm for search is missing"):
         SearchMission({"track": table(1.0)})
     with pytest.raises(ScenarioError, match="serach"):
@@ -175,14 +175,14 @@ def test_missions_without_a_meaning_are_refused() -> None:
     with pytest.raises(ScenarioError, match="formation"):
         SearchMission({"search": table(1.0)}, sectors=(("a", "b"),))
     with pytest.raises(ValueError, match="members: unknown vehicle 'd'"):
-        Flown(members=("a", "d"))
+        MissionRun(members=("a", "d"))
     with pytest.raises(ScenarioError) as caught:
-        SearchMission({"search": {"kind": f"{HERE}:Plays", "sped": 1.0}})
+        SearchMission({"search": {"kind": f"{HERE}:ScriptedAlgorithm", "sped": 1.0}})
     assert caught.value.key == "algorithms.search.sped"
 
 
-def test_facts_that_nobody_asks_for_are_refused_in_words_that_name_the_algorithm() -> None:
-    flown = Flown(search=table(1.0, t1={"probabilty": 0.5}))
+def test_unknown_facts_are_refused_with_the_name_of_the_algorithm() -> None:
+    flown = MissionRun(search=table(1.0, t1={"probabilty": 0.5}))
     flown.tick(0)
     with pytest.raises(ValueError, match=r"algorithms.search: facts\(\) returned .*'probabilty'.*probability"):
         flown.tick(1)

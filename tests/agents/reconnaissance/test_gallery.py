@@ -1,4 +1,4 @@
-"""The gallery shows what the scenarios of reconnaissance print. (`tests/docs/test_gallery.py` tests the rest of it.)"""
+"""The gallery shows the output of the reconnaissance scenarios. (The rest is in `tests/docs/test_gallery.py`.)"""
 
 import pytest
 
@@ -9,5 +9,5 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.mark.parametrize("name", [name for name in loader.names() if name.startswith("recon-")])
-def test_a_scenario_of_reconnaissance_prints_what_its_gallery_says(name: str) -> None:
+def test_a_reconnaissance_scenario_prints_its_gallery_text(name: str) -> None:
     assert_printed(name)

@@ -1,4 +1,4 @@
-"""From pixels of a camera that looks down to the ground and back: by closed forms, and as the simulated camera sees it."""
+"""Pixels of a downward camera to ground points and back: against closed forms and the simulated camera."""
 
 import math
 
@@ -33,7 +33,7 @@ def nadir(
 
 
 @given(places, angles, tilts, tilts, st.floats(2.0, 60.0))
-def test_the_pixel_of_a_place_shows_that_place_whatever_the_attitude(
+def test_pixel_and_ground_point_are_inverse_at_any_attitude(
     place: Point, yaw: float, pitch: float, roll: float, height: float
 ) -> None:
     seen = nadir(1.0, 2.0, height, yaw, pitch, roll)
@@ -44,7 +44,7 @@ def test_the_pixel_of_a_place_shows_that_place_whatever_the_attitude(
         assert seen.ground_point(pixel) == pytest.approx(place, abs=1e-6 * height * (1.0 + max(map(abs, pixel)) / F) ** 2)
 
 
-def test_the_sky_is_no_place_and_neither_is_what_a_camera_in_the_ground_sees() -> None:
+def test_above_the_horizon_and_in_the_ground_there_is_no_ground_point() -> None:
     assert nadir(pitch=1.2).ground_point((320.0, 470.0)) is None
     assert nadir(height=0.0).ground_point((320.0, 240.0)) is None
     assert nadir(height=-1.0).ground_point((320.0, 240.0)) is None
@@ -63,7 +63,7 @@ def test_the_footprint_is_the_picture_on_the_ground() -> None:
 
 
 @given(places, angles, tilts, tilts, st.floats(0.1, 5.0), st.floats(0.0, math.tau), st.floats(0.0, 1.0))
-def test_a_region_holds_every_pixel_of_the_picture_that_shows_something_near(
+def test_a_region_contains_all_pixels_of_its_disc(
     place: Point, yaw: float, pitch: float, roll: float, reach: float, bearing: float, share: float
 ) -> None:
     seen = nadir(yaw=yaw, pitch=pitch, roll=roll)
@@ -79,13 +79,13 @@ def test_a_region_holds_every_pixel_of_the_picture_that_shows_something_near(
     assert 0 <= top < low <= HEIGHT
 
 
-def test_a_region_is_as_large_as_what_it_shows_and_there_is_none_beyond_the_edge() -> None:
+def test_a_region_has_the_size_of_its_disc_and_none_beyond_the_edge() -> None:
     """2 m around the middle at 20 m: 40 px each way."""
     assert nadir().region((0.0, 0.0), 2.0) == (279, 199, 361, 281)
     assert nadir().region((0.0, 30.0), 2.0) is None
 
 
-def test_where_the_camera_sees_the_horizon_a_region_that_reaches_behind_it_is_the_whole_picture() -> None:
+def test_a_region_beyond_the_horizon_is_the_whole_picture() -> None:
     slanted = nadir(height=2.0, pitch=-1.2)
     assert slanted.region((2.0, 0.0), 30.0) == (0, 0, WIDTH, HEIGHT)
     assert slanted.region((-100.0, 0.0), 2.0) is None
@@ -108,8 +108,8 @@ def test_vectors_are_turned_as_by_the_quaternion_product(yaw: float, pitch: floa
 
 
 @given(st.floats(0.0, 159.0), st.floats(0.0, 119.0), angles, tilts, tilts)
-def test_it_is_what_the_simulated_camera_sees(u: float, v: float, yaw: float, pitch: float, roll: float) -> None:
-    """The ray of a pixel as the renderer has it: its middle is half a pixel from its edges, which begin at 0."""
+def test_it_agrees_with_the_simulated_camera(u: float, v: float, yaw: float, pitch: float, roll: float) -> None:
+    """The renderer's ray of a pixel: its centre is half a pixel from its edges, which begin at 0."""
     camera = NadirCamera()
     ray = ((u + 0.5 - 80.0) / camera.focal_px, (v + 0.5 - 60.0) / camera.focal_px, 1.0)
     x, y, z = turned(attitude_of(yaw, pitch, roll), tuple((camera.body_from_camera @ ray).tolist()))
@@ -120,7 +120,7 @@ def test_it_is_what_the_simulated_camera_sees(u: float, v: float, yaw: float, pi
     assert seen.ground_point((u, v)) == pytest.approx((x0 - x * z0 / z, y0 - y * z0 / z), abs=1e-9)
 
 
-def test_the_footprint_of_a_part_is_what_its_outer_edges_show() -> None:
+def test_the_footprint_of_a_part_is_that_of_its_outer_edges() -> None:
     seen = Nadir((1.0, 2.0, 30.0), (0.98, 0.1, -0.05, 0.16), 400.0, 640, 480)
     part = (100, 50, 300, 200)
     corners = [seen.ground_point(pixel) for pixel in ((99.5, 49.5), (99.5, 199.5), (299.5, 199.5), (299.5, 49.5))]

@@ -1,4 +1,4 @@
-"""Maps that are shared: without loss all have the central map, with loss the ledger catches up."""
+"""Shared maps: without loss all equal the central map; with loss the ledger catches up."""
 
 import math
 from typing import Any
@@ -15,7 +15,7 @@ from tests.support.agents.shared_maps import (
     SMALL,
     TEAM,
     S,
-    everything,
+    full_state,
     ledger,
     look,
     over_the_air,
@@ -46,7 +46,7 @@ def test_without_loss_a_ledger_is_the_central_map_bit_for_bit(max_bytes: int) ->
     assert len(np.unique(central.log_odds)) > 20
 
 
-def test_without_loss_delta_adds_up_to_the_same() -> None:
+def test_without_loss_delta_gives_the_central_map() -> None:
     rng, central = np.random.default_rng(3), ledger("a")
     minds: dict[str, MapExchange] = {name: exchange("delta", SMALL, SENSOR, name, TEAM) for name in TEAM}
     for tick in range(1, 6):
@@ -65,7 +65,7 @@ def test_in_consensus_all_end_up_with_the_nth_part_of_all_evidence() -> None:
     for tick in range(1, 12):
         for mind in minds.values():
             central.look(*look(mind, rng, tick * S), tick * S) if tick < 4 else mind.look(*nothing, tick * S)
-        if tick > 1:  # at the end of a step, while the next has not begun: no evidence got lost
+        if tick > 1:  # at the end of a step, before the next begins: no evidence lost
             total = sum(mind.log_odds - log_odds(0.3) for mind in minds.values())
             assert total == pytest.approx(central.log_odds - log_odds(0.3), abs=tick * 3 * 0.5 / 1600)
         for name, mind in minds.items():
@@ -91,12 +91,12 @@ def test_log_odds_are_clamped(kind: Kind) -> None:
     assert mind.log_odds.ravel()[:3].tolist() == [20.0, -20.0, 0.0]
 
 
-# -- any order, any copies, any way round
+# -- any order, any copies, any relay
 
 
 @st.composite
 def histories(draw: st.DrawFn) -> tuple[list[tuple[str, Any]], Ledger]:
-    """What was sent in a while, by all and relayed by all, some of it lost; and the central map."""
+    """All messages sent and relayed in some seconds, some of them lost; and the central map."""
     rng, minds = np.random.default_rng(draw(st.integers(0, 1000))), {name: ledger(name, max_bytes=400) for name in TEAM}
     central, air = ledger("a"), []
     for tick in range(1, draw(st.integers(2, 5))):
@@ -126,8 +126,8 @@ def test_messages_may_come_in_any_order_and_any_number_of_times(
             before = mind.counts
             assert mind.take(sender, body, 10 * S)
             assert (mind.counts >= before).all()
-    assert everything(straight) == everything(shuffled)
-    for sender, body in air:  # with what c said itself, by way of the others, still nothing that c did not see
+    assert full_state(straight) == full_state(shuffled)
+    for sender, body in air:  # with c's own messages relayed by the others: still no looks that c did not have
         straight.take(sender, body, 10 * S)
     assert not straight.counts[2].any()
 
@@ -135,7 +135,7 @@ def test_messages_may_come_in_any_order_and_any_number_of_times(
 @settings(max_examples=25)
 @given(history=histories(), data=st.data())
 def test_merging_is_associative(history: tuple[list[tuple[str, Any]], Ledger], data: st.DataObject) -> None:
-    """What b learns and passes on is worth as much as what it heard: (a + b) + c = a + (b + c)."""
+    """Relayed counts equal received ones: (a + b) + c = a + (b + c)."""
     air, _ = history
     of_a = data.draw(st.lists(st.sampled_from([each for each in air if each[0] == "a"]), max_size=6))
     direct, b, c = ledger("c", max_bytes=400), ledger("b", max_bytes=400), ledger("c", max_bytes=400)
@@ -148,8 +148,8 @@ def test_merging_is_associative(history: tuple[list[tuple[str, Any]], Ledger], d
     assert (direct.counts[0] == b.counts[0]).all()
 
 
-def test_what_was_lost_is_told_again_until_all_know_it() -> None:
-    """One message of 100 bytes a second, of which half are lost: in the end nothing is missing."""
+def test_lost_looks_are_repeated_until_all_have_them() -> None:
+    """One message of 100 bytes a second, half of them lost: in the end no look is missing."""
     rng, central = np.random.default_rng(5), ledger("a")
     minds = {name: ledger(name, max_bytes=100) for name in TEAM}
     for tick in range(1, 400):
@@ -163,7 +163,7 @@ def test_what_was_lost_is_told_again_until_all_know_it() -> None:
     assert {mind.log_odds.tobytes() for mind in minds.values()} == {central.log_odds.tobytes()}
 
 
-def test_what_changed_last_is_told_first() -> None:
+def test_the_latest_changes_are_sent_first() -> None:
     mind = ledger("a", GRID, max_bytes=100)
     tile = {cell: mind.tiling.index[cell] // mind.tiling.per_tile for cell in (0, 1000, 2400)}
     for tick, cell in enumerate(tile, start=1):
@@ -175,7 +175,7 @@ def test_what_changed_last_is_told_first() -> None:
     assert [entry[1] for entry in body["l"]][:2] == [tile[0], tile[2400]]
 
 
-def test_what_changed_again_is_news_again() -> None:
+def test_repeated_changes_are_sent_again() -> None:
     mind, every = ledger("a", GRID, max_bytes=100), np.arange(GRID.rows * GRID.columns)
     mind.look(every, every < 0, S)
     first = mind.messages(S, 1)[0]["l"][0][1]
@@ -183,7 +183,7 @@ def test_what_changed_again_is_news_again() -> None:
     assert mind.messages(2 * S, 1)[0]["l"][0][1] == first
 
 
-def test_own_looks_are_told_before_those_of_others() -> None:
+def test_own_looks_are_sent_before_relayed_ones() -> None:
     a, b = ledger("a", GRID), ledger("b", GRID)
     for mind, cell, at_ns in ((b, 0, S), (a, 1, 2 * S)):
         mind.look(np.array([cell]), np.array([True]), at_ns)
@@ -191,7 +191,7 @@ def test_own_looks_are_told_before_those_of_others() -> None:
     assert [entry[0] for body in b.messages(2 * S, 10) for entry in body["l"]] == [1, 0]
 
 
-def test_what_somebody_else_passed_on_is_passed_on_later() -> None:
+def test_tiles_relayed_by_another_are_relayed_later() -> None:
     a, b, c = (ledger(name, GRID) for name in TEAM)
     for tick, cell in ((1, 0), (2, 40)):  # in tiles 0 and 2
         a.look(np.array([cell]), np.array([True]), tick * S)
@@ -215,22 +215,22 @@ def test_consensus_moves_once_for_each_message_and_never_for_an_old_one() -> Non
     assert values == pytest.approx([2.0, 2.0, 2.0, 2.0 * 2 / 3 + 3.0, 2.0 * 2 / 3 + 3.0])
 
 
-def test_me_must_be_a_member() -> None:
+def test_the_own_name_must_be_a_member() -> None:
     with pytest.raises(ValueError, match="must include 'x'"):
         exchange("ledger", SMALL, SENSOR, "x", TEAM)
 
 
-# --- messages of a shared map: real sizes, and how full they are ---
+# --- messages of a shared map: sizes and filling ---
 
 
 @pytest.mark.parametrize("max_bytes", [40, 64, 100, 127, 300, 1400, 2312])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("busy", [False, True])
 def test_messages_are_no_larger_than_allowed_and_pass_the_radio(kind: Kind, max_bytes: int, busy: bool) -> None:
-    rng, now_ns = np.random.default_rng(6), 1_800_000_000 * S  # as of a clock on a wall, whose numbers are long
+    rng, now_ns = np.random.default_rng(6), 1_800_000_000 * S  # wall-clock time, with long numbers
     mind = exchange(kind, GRID, SENSOR, "a", TEAM, max_bytes=max_bytes)
     every = np.arange(GRID.rows * GRID.columns)
-    for _ in range(400 if busy else 1):  # beyond one byte
+    for _ in range(400 if busy else 1):  # more than one byte
         mind.look(every, rng.random(len(every)) < 0.9, now_ns - 3600 * S)
     bodies = mind.messages(now_ns, 3000)
     radio = Radio("a", TEAM)
@@ -241,13 +241,13 @@ def test_messages_are_no_larger_than_allowed_and_pass_the_radio(kind: Kind, max_
     assert (bodies == []) == (kind == "none")
     listener = exchange(kind, GRID, SENSOR, "b", TEAM, max_bytes=max_bytes)
     assert all(listener.take("a", over_the_air(body), now_ns) for body in bodies)
-    if kind == "ledger" or (kind == "delta" and not busy):  # which clamps sums, not increments
+    if kind == "ledger" or (kind == "delta" and not busy):  # delta clamps sums, not increments
         assert listener.log_odds == pytest.approx(mind.log_odds)
 
 
 @pytest.mark.parametrize("kind", ["ledger", "delta"])
 def test_messages_of_many_tiles_are_no_larger_than_allowed(kind: Kind) -> None:
-    for max_bytes in range(8300, 8500):  # 15 to 16 tiles of 16 x 16, where a list needs more bytes to say how long it is
+    for max_bytes in range(8300, 8500):  # 15 to 16 tiles of 16 x 16: longer header of a list
         mind = exchange(kind, GRID, SENSOR, "a", TEAM, max_bytes=max_bytes)
         mind.look(np.arange(2500), np.zeros(2500, bool), S)
         assert max(map(size, mind.messages(S, 9))) <= max_bytes
@@ -255,7 +255,7 @@ def test_messages_of_many_tiles_are_no_larger_than_allowed(kind: Kind) -> None:
 
 @pytest.mark.parametrize("max_bytes", [100, 1400])
 def test_messages_are_well_filled(max_bytes: int) -> None:
-    """Nearly all of a full message of 1400 bytes, and most of one of 100, is counts."""
+    """Share of counts: above 0.97 of a full message of 1400 bytes, above 0.6 of one of 100."""
     mind = ledger("a", GRID, max_bytes=max_bytes)
     every = np.arange(GRID.rows * GRID.columns)
     mind.look(every, every % 7 == 0, S)
@@ -272,7 +272,7 @@ def test_no_more_messages_than_asked_for() -> None:
 
 
 @pytest.mark.parametrize("kind", ["consensus", "delta"])
-def test_what_has_no_room_comes_next(kind: Kind) -> None:
+def test_tiles_without_room_are_sent_next(kind: Kind) -> None:
     mind = exchange(kind, GRID, SENSOR, "a", TEAM, max_bytes=100)
     mind.look(np.arange(2500), np.zeros(2500, bool), S)
     told = [entry[0] for _ in range(600) for body in mind.messages(S, 1) for entry in body[kind[0]]]
@@ -280,12 +280,12 @@ def test_what_has_no_room_comes_next(kind: Kind) -> None:
     assert kind == "consensus" or len(told) == 169
 
 
-def test_a_message_must_hold_a_cell() -> None:
+def test_a_message_must_have_room_for_a_cell() -> None:
     with pytest.raises(ValueError, match="max_bytes = 39"):
         ledger("a", max_bytes=39)
 
 
-def test_counts_end_at_what_two_bytes_hold() -> None:
+def test_counts_saturate_at_two_bytes() -> None:
     a, b, cell = ledger("a"), ledger("b"), np.array([5])
     a._own[0, 0, :, 5] = 65534
     for tick in range(3):
@@ -296,7 +296,7 @@ def test_counts_end_at_what_two_bytes_hold() -> None:
     assert b.counts[0, :, 0, 5].tolist() == [65535, 65535]
 
 
-# --- what nonsense, liars and clocks can do to a shared map: never touch own looks, and little besides ---
+# --- malformed and false messages, and clocks: they never change own looks, and little else ---
 
 
 COUNTS = bytes(range(200)) + bytes(312)  # hits and misses of a tile of 16 x 16
@@ -306,8 +306,8 @@ def told(*entries: Any, ms: Any = 1000, key: str = "l") -> dict[str, Any]:
     return {"ms": ms, key: [list(entry) for entry in entries]}
 
 
-def known() -> Ledger:
-    """What b knows after some seconds with a and c (grid of 50 x 50, tiles of 16 x 16)."""
+def known_ledger() -> Ledger:
+    """Ledger of b after an exchange with a and c (grid of 50 x 50, tiles of 16 x 16)."""
     b, rng = ledger("b", GRID), np.random.default_rng(7)
     b.look(np.arange(2500), rng.random(2500) < 0.1, S)
     for name in ("a", "c"):
@@ -325,7 +325,7 @@ BAD_ENTRIES = [
     (0, 0, -1, COUNTS), (0, 0, 1001, COUNTS), (0, 0, -(2**63), COUNTS), (0, 0, 2**64 - 1, COUNTS), (0, 0, math.nan, COUNTS),
     (0, 0, 5, b""), (0, 0, 5, COUNTS[:-1]), (0, 0, 5, COUNTS + b"x"), (0, 0, 5, COUNTS * 4),
     (0, 0, 5, list(COUNTS)), (0, 0, 5, "x" * 512),
-    (0, 3, 5, COUNTS),  # counts of cells beyond the grid
+    (0, 3, 5, COUNTS),  # counts beyond the grid
     (0, 0, 5), (0, 0, 5, 5, COUNTS), (), (None,),
 ]  # fmt: skip
 BAD_BODIES: list[Any] = [
@@ -339,19 +339,19 @@ BAD_BODIES: list[Any] = [
 @pytest.mark.parametrize(
     "body", [*BAD_BODIES, *[told(GOOD, bad) for bad in BAD_ENTRIES], *[told(bad, GOOD) for bad in BAD_ENTRIES]]
 )
-def test_a_ledger_takes_nothing_from_a_message_with_nonsense_in_it(body: Any) -> None:
-    b = known()
-    before = everything(b)
+def test_a_ledger_ignores_malformed_messages_completely(body: Any) -> None:
+    b = known_ledger()
+    before = full_state(b)
     assert not b.take("a", body, S)
-    assert everything(b) == before
+    assert full_state(b) == before
 
 
 @pytest.mark.parametrize("sender", ["b", "x", "", "A"])
-def test_nobody_else_is_a_contributor_and_nobody_hears_itself(sender: str) -> None:
-    b = known()
-    before = everything(b)
+def test_messages_of_non_members_and_own_ones_are_ignored(sender: str) -> None:
+    b = known_ledger()
+    before = full_state(b)
     assert not b.take(sender, told(GOOD), S)
-    assert everything(b) == before
+    assert full_state(b) == before
 
 
 JUNK = st.recursive(
@@ -369,7 +369,7 @@ LIES = st.tuples(st.integers(-1, 3), st.integers(-1, 16), st.integers(-5, 1005),
     entries=st.lists(st.one_of(LIES, JUNK, st.tuples(st.integers(0, 2), st.integers(0, 15), st.just(5), JUNK)), max_size=4),
     kind=st.sampled_from(KINDS),
 )
-def test_whatever_is_heard_nothing_breaks_and_no_own_look_is_touched(
+def test_any_message_leaves_the_map_finite_and_own_looks_unchanged(
     sender: str, ms: Any, entries: list[Any], kind: Kind
 ) -> None:
     for key in ("l", "d", "c"):
@@ -378,7 +378,7 @@ def test_whatever_is_heard_nothing_breaks_and_no_own_look_is_touched(
         mind.look(np.array([7]), np.array([True]), S)
         assert np.isfinite(mind.log_odds).all()
         assert np.abs(mind.log_odds).max() <= 20.0
-    b = known()
+    b = known_ledger()
     before = b.counts
     b.take(sender, {"ms": ms, "l": entries}, S)
     assert (b.counts[1] == before[1]).all()
@@ -386,11 +386,11 @@ def test_whatever_is_heard_nothing_breaks_and_no_own_look_is_touched(
 
 
 @pytest.mark.parametrize(("kind", "raw"), [("delta", COUNTS), ("consensus", bytes(512))])
-def test_delta_and_consensus_take_nothing_from_a_message_with_nonsense_in_it(kind: Kind, raw: bytes) -> None:
+def test_delta_and_consensus_ignore_malformed_messages_completely(kind: Kind, raw: bytes) -> None:
     far = np.full(256, 32001, "<i2").tobytes()  # |l| > 20
     good, key = (0, raw), kind[0]
     bad: list[Any] = [(-1, raw), (16, raw), (2**63, raw), (0.0, raw), (0, raw[:-1]), (0, raw + b"x"), (0, list(raw)), (0,), ()]
-    bad += [(1, far)] if kind == "consensus" else [good, (3, raw)]  # a tile twice, and counts beyond the grid
+    bad += [(1, far)] if kind == "consensus" else [good, (3, raw)]  # a tile twice; counts beyond the grid
     for body in [
         *BAD_BODIES[:-2],
         *[told(good, each, key=key) for each in bad],
@@ -415,50 +415,50 @@ def test_copies_and_late_messages_add_nothing_to_delta() -> None:
 
 
 @pytest.mark.parametrize("relay", [True, False])
-def test_a_lie_about_another_lives_until_that_one_speaks(relay: bool) -> None:
-    """c claims that a saw a target everywhere: b may believe it where it has no newer word of a, and no longer than that."""
+def test_a_false_relay_lasts_until_the_next_own_report(relay: bool) -> None:
+    """c claims that a saw a target everywhere: b may accept it where it has no newer report of a, until a's next report."""
     rng, a, b, honest = np.random.default_rng(8), ledger("a", GRID), ledger("b", GRID, relay=relay), ledger("b", GRID)
     a.look(np.arange(2500), rng.random(2500) < 0.1, S)
     for mind in (b, honest):
         tell(a, {"b": mind}, "a", 2 * S)
     lie = [(0, tile, 0, np.full(512, 255, np.uint8).tobytes()) for tile in (0, 1, 2)]
-    for ms in (1000, 2000):  # no newer than a's own word
+    for ms in (1000, 2000):  # no newer than a's own report
         assert b.take("c", told(*lie, ms=ms), 3 * S)
-        assert everything(b)[0] == everything(honest)[0]
+        assert full_state(b)[0] == full_state(honest)[0]
         assert b.log_odds.tobytes() == honest.log_odds.tobytes()
-    assert not b.take("c", told(*lie, ms=3001), 3 * S)  # of the future
+    assert not b.take("c", told(*lie, ms=3001), 3 * S)  # from the future
     assert b.take("c", told(*lie, ms=3000), 3 * S)
     assert (b.counts >= honest.counts).all()
     assert (b.log_odds.tobytes() == honest.log_odds.tobytes()) == (not relay)
-    assert b.take("c", told(*[(0, tile, 0, bytes(512)) for tile in (0, 1, 2, 4)], ms=3001), 4 * S)  # as if a had seen nothing
+    assert b.take("c", told(*[(0, tile, 0, bytes(512)) for tile in (0, 1, 2, 4)], ms=3001), 4 * S)  # as if a had no looks
     assert (b.counts == honest.counts).all()
     assert b.take("c", told(*lie, ms=3002), 4 * S)
     for mind in (b, honest):
-        tell(a, {"b": mind}, "a", 4 * S)  # nothing new, but the word of a
+        tell(a, {"b": mind}, "a", 4 * S)  # no new looks, but a's own report
     assert (b.counts == honest.counts).all()
     assert b.log_odds.tobytes() == honest.log_odds.tobytes()
     assert not ledger("a", GRID).take("a", told(*lie), 5 * S)
 
 
-def test_two_lies_of_one_instant_are_as_good_as_each_other_whichever_comes_first() -> None:
+def test_two_false_relays_of_one_time_merge_in_any_order() -> None:
     lies = [told((0, 0, 0, bytes([value]) * 512)) for value in (3, 5)]
     minds = []
     for order in (lies, lies[::-1]):
         minds.append(ledger("b", GRID))
         for lie in order:
             assert minds[-1].take("c", lie, S)
-    assert everything(minds[0]) == everything(minds[1])
+    assert full_state(minds[0]) == full_state(minds[1])
 
 
-def test_what_is_too_old_for_its_age_to_be_told_is_refused() -> None:
+def test_looks_older_than_the_age_field_are_refused() -> None:
     now_ms, b = 1_800_000_000_000, ledger("b", GRID)
     assert b.take("a", told((0, 0, 2**32 - 1, COUNTS), ms=now_ms), now_ms * 1_000_000)
     assert not b.take("a", told((0, 1, 2**32, COUNTS), ms=now_ms), now_ms * 1_000_000)
     assert not b.take("a", told((0, 1, 0, COUNTS), ms=1), now_ms * 1_000_000)
 
 
-def test_who_does_not_relay_tells_of_itself_alone() -> None:
-    b = known()
+def test_without_relay_only_own_looks_are_sent() -> None:
+    b = known_ledger()
     for relay, contributors in ((True, {0, 1, 2}), (False, {1})):
         b.relay = relay
         assert {entry[0] for body in b.messages(2 * S, 1000) for entry in body["l"]} == contributors
@@ -469,7 +469,7 @@ def test_clocks_may_differ_by_the_bound_that_is_given() -> None:
     a.look(np.array([3]), np.array([True]), S)
     tell_a = a.messages(S, 1)[0]
     assert b.take("a", over_the_air(tell_a), S - 90_000_000)
-    passed_on = b.messages(S - 80_000_000, 1)[0]  # by b's clock from before a's look
+    passed_on = b.messages(S - 80_000_000, 1)[0]  # earlier, by b's clock, than a's look
     assert c.take("b", over_the_air(passed_on), S - 80_000_000)
     assert c.counts[0].sum() == 1
     assert not b.take("a", over_the_air(tell_a), S - 110_000_000)

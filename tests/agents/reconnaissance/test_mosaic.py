@@ -1,4 +1,4 @@
-"""Pictures laid side by side as from above: every cell shows what the picture showed of its middle."""
+"""Pictures rectified and laid side by side: every cell shows the picture at the cell's centre."""
 
 import math
 
@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.agents.agent_loop import Uav
-from tests.support.agents.fake_cameras import T_NS, Eye, at_rest, keep_over, started
+from tests.support.agents.fake_cameras import T_NS, FakeWatch, at_rest, positions_over, started_agent
 from vcmvsp.agents.reconnaissance.ground_point import Nadir
 from vcmvsp.agents.reconnaissance.picture_recording import Mosaicking, Sheet
 from vcmvsp.agents.reconnaissance.probability_map import Rectangle
@@ -22,7 +22,7 @@ SECOND = 10**9
 AREA = Rectangle(-20.0, -10.0, 20.0, 30.0)
 
 u, v = np.meshgrid(np.arange(640), np.arange(480))
-RAMP = np.stack([u * 0.375, v * 0.5, np.full(u.shape, 200.0)], axis=-1).astype(np.uint8)  # its colours tell where they are
+RAMP = np.stack([u * 0.375, v * 0.5, np.full(u.shape, 200.0)], axis=-1).astype(np.uint8)  # colours encode pixel coordinates
 RED = np.full((480, 640, 3), (255, 0, 0), np.uint8)
 
 
@@ -34,7 +34,7 @@ def frame(pixels: Array, time_ns: int, position: tuple[float, float, float], att
 def attitude(yaw: float, tilt: float, about: float) -> tuple[float, ...]:
     c, s, a, b = math.cos(yaw / 2), math.sin(yaw / 2), math.cos(tilt / 2), math.sin(tilt / 2)
     x, y = b * math.cos(about), b * math.sin(about)
-    return c * a, c * x - s * y, c * y + s * x, s * a  # the tilt first, then the yaw
+    return c * a, c * x - s * y, c * y + s * x, s * a  # tilt first, then yaw
 
 
 @settings(max_examples=20)
@@ -46,7 +46,7 @@ def attitude(yaw: float, tilt: float, about: float) -> tuple[float, ...]:
     st.floats(0.0, 0.4),
     st.floats(-math.pi, math.pi),
 )
-def test_every_cell_shows_what_the_picture_shows_of_its_middle(
+def test_every_cell_shows_the_picture_at_its_centre(
     x: float, y: float, height: float, yaw: float, tilt: float, about: float
 ) -> None:
     sheet = Sheet(Mosaicking(area=AREA, cell_m=1.0))
@@ -69,7 +69,7 @@ def test_the_newest_picture_lies_on_top_and_the_rest_stays() -> None:
     sheet = Sheet(Mosaicking(area=AREA, cell_m=0.5))
     sheet.lay(frame(RAMP, 0, (0.0, 0.0, 20.0), (1.0, 0.0, 0.0, 0.0)))
     before = sheet.shown(0)
-    sheet.lay(frame(RED, SECOND, (8.0, 0.0, 8.0), (1.0, 0.0, 0.0, 0.0)))  # shows 9.6 m ahead, which is east, and 12.8 m across
+    sheet.lay(frame(RED, SECOND, (8.0, 0.0, 8.0), (1.0, 0.0, 0.0, 0.0)))  # covers 9.6 m ahead (east) and 12.8 m across
     after = sheet.shown(11 * SECOND)
     assert before is not None
     assert after is not None
@@ -82,7 +82,7 @@ def test_the_newest_picture_lies_on_top_and_the_rest_stays() -> None:
     assert (after.pixels[~red] == before.pixels[~red]).all()
 
 
-def test_one_picture_a_second_is_laid_and_none_that_shows_the_horizon_or_is_far_away() -> None:
+def test_one_picture_a_second_is_laid_and_none_with_horizon_or_far_away() -> None:
     level = (1.0, 0.0, 0.0, 0.0)
     sheet = Sheet(Mosaicking(area=AREA))
     sheet.lay(frame(RED, 0, (0.0, 0.0, 20.0), attitude(0.0, 1.2, 0.3)))
@@ -92,16 +92,16 @@ def test_one_picture_a_second_is_laid_and_none_that_shows_the_horizon_or_is_far_
     shown = sheet.shown(SECOND)
     assert shown is not None
     assert not shown.pixels.any()
-    assert sheet.shown(2 * SECOND) is None  # every 10 s
+    assert sheet.shown(2 * SECOND) is None  # once per 10 s
     sheet.lay(frame(RED, SECOND, (0.0, 0.0, 20.0), level))
     again = sheet.shown(11 * SECOND)
     assert again is not None
     assert again.pixels.any()
-    assert not shown.pixels.any()  # what was shown does not change any more
+    assert not shown.pixels.any()  # a mosaic already shown does not change
 
 
 def test_a_cell_is_the_mean_of_its_ground() -> None:
-    """A board of black and white squares much finer than the cells comes out grey."""
+    """A checkerboard much finer than the cells becomes grey."""
     board = np.repeat((np.indices((480, 640)).sum(axis=0) % 2 * 255).astype(np.uint8)[:, :, None], 3, axis=2)
     sheet = Sheet(Mosaicking(area=AREA, cell_m=1.0))
     sheet.lay(frame(cv2.GaussianBlur(board, (3, 3), 0), 0, (0.0, 10.0, 40.0), (1.0, 0.0, 0.0, 0.0)))
@@ -110,22 +110,23 @@ def test_a_cell_is_the_mean_of_its_ground() -> None:
     assert abs(shown.pixels[5:35, 5:35].astype(float) - 127.5).max() < 10.0
 
 
-# --- where an agent that tracks looks, while it commands and while it does not, and what it shows of it ---
+# --- regions that a tracking agent searches, as commander and in stand-by, and the values that it shows ---
 
 
-def test_while_it_sees_its_target_it_looks_around_it_and_at_all_of_the_picture_every_second() -> None:
-    eye = Eye(lambda time_s: {"alpha": (1.0, 0.0)} if time_s < 4.0 else {})
-    keep_over(started(TrackTarget(), eye), Uav((0.0, 0.0, 30.0)), 80)
+def test_in_sight_it_searches_around_the_target_and_the_whole_picture_every_second() -> None:
+    eye = FakeWatch(lambda time_s: {"alpha": (1.0, 0.0)} if time_s < 4.0 else {})
+    positions_over(started_agent(TrackTarget(), eye), Uav((0.0, 0.0, 30.0)), 80)
     assert eye.regions[:3] == [None] * 3
     tracked = eye.regions[3:40]
     assert 3 <= tracked.count(None) <= 4
     assert all(each is None or (each.place == pytest.approx((1.0, 0.0)) and each.reach_m >= 2.0) for each in tracked)
-    assert eye.regions[72:] == [None] * 8  # lost: it may be anywhere
+    assert eye.regions[72:] == [None] * 8  # lost: anywhere
 
 
-def test_others_are_found_while_it_tracks_one() -> None:
-    track = started(
-        TrackTarget(), Eye(lambda time_s: {"alpha": (1.0, 0.0), "bravo": (9.0, 3.0)} if time_s > 2.0 else {"alpha": (1.0, 0.0)})
+def test_other_targets_are_found_while_it_tracks_one() -> None:
+    track = started_agent(
+        TrackTarget(),
+        FakeWatch(lambda time_s: {"alpha": (1.0, 0.0), "bravo": (9.0, 3.0)} if time_s > 2.0 else {"alpha": (1.0, 0.0)}),
     )
     uav, radio, found = Uav((0.0, 0.0, 30.0)), Radio("me", ("me", "other")), {}
     for tick in range(80):
@@ -133,13 +134,13 @@ def test_others_are_found_while_it_tracks_one() -> None:
         if name := track.drain_notes().get("found"):
             found[name] = tick
     assert found["alpha"] == 2
-    assert 40 <= found["bravo"] <= 55  # three pictures, a second apart
+    assert 40 <= found["bravo"] <= 55  # three pictures, 1 s apart
     assert track.claim is not None
     assert track.claim.target == "alpha"
 
 
-def test_standing_by_it_goes_on_seeing() -> None:
-    track = started(TrackTarget(), Eye(lambda time_s: {"alpha": (0.5 * time_s, 0.0)}), alone=False)
+def test_in_stand_by_it_continues_to_observe() -> None:
+    track = started_agent(TrackTarget(), FakeWatch(lambda time_s: {"alpha": (0.5 * time_s, 0.0)}), alone=False)
     uav, radio = Uav((0.0, 0.0, 30.0)), Radio("me", ("me", "other"))
     for tick in range(60):
         obs = uav.see(tick * T_NS)
@@ -152,7 +153,9 @@ def test_standing_by_it_goes_on_seeing() -> None:
 
 
 def test_every_picture_with_a_target_is_shown_and_its_pixels_once_a_second() -> None:
-    track = started(TrackTarget(), Eye(lambda time_s: {"alpha": (1.0, 0.0)} if 7.0 <= time_s < 9.0 else {}), alone=False)
+    track = started_agent(
+        TrackTarget(), FakeWatch(lambda time_s: {"alpha": (1.0, 0.0)} if 7.0 <= time_s < 9.0 else {}), alone=False
+    )
     uav, shown = Uav((0.0, 0.0, 30.0)), {}
     for tick in range(150):
         track.facts(uav.see(tick * T_NS))
@@ -166,7 +169,7 @@ def test_every_picture_with_a_target_is_shown_and_its_pixels_once_a_second() -> 
 
 def test_the_mosaic_is_shown_as_often_as_asked() -> None:
     mosaic = Mosaicking(area=Rectangle(-20.0, -20.0, 20.0, 20.0), cell_m=0.5, every_s=5.0)
-    track = started(TrackTarget(mosaic=mosaic), Eye(at_rest()), alone=False)
+    track = started_agent(TrackTarget(mosaic=mosaic), FakeWatch(at_rest()), alone=False)
     uav, shown = Uav((0.0, 0.0, 30.0)), []
     for tick in range(120):
         track.facts(uav.see(tick * T_NS))

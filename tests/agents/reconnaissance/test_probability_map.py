@@ -1,4 +1,4 @@
-"""Cells, looks and Bayes' rule: against the rule as it is printed, brute force, and the exact test of a single cell."""
+"""Cells, looks and Bayes' rule: against the rule as printed, brute force, and the exact test of a single cell."""
 
 import math
 
@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from vcmvsp.agents.reconnaissance.probability_map import Grid, Rectangle, Sensor, decisions, log_odds, probability
 from vcmvsp.cosim.types import Array
 
-GRID = Grid(Rectangle(-10.0, 5.0, 21.0, 25.0), 2.0)  # 31 m are no multiple of 2 m
+GRID = Grid(Rectangle(-10.0, 5.0, 21.0, 25.0), 2.0)  # 31 m is no multiple of 2 m
 EVERY = np.arange(GRID.rows * GRID.columns)
 
 
 def bayes(prior: float, sensor: Sensor, looks: list[bool]) -> float:
-    """P after looks, one after the other."""
+    """P after looks, applied one by one."""
     p, q, belief = sensor.p, sensor.q, prior
     for said in looks:
         if said:
@@ -28,27 +28,27 @@ def bayes(prior: float, sensor: Sensor, looks: list[bool]) -> float:
 @given(
     prior=st.floats(0.01, 0.99), q=st.floats(0.05, 0.6), more=st.floats(0.05, 0.3), looks=st.lists(st.booleans(), max_size=12)
 )
-def test_counts_tell_as_much_as_bayes_rule_step_by_step(prior: float, q: float, more: float, looks: list[bool]) -> None:
+def test_counts_equal_bayes_rule_step_by_step(prior: float, q: float, more: float, looks: list[bool]) -> None:
     sensor = Sensor(q + more, q)
     evidence = sensor.evidence(np.array(sum(looks)), np.array(len(looks) - sum(looks)))
     assert float(probability(log_odds(prior) + evidence)) == pytest.approx(bayes(prior, sensor, looks), rel=1e-9, abs=1e-12)
 
 
 @pytest.mark.parametrize(("p", "q"), [(0.5, 0.5), (0.3, 0.6), (1.0, 0.1), (0.9, 0.0), (math.nan, 0.1), (1.1, 0.1)])
-def test_a_sensor_that_tells_nothing_or_all_is_refused(p: float, q: float) -> None:
+def test_a_sensor_without_information_or_error_is_refused(p: float, q: float) -> None:
     with pytest.raises(ValueError, match="0 < q < p < 1"):
         Sensor(p, q)
 
 
 @pytest.mark.parametrize("prior", [0.0, 1.0, math.nan, -0.1])
-def test_a_prior_that_no_look_could_change_is_refused(prior: float) -> None:
+def test_a_prior_of_0_or_1_is_refused(prior: float) -> None:
     with pytest.raises(ValueError, match="> 0 and < 1"):
         log_odds(prior)
 
 
 @pytest.mark.parametrize(("p", "net", "wrong", "looks"), [(0.9, 3, 0.00137, 3.740), (0.8, 4, 0.00389, 6.615)])
-def test_a_single_cell_is_decided_as_the_sequential_test_says(p: float, net: int, wrong: float, looks: float) -> None:
-    """A random walk of hits minus misses at a target, absorbed where `decisions` decides: exact, by linear algebra."""
+def test_decisions_of_a_cell_agree_with_the_sequential_test(p: float, net: int, wrong: float, looks: float) -> None:
+    """Random walk of hits minus misses at a target, absorbed at `decisions`: exact, by linear algebra."""
     sensor, span = Sensor(p, 1 - p), np.arange(-8, 9)
     decided = decisions(sensor.evidence(np.maximum(span, 0), np.maximum(-span, 0)))
     assert span[decided == 1].min() == net
@@ -77,7 +77,7 @@ def test_cells_are_numbered_by_row_from_the_bottom_left() -> None:
 
 
 @pytest.mark.parametrize("point", [(-10.1, 6.0), (22.1, 6.0), (0.0, 4.9), (0.0, 25.1), (math.nan, 6.0), (0.0, math.inf)])
-def test_no_cell_is_outside(point: tuple[float, float]) -> None:
+def test_points_outside_have_no_cell(point: tuple[float, float]) -> None:
     assert GRID.at(*point) is None
 
 
@@ -88,7 +88,7 @@ def test_every_point_of_a_cell_is_in_it(cell: int, dx: float, dy: float) -> None
 
 
 @given(x=st.floats(-30, 40), y=st.floats(-20, 50), radius=st.floats(0, 40))
-def test_a_disc_holds_the_cells_whose_middles_it_holds(x: float, y: float, radius: float) -> None:
+def test_a_disc_contains_the_cells_with_centres_in_it(x: float, y: float, radius: float) -> None:
     middles = GRID.centres(EVERY)
     expected = EVERY[(middles[:, 0] - x) ** 2 + (middles[:, 1] - y) ** 2 <= radius**2]
     assert GRID.within(x, y, radius).tolist() == expected.tolist()
@@ -98,7 +98,7 @@ def test_a_disc_holds_the_cells_whose_middles_it_holds(x: float, y: float, radiu
     x=st.floats(-30, 40), y=st.floats(-20, 50), yaw=st.floats(-4, 4), across=st.floats(0.5, 40), along=st.floats(0.5, 40),
     mirrored=st.booleans(),
 )  # fmt: skip
-def test_a_footprint_holds_the_cells_whose_middles_it_holds(
+def test_a_footprint_contains_the_cells_with_centres_in_it(
     x: float, y: float, yaw: float, across: float, along: float, mirrored: bool
 ) -> None:
     def ahead_and_aside(points: Array) -> Array:
@@ -113,7 +113,7 @@ def test_a_footprint_holds_the_cells_whose_middles_it_holds(
     assert seen.tolist() == sorted(set(seen.tolist()))
 
 
-def test_a_footprint_may_have_a_dent() -> None:
+def test_a_footprint_may_be_concave() -> None:
     corners = np.array([[-10, 5], [22, 5], [22, 25], [6, 9], [-10, 25]])
     seen = set(GRID.inside(corners).tolist())
     assert GRID.at(6.0, 8.0) in seen
@@ -122,14 +122,14 @@ def test_a_footprint_may_have_a_dent() -> None:
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_what_is_seen_above_the_horizon_is_no_ground(bad: float) -> None:
+def test_corners_at_infinity_contain_no_cells(bad: float) -> None:
     assert GRID.inside(np.array([[0, 6], [4, 6], [4, bad], [0, 10]])).size == 0
     assert GRID.within(bad, 10.0, 5.0).size == 0
     assert GRID.within(0.0, 10.0, bad).size == 0
 
 
 @pytest.mark.parametrize("corners", [[], [[0, 6]], [[0, 6], [4, 10]]])
-def test_fewer_than_three_corners_hold_nothing(corners: list[list[float]]) -> None:
+def test_fewer_than_three_corners_contain_no_cells(corners: list[list[float]]) -> None:
     assert GRID.inside(np.array(corners)).size == 0
 
 
@@ -137,6 +137,6 @@ def test_fewer_than_three_corners_hold_nothing(corners: list[list[float]]) -> No
     ("area", "cell"),
     [((0.0, 0.0, 0.0, 1.0), 1.0), ((0.0, 1.0, 1.0, 0.0), 1.0), ((0.0, 0.0, math.inf, 1.0), 1.0), ((0.0, 0.0, 1.0, 1.0), 0.0)],
 )
-def test_an_area_and_its_cells_have_a_size(area: tuple[float, float, float, float], cell: float) -> None:
+def test_an_area_or_cells_without_size_are_refused(area: tuple[float, float, float, float], cell: float) -> None:
     with pytest.raises(ValueError, match="must be"):
         Grid(Rectangle(*area), cell)

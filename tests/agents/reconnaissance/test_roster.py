@@ -1,4 +1,4 @@
-"""What members of a mission know of each other, over a radio that loses, copies, reorders and lies."""
+"""Members' knowledge of each other in a mission, with lost, copied, reordered and false messages."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.agents.agent_loop import Uav
-from tests.support.agents.agent_loop import said as reception
+from tests.support.agents.agent_loop import reception_of_body as reception
 from vcmvsp.agents.reconnaissance.roster import Claim, Roster
 from vcmvsp.cosim.agent import Observation, Radio
 
@@ -21,7 +21,7 @@ def seen(now_s: float, *heard: tuple[str, Any]) -> Observation:
 
 
 def said(name: str, now_s: float, task: Any = "search", claim: Claim | None = None) -> tuple[str, Any]:
-    """A message as a member sends it."""
+    """Sender and body of a member's message."""
     radio = Radio(name, NAMES)
     Roster(name, NAMES).tell(seen(now_s), radio, task, claim)
     (message,) = radio.drain()
@@ -34,7 +34,7 @@ def tracks(
     return said(name, now_s, "track", Claim(target, place, round(since_s * S)))
 
 
-def test_members_tell_of_themselves_when_it_is_due_and_at_once_when_something_changes() -> None:
+def test_members_report_once_a_period_and_at_every_change() -> None:
     radio, roster = Radio("a", NAMES), Roster("a", NAMES, report_s=1.0)
     claim = Claim("alpha", (1.0, 2.0), 0)
     sent = []
@@ -45,10 +45,10 @@ def test_members_tell_of_themselves_when_it_is_due_and_at_once_when_something_ch
     assert sent == [0, 10, 20, 25, 35]
 
 
-def test_who_is_silent_is_lost_and_who_says_anything_is_there() -> None:
+def test_silent_members_are_lost_and_any_message_counts() -> None:
     roster = Roster("a", NAMES, alive_s=5.0)
     roster.hear(seen(0.0))
-    assert roster.alive(4 * S) == NAMES  # nobody has had the time to say anything
+    assert roster.alive(4 * S) == NAMES  # before the first messages were due
     roster.hear(seen(3.0, ("b", {"map": 1}), ("c", {}), ("x", {})))
     assert roster.alive(5 * S) == ("a", "b", "c")
     assert roster.alive(8 * S) == ("a",)
@@ -56,14 +56,14 @@ def test_who_is_silent_is_lost_and_who_says_anything_is_there() -> None:
     assert roster.alive(9 * S) == ("a", "d")
 
 
-def test_a_program_that_goes_on_talking_does_not_hide_that_its_agent_is_lost() -> None:
+def test_messages_of_other_programs_do_not_hide_a_lost_agent() -> None:
     roster = Roster("a", NAMES, alive_s=5.0)
     for now_s in range(10):
         roster.hear(seen(now_s, said("b", now_s), ("c", b"\x00"), ("d", msgspec.msgpack.encode(said("d", now_s)[1]))))
     assert roster.alive(9 * S) == ("a", "b")
 
 
-def test_who_tracks_leaves_the_search_to_the_rest() -> None:
+def test_tracking_members_leave_the_search_to_the_rest() -> None:
     roster = Roster("a", NAMES)
     roster.hear(seen(1.0, *(said(name, 1.0) for name in "bc"), tracks("d", 1.0, "alpha")))
     assert roster.searchers(S) == roster.sectors(S) == ("a", "b", "c")
@@ -73,7 +73,7 @@ def test_who_tracks_leaves_the_search_to_the_rest() -> None:
     assert not roster.claims(2 * S)
 
 
-def test_of_those_who_share_a_sector_the_first_that_searches_leads() -> None:
+def test_the_first_searching_member_of_a_sector_leads() -> None:
     sectors = (("b", "a"), ("c", "d"))
     one, two = Roster("a", NAMES, sectors=sectors), Roster("b", NAMES, sectors=sectors)
     assert (one.sector, one.shared(0), two.shared(0)) == ("b", True, False)
@@ -83,12 +83,12 @@ def test_of_those_who_share_a_sector_the_first_that_searches_leads() -> None:
     one.hear(seen(2.0, said("b", 2.0)))
     assert one.shared(2 * S)
     one.hear(seen(8.0))
-    assert not one.shared(8 * S)  # the first is lost
-    assert one.sectors(8 * S) == ("b",)  # its own keeps its name
+    assert not one.shared(8 * S)  # the first member is lost
+    assert one.sectors(8 * S) == ("b",)  # its own sector keeps its name
 
 
-def test_a_target_belongs_to_the_vehicle_that_tracked_it_first_and_both_see_it_so() -> None:
-    """Whatever was claimed when: of two that have heard each other just one gives way."""
+def test_a_target_belongs_to_the_vehicle_that_tracked_it_first() -> None:
+    """For any times of the claims: of two vehicles that receive each other exactly one gives way."""
     for since_a, since_b in ((1.0, 2.0), (2.0, 1.0), (1.0, 1.0)):
         a, b = Roster("a", NAMES), Roster("b", NAMES)
         mine, other = Claim("alpha", (5.0, 5.0), round(since_a * S)), Claim("alpha", (5.1, 5.0), round(since_b * S))
@@ -98,23 +98,23 @@ def test_a_target_belongs_to_the_vehicle_that_tracked_it_first_and_both_see_it_s
         assert b.taken(other, 3 * S) is not a.taken(mine, 3 * S)
 
 
-def test_who_sees_a_target_does_not_yield_to_who_only_believes_in_one_there() -> None:
+def test_a_claim_with_a_detection_does_not_yield_to_one_without() -> None:
     roster = Roster("b", NAMES)
     roster.hear(seen(3.0, tracks("a", 3.0, "", (5.0, 5.0), 1.0)))
     assert not roster.taken(Claim("alpha", (5.1, 5.0), 2 * S), 3 * S)
     assert roster.taken(Claim("", (5.1, 5.0), 2 * S), 3 * S)
 
 
-def test_targets_are_one_by_their_names_and_without_a_name_by_their_places() -> None:
+def test_targets_are_equal_by_name_or_without_a_name_by_place() -> None:
     alpha = Claim("alpha", (0.0, 0.0), 0)
     assert alpha.same(Claim("alpha", (19.0, 0.0), 0))
-    assert not alpha.same(Claim("alpha", (90.0, 0.0), 0))  # two that look alike
+    assert not alpha.same(Claim("alpha", (90.0, 0.0), 0))  # two targets with equal looks
     assert not alpha.same(Claim("bravo", (0.0, 0.0), 0))
     assert alpha.same(Claim("", (2.9, 0.0), 0))
     assert not alpha.same(Claim("", (3.1, 0.0), 0))
 
 
-def test_the_target_of_one_that_is_lost_is_free_again_later_than_its_part_of_the_area() -> None:
+def test_the_target_of_a_lost_member_is_free_later_than_its_sector() -> None:
     roster = Roster("a", NAMES, alive_s=5.0, claim_s=20.0)
     roster.hear(seen(1.0, tracks("b", 1.0, "alpha")))
     mine = Claim("alpha", (5.0, 5.0), 2 * S)
@@ -146,12 +146,12 @@ HOSTILE: tuple[Any, ...] = (
     {"do": "track", "ms": 1, "tg": "alpha", "at": [float("nan"), 0.0], "since": 0},
     {"do": "track", "ms": 1, "tg": "alpha", "at": [1e300, 0.0], "since": 0},
     {"do": "track", "ms": 1, "tg": "alpha", "at": "ab", "since": 0},
-    {"do": "track", "ms": 1, "tg": "alpha", "at": [0.0, 0.0], "since": 2},  # later than it was told
+    {"do": "track", "ms": 1, "tg": "alpha", "at": [0.0, 0.0], "since": 2},  # later than its message
 )
 
 
 @pytest.mark.parametrize("body", HOSTILE)
-def test_malformed_messages_are_no_claims(body: Any) -> None:
+def test_malformed_messages_are_ignored(body: Any) -> None:
     roster = Roster("a", NAMES)
     roster.hear(seen(1.0, ("b", body), *((name, body) for name in ("a", "stranger"))))
     assert not roster.claims(S)
@@ -166,7 +166,7 @@ JSON = st.recursive(
 
 
 @given(st.sampled_from(("a", "b", "stranger")), JSON)
-def test_whatever_is_heard_nothing_is_raised(sender: str, body: Any) -> None:
+def test_no_message_raises_an_exception(sender: str, body: Any) -> None:
     roster = Roster("a", NAMES)
     roster.hear(seen(1.0, (sender, body if isinstance(body, dict | bytes) else {"do": body, "ms": 0})))
     assert roster.alive(S) == NAMES

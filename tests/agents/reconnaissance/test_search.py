@@ -1,4 +1,4 @@
-"""Searching as an agent: what a team knows in the end, what it says on the way, and who combs what."""
+"""Search as an agent: final maps of a team, messages, and division of the area."""
 
 import math
 from dataclasses import replace
@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from tests.support.agents import agent_loop
-from tests.support.agents.agent_loop import received
-from tests.support.agents.search_agents import GRID, REACH, TARGETS, Team, info, looks, of_map, searcher, see
+from tests.support.agents.agent_loop import reception_of
+from tests.support.agents.search_agents import GRID, REACH, TARGETS, Team, info, looks, observation, of_map, searcher
 from vcmvsp.agents.reconnaissance.exchange import Ledger
 from vcmvsp.agents.reconnaissance.ground_point import Nadir
 from vcmvsp.agents.reconnaissance.roster import Claim, Roster
@@ -33,7 +33,7 @@ def counts(agent: Search) -> np.ndarray:
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.7])
-def test_a_team_finds_all_and_says_so(loss: float) -> None:
+def test_a_team_finds_and_notes_all_targets(loss: float) -> None:
     rng = np.random.default_rng(1)
     team = Team({name: searcher(targets=2, alive_s=30.0) for name in ("a", "b")}, lost=lambda *_: rng.random() < loss)
     team.run(60.0)
@@ -46,9 +46,9 @@ def test_a_team_finds_all_and_says_so(loss: float) -> None:
         assert all(math.dist(a, b) > 3.0 for i, a in enumerate(found) for b in found[:i])
 
 
-def test_each_combs_its_strip_and_all_of_it() -> None:
+def test_each_member_searches_its_whole_strip() -> None:
     team, area = Team({name: searcher() for name in ("a", "b")}), GRID.area
-    for _ in range(320):  # 115 m at 4 m/s, and turns
+    for _ in range(320):  # 115 m at 4 m/s, plus turns
         team.step()
         for name, agent in team.agents.items():
             assert agent.goal in lanes(strips(area, ("a", "b"))[name], REACH, 0.2)
@@ -58,13 +58,13 @@ def test_each_combs_its_strip_and_all_of_it() -> None:
         assert agent.map.shown().seen.ravel()[mine].mean() > 0.97
 
 
-def test_the_strip_of_one_who_falls_silent_is_divided_and_it_has_it_back_when_it_returns() -> None:
+def test_the_strip_of_a_silent_member_is_divided_until_it_returns() -> None:
     team = Team({name: searcher(alive_s=3.0) for name in ("a", "b")})
     mine, all_of_it = (set(lanes(strips(GRID.area, who)["a"], REACH, 0.2)) for who in (("a", "b"), ("a",)))
     ends = {(x, y) for x, _ in all_of_it for y in (3.0, 37.0)}
     team.run(5.0)
     before = team.agents["a"].goal
-    team.run(2.0, dead=("b",))  # it was heard last at 4.1 s
+    team.run(2.0, dead=("b",))  # last received at 4.1 s
     assert team.agents["a"].goal in mine
     team.run(0.3, dead=("b",))
     assert team.agents["a"].goal in ends - mine
@@ -73,7 +73,7 @@ def test_the_strip_of_one_who_falls_silent_is_divided_and_it_has_it_back_when_it
     assert before in mine
 
 
-def test_who_stands_by_looks_and_shares_and_goes_on_with_its_lane_afterwards() -> None:
+def test_in_stand_by_it_looks_and_shares_and_then_resumes_its_lane() -> None:
     team = Team({name: searcher() for name in ("a", "b")})
     team.run(6.0)
     sent, seen, goal = len(of_map(team.sent["a"])), counts(team.agents["b"])[0].sum(), team.agents["a"].goal
@@ -85,8 +85,8 @@ def test_who_stands_by_looks_and_shares_and_goes_on_with_its_lane_afterwards() -
     assert team.agents["a"].goal == goal
 
 
-def test_who_climbs_back_to_its_height_is_not_stuck() -> None:
-    """No way-point is left out for the time in which it flies straight up."""
+def test_a_climb_does_not_count_as_stuck() -> None:
+    """No way-point is dropped during a vertical climb."""
     team = Team({"a": searcher(stuck_s=3.0)})
     team.run(3.0)
     goal, (x, y, _) = team.agents["a"].goal, team.places["a"]
@@ -98,7 +98,7 @@ def test_who_climbs_back_to_its_height_is_not_stuck() -> None:
     assert team.agents["a"].goal == goal is not None
 
 
-def test_those_that_are_started_again_know_nothing_of_what_was_before() -> None:
+def test_a_second_start_repeats_the_first_run() -> None:
     agents, said = {name: searcher() for name in ("a", "b")}, []
     for _ in range(2):
         team = Team(agents)
@@ -108,7 +108,7 @@ def test_those_that_are_started_again_know_nothing_of_what_was_before() -> None:
     assert said[0] == said[1]
 
 
-def test_it_says_no_more_than_it_may_and_counts_what_it_says() -> None:
+def test_messages_are_limited_and_counted() -> None:
     team = Team({name: searcher(max_bytes=300, most=2, share_s=0.5) for name in ("a", "b")})
     team.run(12.0)
     for name in team.agents:
@@ -121,7 +121,7 @@ def test_it_says_no_more_than_it_may_and_counts_what_it_says() -> None:
 
 
 @pytest.mark.parametrize("exchange", ["none", "delta", "consensus"])
-def test_maps_agree_with_every_exchange_but_none(exchange: Any) -> None:
+def test_maps_agree_with_every_exchange_except_none(exchange: Any) -> None:
     team = Team({name: searcher(exchange=exchange, scaled=True, most=100) for name in ("a", "b")})
     team.run(40.0)
     a, b = (agent.map.odds for agent in team.agents.values())
@@ -134,8 +134,8 @@ def test_maps_agree_with_every_exchange_but_none(exchange: Any) -> None:
         assert np.corrcoef(a.ravel(), b.ravel())[0, 1] > 0.9
 
 
-def test_a_consensus_goes_on_though_nothing_is_looked_at() -> None:
-    """Two who told each other move to their mean within a step: l <- (1 - 1/2) l + l'/2."""
+def test_a_consensus_continues_without_looks() -> None:
+    """Two members with one exchange move to their mean within a step: l <- (1 - 1/2) l + l'/2."""
     agents = {name: searcher(exchange="consensus", most=100) for name in ("a", "b")}
     radios = {name: Radio(name, ("a", "b")) for name in agents}
     air: list[Message] = []
@@ -144,9 +144,9 @@ def test_a_consensus_goes_on_though_nothing_is_looked_at() -> None:
     for tick in range(31):
         sent: list[Message] = []
         for i, (name, agent) in enumerate(agents.items()):
-            heard = [received(each) for each in air if each.sender != name]
+            heard = [reception_of(each) for each in air if each.sender != name]
             readings: dict[str, Any] = {"looks": looks(10.0 + 10.0 * i, 20.0, 0)} if tick == 0 else {}
-            agent.act(see((20.0, 20.0, 20.0), tick * S // 10, *heard, **readings), radios[name])
+            agent.act(observation((20.0, 20.0, 20.0), tick * S // 10, *heard, **readings), radios[name])
             sent += radios[name].drain()
         air = sent
     a, b = (agent.map.odds for agent in agents.values())
@@ -154,17 +154,17 @@ def test_a_consensus_goes_on_though_nothing_is_looked_at() -> None:
     assert np.abs(a).max() > 1.0
 
 
-def test_facts_name_the_surest_place_that_is_nobodys() -> None:
+def test_facts_contain_the_surest_place_without_a_claim() -> None:
     agent = searcher()
     agent.roster = Roster("a", ("a", "b"))
     agent.start(info("a", ("a", "b")))
     for second in range(4):
         for x, y in ((10.0, 30.0), (26.0, 14.0)):
-            facts = agent.facts(see((x, y, 20.0), second * S + int(x), looks=looks(x, y, second * S + int(x))))
+            facts = agent.facts(observation((x, y, 20.0), second * S + int(x), looks=looks(x, y, second * S + int(x))))
     first, second_place = (9.0, 31.0), (27.0, 13.0)
     assert facts == {"shared": False, "probability": pytest.approx(9**4 / (1 + 9**4)), "place": second_place}
     body = {"do": "track", "ms": 4000, "tg": "", "at": [28.0, 12.0], "since": 3000}
-    obs = see((10.0, 30.0, 20.0), 5 * S, agent_loop.said("b", body))
+    obs = observation((10.0, 30.0, 20.0), 5 * S, agent_loop.reception_of_body("b", body))
     agent.roster.hear(obs)
     assert agent.roster.claims(5 * S) == {"b": Claim("", (28.0, 12.0), 3 * S)}
     assert agent.facts(obs)["place"] == first
@@ -172,15 +172,15 @@ def test_facts_name_the_surest_place_that_is_nobodys() -> None:
     facts = agent.facts(obs)
     assert facts["place"] is None
     assert facts["probability"] <= 0.99
-    assert agent.facts(see((10.0, 30.0, 20.0), 66 * S))["place"] is not None  # a minute later
+    assert agent.facts(observation((10.0, 30.0, 20.0), 66 * S))["place"] is not None  # a minute later
 
 
-def test_a_detector_that_is_none_is_an_error() -> None:
+def test_a_reading_without_looks_is_an_error() -> None:
     agent = searcher()
     agent.start(info("a", ("a",)))
     scan = Scan(ranges=np.ones(3, np.float32), angle_min=0.0, angle_step=0.1, range_max=5.0)
     with pytest.raises(TypeError, match="gives a Scan, not looks at cells"):
-        agent.facts(see((1.0, 1.0, 20.0), 0, looks=scan))
+        agent.facts(observation((1.0, 1.0, 20.0), 0, looks=scan))
 
 
 def test_a_map_of_too_many_cells_is_refused() -> None:
@@ -188,24 +188,24 @@ def test_a_map_of_too_many_cells_is_refused() -> None:
         searcher(cell_m=0.01)
 
 
-def test_who_flies_along_in_a_sector_knows_it() -> None:
+def test_the_second_in_a_sector_has_a_shared_sector() -> None:
     team = ("a", "b", "c")
     for name, shared in (("a", False), ("b", True), ("c", False)):
         agent = searcher(sectors=(("a", "b"),))
         agent.start(info(name, team))
-        assert agent.facts(see((1.0, 1.0, 20.0), 0))["shared"] is shared
+        assert agent.facts(observation((1.0, 1.0, 20.0), 0))["shared"] is shared
 
 
-def test_as_a_part_of_a_mission_it_believes_clocks_as_far_as_the_mission_does() -> None:
+def test_in_a_mission_the_clock_bound_is_that_of_the_mission() -> None:
     other, radio = searcher(), Radio("b", ("a", "b"))
     other.start(info("b", ("a", "b")))
-    other.act(see((9.0, 31.0, 20.0), 2 * S, looks=looks(9.0, 31.0, 2 * S)), radio)
-    heard = [received(message) for message in radio.drain()]
+    other.act(observation((9.0, 31.0, 20.0), 2 * S, looks=looks(9.0, 31.0, 2 * S)), radio)
+    heard = [reception_of(message) for message in radio.drain()]
     for bound_s, now_s, believed in ((0.0, 2.0, True), (0.0, 1.5, False), (0.5, 1.5, True), (0.4, 1.5, False)):
         agent = searcher()
         agent.roster = Roster("a", ("a", "b"), clock_bound_s=bound_s)
         agent.start(info("a", ("a", "b")))
-        agent.stand_by(see((30.0, 5.0, 20.0), round(now_s * S), *heard), Radio("a", ("a", "b")))
+        agent.stand_by(observation((30.0, 5.0, 20.0), round(now_s * S), *heard), Radio("a", ("a", "b")))
         assert counts(agent).any() == believed
 
 
@@ -214,7 +214,7 @@ def test_it_shows_its_map_once_a_second() -> None:
     agent.start(info("a", ("a", "b")))
     shown = []
     for tick in range(31):
-        agent.act(see((10.0, 30.0, 20.0), tick * S // 10, looks=looks(10.0, 30.0, tick // 10 * S)), radio)
+        agent.act(observation((10.0, 30.0, 20.0), tick * S // 10, looks=looks(10.0, 30.0, tick // 10 * S)), radio)
         shown += [(tick, value) for value in agent.drain_shown().values()]
     assert [tick for tick, _ in shown] == [0, 10, 20, 30]
     last = shown[-1][1]
@@ -233,11 +233,11 @@ def test_it_keeps_height_and_heading_and_climbs_before_it_flies() -> None:
     ):
         agent = searcher(**params)
         agent.start(info("a", ("a",)))
-        command = agent.act(see((20.0, 20.0, z), 0, yaw=0.5), radio)
+        command = agent.act(observation((20.0, 20.0, z), 0, yaw=0.5), radio)
         assert command.linear[2] == pytest.approx(climb)
         assert command.yaw_rate == 0.0
         assert (math.hypot(*command.linear[:2]) > 1.0) is moves
-        assert agent.act(see((20.0, 20.0, z), S, yaw=0.2 + yaw), radio).yaw_rate == pytest.approx(0.3)
+        assert agent.act(observation((20.0, 20.0, z), S, yaw=0.2 + yaw), radio).yaw_rate == pytest.approx(0.3)
 
 
 @pytest.mark.parametrize(
@@ -252,13 +252,13 @@ def test_it_keeps_height_and_heading_and_climbs_before_it_flies() -> None:
         ({"max_bytes": 30}, ("looks",), "max_bytes"),
     ],
 )
-def test_what_does_not_fit_the_vehicles_is_refused(params: dict[str, Any], sensors: tuple[str, ...], problem: str) -> None:
+def test_parameters_unfit_for_the_vehicle_are_refused(params: dict[str, Any], sensors: tuple[str, ...], problem: str) -> None:
     agent = searcher(**params)
     with pytest.raises(ValueError, match=problem):
         agent.start(info("a", ("a", "b"), sensors))
 
 
-def test_what_does_not_fit_itself_is_refused() -> None:
+def test_inconsistent_parameters_are_refused() -> None:
     with pytest.raises(ScenarioError, match="set the width"):
         Search((0.0, 0.0, 1.0, 1.0), sensor="looks")
     with pytest.raises(ValueError, match="0 < q < p < 1"):
@@ -278,11 +278,11 @@ class Sensorless(Search):
         super().start(msgspec.structs.replace(info, sensors=None))
 
 
-def test_it_keeps_the_contract_of_agents() -> None:
+def test_it_satisfies_the_contract_of_agents() -> None:
     check_agent(lambda: Sensorless((-4.0, -4.0, 4.0, 4.0), sensor="looks", swath_m=2.0))
 
 
-# --- searching with a camera: which pictures count as looks, and lanes as wide as they show ---
+# --- search with a camera: pictures that count as looks, and lanes as wide as the footprint ---
 
 
 PIXELS = (48, 64)
@@ -290,7 +290,7 @@ PICTURE = Image(pixels=np.zeros((*PIXELS, 3), np.uint8), focal_px=40.0)
 
 
 class Flight:
-    """A searcher at one place, with pictures at 5 Hz; the sensor sees 12 m to all sides from 20 m."""
+    """A searcher at one place, with pictures at 5 Hz; its sensor covers 12 m to all sides from 20 m."""
 
     def __init__(self, **params: Any) -> None:
         self.agent, self.radio, self.seen = Search((0.0, 0.0, 40.0, 40.0), **params), Radio("a", ("a",)), list[Any]()
@@ -305,7 +305,7 @@ class Flight:
         nadir = Nadir((20.0, 20.0, z), (1.0, 0.0, 0.0, 0.0), 40.0, PIXELS[1], PIXELS[0])
         frame = WatchFrame(now_ns, nadir, found, PICTURE, (0, 0, PIXELS[1], PIXELS[0]), True)
         self.seen.append(replace(frame, **change) if picture else None)
-        return self.agent.act(see((20.0, 20.0, z), now_ns), self.radio)
+        return self.agent.act(observation((20.0, 20.0, z), now_ns), self.radio)
 
     @property
     def looks(self) -> int:
@@ -340,16 +340,16 @@ def test_parts_of_pictures_and_tilted_ones_do_not_count() -> None:
     assert seldom.looks == 1
 
 
-def test_a_picture_counts_once_however_often_it_is_asked_about() -> None:
+def test_a_picture_counts_once_for_several_calls() -> None:
     flight = Flight(look_s=0.0)
     flight.act()
-    obs = see((20.0, 20.0, 20.0), 0)
+    obs = observation((20.0, 20.0, 20.0), 0)
     flight.agent.facts(obs)
     flight.agent.stand_by(obs, flight.radio)
     assert flight.looks == 1
 
 
-def test_it_hovers_until_it_knows_how_far_it_sees() -> None:
+def test_it_hovers_until_its_swath_is_known() -> None:
     flight = Flight()
     assert flight.act(picture=False).linear[:2] == (0.0, 0.0)
     assert flight.agent.goal is None
@@ -357,8 +357,8 @@ def test_it_hovers_until_it_knows_how_far_it_sees() -> None:
     assert flight.agent.goal in lanes(GRID.area, 12.0)
 
 
-def test_what_it_sees_on_the_ground_is_scaled_to_the_height_of_the_search() -> None:
-    """12 m to all sides from 20 m are 6 m from 10 m."""
+def test_the_swath_is_scaled_to_the_height_of_the_search() -> None:
+    """12 m to all sides from 20 m is 6 m from 10 m."""
     flight = Flight(height=10.0)
     flight.act(z=20.0)
     flight.act(z=10.0)

@@ -1,4 +1,4 @@
-"""The map of one who searches: which cells a reading and a picture are about, and which targets are left to go for."""
+"""The map of a searcher: cells of a reading and of a picture, and the surest target that is left."""
 
 import dataclasses
 import math
@@ -21,7 +21,7 @@ GRID = Grid(Rectangle(0.0, 0.0, 30.0, 20.0), 2.0)  # 15 x 10 cells
 
 
 def map_of(*hits: tuple[int, int, int]) -> SearchMap:
-    """Cells (column, row) that so many looks have called targets."""
+    """Map in which a number of looks called cells (column, row) targets."""
     found = SearchMap(GRID, exchange("ledger", GRID, Sensor(0.9, 0.1), "a", ["a", "b"]))
     for column, row, count in hits:
         for _ in range(count):
@@ -29,18 +29,18 @@ def map_of(*hits: tuple[int, int, int]) -> SearchMap:
     return found
 
 
-def test_the_surest_cell_that_is_nobodys() -> None:
-    """Looks of 0.9 and 0.1 from 0.5: m net hits make it 9^m / (1 + 9^m)."""
+def test_the_surest_cell_without_a_claim() -> None:
+    """Looks of 0.9 and 0.1 from prior 0.5: m net hits give 9^m / (1 + 9^m)."""
     surest: Any = map_of((2, 2, 4), (3, 3, 3), (10, 8, 3), (14, 0, 2)).surest
-    assert surest([]) == (pytest.approx(9**4 / (1 + 9**4)), (6.0, 6.0))  # two cells, corner to corner: one target
-    near = (7.0 + 3.9, 7.0)  # to the middle of the second of them
+    assert surest([]) == (pytest.approx(9**4 / (1 + 9**4)), (6.0, 6.0))  # two cells that share a corner: one target
+    near = (7.0 + 3.9, 7.0)  # 3.9 m from the middle of the second cell
     assert surest([near]) == (pytest.approx(9**3 / (1 + 9**3)), (21.0, 17.0))
     assert surest([(near[0] + 0.2, 7.0)])[1] == (6.0, 6.0)
     assert surest([near, (21.0, 17.0)]) == (pytest.approx(81 / 82), None)
     assert surest([near, (21.0, 17.0), (29.0, 1.0)]) == (pytest.approx(0.5), None)
 
 
-def test_a_map_without_looks_knows_its_prior() -> None:
+def test_a_map_without_looks_has_its_prior() -> None:
     likely, place = map_of().surest([])
     assert likely == pytest.approx(0.5)
     assert place is None
@@ -48,7 +48,7 @@ def test_a_map_without_looks_knows_its_prior() -> None:
     assert map_of((2, 2, 4)).surest(everywhere) == (0.0, None)
 
 
-def test_blobs_are_the_connected_cells_that_are_decided() -> None:
+def test_blobs_are_the_connected_decided_cells() -> None:
     rng = np.random.default_rng(4)
     found = map_of(*((int(c), int(r), 3) for c, r in zip(rng.integers(0, 15, 40), rng.integers(0, 10, 40), strict=True)))
     cells = [set(blob.cells.tolist()) for blob in found.blobs]
@@ -67,7 +67,7 @@ def test_blobs_are_the_connected_cells_that_are_decided() -> None:
     bottom=st.floats(-50.0, 50.0),
     cell=st.sampled_from([0.5, 1.0, 2.0, 3.3]),
 )
-def test_looks_are_at_the_cells_in_which_their_middles_are(left: float, bottom: float, cell: float) -> None:
+def test_looks_count_for_the_cells_that_contain_their_centres(left: float, bottom: float, cell: float) -> None:
     grid = Grid(Rectangle(left, bottom, left + 12.0, bottom + 9.0), cell)
     columns = np.arange(math.floor(left / cell) - 2, math.floor((left + 12.0) / cell) + 3)
     rows = np.arange(math.floor(bottom / cell) - 2, math.floor((bottom + 9.0) / cell) + 3)
@@ -99,7 +99,7 @@ def frame(x: float, y: float, height: float, *places: tuple[float, float], yaw: 
 
 
 def test_a_picture_is_a_look_at_the_cells_that_it_shows() -> None:
-    """10.1 m above (15, 10), heading east: a little more than 8 m to the north and the south, 6 m ahead and behind."""
+    """10.1 m above (15, 10), heading east: slightly more than 8 m north and south, 6 m ahead and behind."""
     cells, hits = of_picture(GRID, frame(15.0, 10.0, 10.1, (13.5, 9.0), (500.0, 0.0)))
     x, y = GRID.centres(cells).T
     assert (x.min(), x.max(), y.min(), y.max()) == (9.0, 21.0, 3.0, 17.0)
@@ -108,10 +108,8 @@ def test_a_picture_is_a_look_at_the_cells_that_it_shows() -> None:
 
 
 @given(yaw=st.floats(-3.2, 3.2), height=st.floats(2.0, 40.0), ground=st.floats(-5.0, 1.0))
-def test_a_camera_sees_to_the_sides_of_a_lane_as_far_as_to_the_border_of_its_picture(
-    yaw: float, height: float, ground: float
-) -> None:
-    """At 40 px: as far as rays of the plane go from the middle of a rectangle of 64 x 48 px that is turned."""
+def test_the_swath_of_a_lane_reaches_to_the_border_of_the_picture(yaw: float, height: float, ground: float) -> None:
+    """At f = 40 px: length of rays along x and y from the middle of a turned rectangle of 64 x 48 px."""
     seen_m = swaths_m(frame(3.0, 4.0, height, yaw=yaw, ground=ground), 20.0)
     ahead, aside = abs(math.cos(yaw)), abs(math.sin(yaw))
     x_px = min(24.0 / max(ahead, 1e-12), 32.0 / max(aside, 1e-12))
@@ -119,13 +117,13 @@ def test_a_camera_sees_to_the_sides_of_a_lane_as_far_as_to_the_border_of_its_pic
     assert seen_m == pytest.approx((x_px / 40.0 * (20.0 - ground), y_px / 40.0 * (20.0 - ground)))
 
 
-def test_a_camera_that_does_not_see_what_is_below_says_nothing_of_lanes() -> None:
+def test_a_camera_without_the_nadir_in_view_has_no_swath() -> None:
     tilted = Nadir((3.0, 4.0, 20.0), (math.cos(0.4), 0.0, math.sin(0.4), 0.0), 40.0, 64, 48)
     picture = frame(3.0, 4.0, 20.0)
     assert swaths_m(dataclasses.replace(picture, nadir=tilted), 20.0) is None
 
 
-def test_what_is_shown_is_in_255ths() -> None:
+def test_shown_probabilities_are_in_255ths() -> None:
     shown = map_of((2, 1, 4), (3, 1, 2)).shown()
     assert (shown.left, shown.bottom, shown.cell_m, shown.probability.shape) == (0.0, 0.0, 2.0, (10, 15))
     assert shown.probability[1, 1:5].tolist() == [128, 255, round(81 / 82 * 255), 128]

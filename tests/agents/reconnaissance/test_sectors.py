@@ -1,4 +1,4 @@
-"""Who combs what: the strips are all of the area, everybody knows them, and lanes leave nothing unseen."""
+"""Division of the area: strips cover it and agree between members; lanes leave no cell unseen."""
 
 import math
 from itertools import pairwise
@@ -16,7 +16,7 @@ NAMES = st.lists(st.text("abc123", min_size=1, max_size=3), min_size=1, max_size
 
 
 @given(living=NAMES)
-def test_strips_divide_the_area_alike_whoever_asks(living: list[str]) -> None:
+def test_strips_divide_the_area_equally_for_all_members(living: list[str]) -> None:
     found = strips(AREA, living)
     assert found == strips(AREA, reversed(living)) == strips(AREA, frozenset(living))
     assert set(found) == set(living)
@@ -26,7 +26,7 @@ def test_strips_divide_the_area_alike_whoever_asks(living: list[str]) -> None:
     assert {(strip.bottom, strip.top) for strip in found.values()} == {(10.0, 110.0)}
 
 
-def test_strips_lie_in_the_order_in_which_people_count() -> None:
+def test_strips_are_in_natural_order_of_the_names() -> None:
     names = [f"uav{n}" for n in range(1, 12)]
     assert list(strips(AREA, reversed(names))) == names
 
@@ -35,8 +35,8 @@ def test_without_members_there_are_no_strips() -> None:
     assert strips(AREA, []) == {}
 
 
-def test_lanes_are_those_of_the_definition() -> None:
-    """50 m wide, 8 m seen, overlap 0.2: ceil(50 / 12.8) = 4 lanes, 12.5 m apart, from 4 m to 96 m."""
+def test_lanes_agree_with_the_definition() -> None:
+    """50 m wide, radius 8 m, overlap 0.2: ceil(50 / 12.8) = 4 lanes, 12.5 m apart, from 4 m to 96 m."""
     way = lanes(Rectangle(0.0, 0.0, 50.0, 100.0), 8.0)
     assert way == (
         (6.25, 4.0), (6.25, 96.0), (18.75, 96.0), (18.75, 4.0), (31.25, 4.0), (31.25, 96.0), (43.75, 96.0), (43.75, 4.0),
@@ -44,7 +44,7 @@ def test_lanes_are_those_of_the_definition() -> None:
 
 
 @given(width=st.floats(1, 120), height=st.floats(1, 120), radius=st.floats(1, 20), overlap=st.floats(0, 0.6))
-def test_lanes_overlap_as_asked_and_none_is_too_many(width: float, height: float, radius: float, overlap: float) -> None:
+def test_lanes_overlap_as_set_and_are_the_fewest_possible(width: float, height: float, radius: float, overlap: float) -> None:
     xs = np.array([x for x, _ in lanes(Rectangle(0.0, 0.0, width, height), radius, overlap)])[::2]
     swath = 2 * radius * (1 - overlap)
     assert np.diff(xs) == pytest.approx(width / len(xs))
@@ -55,8 +55,8 @@ def test_lanes_overlap_as_asked_and_none_is_too_many(width: float, height: float
 
 @settings(max_examples=20)
 @given(overlap=st.floats(0.2, 0.5), radius=st.floats(6, 20))
-def test_who_follows_the_lanes_has_seen_all_but_corners(overlap: float, radius: float) -> None:
-    """Of a lane of half width w, ended r/2 from the border, no point is further from it than hypot(w, r/2) < r."""
+def test_lanes_cover_the_area(overlap: float, radius: float) -> None:
+    """The farthest point from a lane of half width w that ends r/2 before the border is at hypot(w, r/2) < r."""
     area = Rectangle(0.0, 0.0, 60.0, 90.0)
     grid, seen = Grid(area, 3.0), set()
     way = lanes(area, radius, overlap)
@@ -82,25 +82,25 @@ def test_lanes_that_never_end_are_refused(radius: float, overlap: float) -> None
         lanes(AREA, radius, overlap)
 
 
-def visited(comb: Comb, living: list[str], count: int) -> list[tuple[float, float]]:
-    """The next goals of one who gets at once wherever it is to go."""
+def goals_of(comb: Comb, living: list[str], count: int) -> list[tuple[float, float]]:
+    """Goals of a vehicle that reaches each of them at once."""
     goals = [comb.goal((-20.0, 10.0), living)]
     while len(goals) < count:
         goals.append(comb.goal(goals[-1], living))
     return goals
 
 
-def test_a_strip_is_combed_there_and_back_again() -> None:
+def test_a_strip_is_searched_forth_and_back() -> None:
     comb, way = Comb("b", AREA, 8.0), lanes(strips(AREA, "ab")["b"], 8.0)
     n = len(way)
-    goals = visited(comb, ["a", "b"], 2 * n + 3)
+    goals = goals_of(comb, ["a", "b"], 2 * n + 3)
     assert goals[: 2 * n + 1] == [*way, *way[-2::-1], *way[1:3]]
 
 
-def test_when_one_fails_the_others_comb_its_strip_from_where_they_are() -> None:
+def test_after_a_failure_the_others_begin_new_lanes_at_the_nearest_end() -> None:
     combs = {name: Comb(name, AREA, 8.0) for name in "abc"}
     for comb in combs.values():
-        visited(comb, ["c", "b", "a"], 3)
+        goals_of(comb, ["c", "b", "a"], 3)
     del combs["b"]
     for name, comb in combs.items():
         here = (75.0, 100.0)
@@ -110,9 +110,9 @@ def test_when_one_fails_the_others_comb_its_strip_from_where_they_are() -> None:
         assert comb.goal(way[0], ["a", "c"]) == way[1]
 
 
-def test_when_the_same_live_again_it_goes_on_where_it_was() -> None:
+def test_with_the_former_members_it_resumes_its_former_lane() -> None:
     comb = Comb("a", AREA, 8.0)
-    before = visited(comb, ["a", "b"], 4)[-1]
+    before = goals_of(comb, ["a", "b"], 4)[-1]
     here = (-15.0, 60.0)
     assert comb.came == lanes(strips(AREA, "ab")["a"], 8.0)[2]
     alone = lanes(strips(AREA, "a")["a"], 8.0, 0.2, here)
@@ -125,7 +125,7 @@ def test_when_the_same_live_again_it_goes_on_where_it_was() -> None:
     assert comb.goal(here, ["a"]) == alone[1]
 
 
-def test_a_way_point_that_nobody_gets_to_is_left_out() -> None:
+def test_a_skipped_way_point_is_left_out() -> None:
     comb, way = Comb("a", AREA, 8.0), lanes(strips(AREA, "a")["a"], 8.0)
     here = (-20.0, 10.0)
     for goal in (*way, *way[-2::-1], way[1]):
@@ -138,8 +138,8 @@ def test_a_vehicle_always_counts_itself_as_living() -> None:
     assert Comb("a", AREA, 8.0).goal((0.0, 0.0), []) == lanes(AREA, 8.0)[0]
 
 
-def flown(comb: Comb, points: int, position: tuple[float, float] = (0.0, 0.0)) -> list[tuple[float, float]]:
-    """The way-points that a vehicle comes by, which jumps from one to the next."""
+def waypoints_of(comb: Comb, points: int, position: tuple[float, float] = (0.0, 0.0)) -> list[tuple[float, float]]:
+    """Way-points of a vehicle that jumps from one to the next."""
     found = []
     for _ in range(points):
         position = comb.goal(position, ("a",))
@@ -148,19 +148,19 @@ def flown(comb: Comb, points: int, position: tuple[float, float] = (0.0, 0.0)) -
 
 
 @given(st.sets(st.integers(0, 4), min_size=1))
-def test_lanes_that_are_not_open_are_left_out_as_long_as_others_are(open_lanes: set[int]) -> None:
+def test_closed_lanes_are_left_out_while_others_are_open(open_lanes: set[int]) -> None:
     area = Rectangle(0.0, 0.0, 50.0, 100.0)
     comb = Comb("a", area, 5.0, overlap=0.0, is_open=lambda start, _: int(start[0] // 10) in open_lanes)
-    way = flown(comb, 4 * len(open_lanes))
+    way = waypoints_of(comb, 4 * len(open_lanes))
     assert {int(x // 10) for x, _ in way} == open_lanes
-    first = way[: 2 * len(open_lanes)]  # each from end to end, before any of them again
+    first = way[: 2 * len(open_lanes)]  # each from end to end, before any is repeated
     assert [int(x // 10) for x, _ in first] == sorted(2 * list(open_lanes))
     assert all(abs(a[1] - b[1]) == 95.0 for a, b in zip(first[::2], first[1::2], strict=True))
 
 
-def test_after_all_lanes_come_those_across_from_the_nearer_side_and_then_the_first_again() -> None:
+def test_after_all_lanes_follow_lanes_across_and_then_the_first_again() -> None:
     comb = Comb("a", Rectangle(0.0, 0.0, 30.0, 60.0), 5.0, overlap=0.0, across=10.0)
-    way = flown(comb, 40)
+    way = waypoints_of(comb, 40)
     up = [(5.0, 2.5), (5.0, 57.5), (15.0, 57.5), (15.0, 2.5), (25.0, 2.5), (25.0, 57.5)]
     assert way[:6] == up
     assert way[6:12] == [(25.0, 50.0), (5.0, 50.0), (5.0, 30.0), (25.0, 30.0), (25.0, 10.0), (5.0, 10.0)]
@@ -169,7 +169,7 @@ def test_after_all_lanes_come_those_across_from_the_nearer_side_and_then_the_fir
 
 
 @given(st.sets(st.integers(0, 4)), st.sets(st.integers(0, 4)))
-def test_of_lanes_along_and_across_those_that_are_open_are_flown(columns: set[int], rows: set[int]) -> None:
+def test_open_lanes_along_and_across_are_flown(columns: set[int], rows: set[int]) -> None:
     comb = Comb(
         "a",
         Rectangle(0.0, 0.0, 50.0, 50.0),
@@ -178,7 +178,7 @@ def test_of_lanes_along_and_across_those_that_are_open_are_flown(columns: set[in
         across=5.0,
         is_open=lambda start, end: int(start[0] // 10) in columns if start[0] == end[0] else int(start[1] // 10) in rows,
     )
-    way = flown(comb, 60)
+    way = waypoints_of(comb, 60)
     if columns or rows:
         lines = {
             ("x", int(a[0] // 10)) if a[0] == b[0] else ("y", int(a[1] // 10))
@@ -190,7 +190,7 @@ def test_of_lanes_along_and_across_those_that_are_open_are_flown(columns: set[in
         assert len({*way}) == 20
 
 
-# --- along lanes: near them, at full speed but before turns, and past what nobody gets to ---
+# --- motion along lanes: distance, speed, turns, and way-points that cannot be reached ---
 
 
 STRIP = Rectangle(0.0, 0.0, 40.0, 100.0)  # lanes at x = 5, 15, 25, 35, from y = 4 to 96
@@ -203,10 +203,10 @@ def way(reached: float = 2.0, stuck_s: float = 6.0, speed: float = 4.0) -> LaneF
     return LaneFollower(Comb("a", STRIP, 8.0, reached=reached), speed=speed, acceleration=2.0, stuck_s=stuck_s)
 
 
-def followed(
+def track_of(
     along: LaneFollower, seconds: float, *, lag_s: float = 0.0, most: float = math.inf, start: Point = (5.0, 0.0)
 ) -> np.ndarray:
-    """(x, y, speed) at each tick, of a vehicle whose velocity follows with a lag, by no more than so many m/s2."""
+    """(x, y, speed) at each tick, of a vehicle with a velocity lag and at most ``most`` m/s2."""
     (x, y), (vx, vy), track = start, (0.0, 0.0), []
     for tick in range(round(seconds / T)):
         wx, wy = along.velocity(tick * TICK_NS, (x, y), ["a"])
@@ -221,7 +221,7 @@ def followed(
 
 
 @given(x=st.floats(0.0, 40.0), y=st.floats(0.0, 100.0))
-def test_it_can_stop_at_the_way_point_and_is_no_slower_than_it_must(x: float, y: float) -> None:
+def test_the_speed_is_the_greatest_that_allows_a_stop_at_the_way_point(x: float, y: float) -> None:
     along = way(reached=0.5)
     velocity = along.velocity(0, (x, y), ["a"])
     assert along.goal is not None
@@ -232,7 +232,7 @@ def test_it_can_stop_at_the_way_point_and_is_no_slower_than_it_must(x: float, y:
 
 @pytest.mark.parametrize(("lag_s", "most", "beyond_m"), [(0.0, math.inf, 0.01), (0.4, 4.0, 1.0)])
 def test_all_lanes_are_flown_at_full_speed_and_hardly_overshot(lag_s: float, most: float, beyond_m: float) -> None:
-    track = followed(way(), 110.0, lag_s=lag_s, most=most)
+    track = track_of(way(), 110.0, lag_s=lag_s, most=most)
     x, y, speed = track[20:].T
     middle = (y > 25.0) & (y < 75.0)
     off = np.abs(x[middle, None] - LANES)
@@ -244,18 +244,18 @@ def test_all_lanes_are_flown_at_full_speed_and_hardly_overshot(lag_s: float, mos
     assert speed.mean() > 3.8
 
 
-def test_one_who_was_pushed_aside_gets_back_to_the_lane() -> None:
+def test_a_displaced_vehicle_returns_to_the_lane() -> None:
     along = way()
-    followed(along, 5.0)
-    x, y, _ = followed(along, 12.0, start=(12.0, 20.0)).T
+    track_of(along, 5.0)
+    x, y, _ = track_of(along, 12.0, start=(12.0, 20.0)).T
     assert np.abs(x[(y > 45.0) & (y < 90.0)] - 5.0).max() < 0.1
 
 
-def test_a_way_point_is_given_up_after_so_long_without_progress() -> None:
+def test_a_way_point_is_skipped_after_stuck_s_without_progress() -> None:
     along = way(stuck_s=6.0)
     goals = []
     for tick in range(200):
-        along.velocity(tick * TICK_NS, (5.0, min(90.0, 0.4 * tick)), ["a"])  # 90 m: something is in the way from tick 225 on
+        along.velocity(tick * TICK_NS, (5.0, min(90.0, 0.4 * tick)), ["a"])  # blocked at 90 m from tick 225 on
         goals.append(along.goal)
     assert set(goals[20:]) == {(5.0, 96.0)}
     for tick in range(200, 300):
@@ -266,13 +266,13 @@ def test_a_way_point_is_given_up_after_so_long_without_progress() -> None:
 
 
 @given(speed=st.floats(0.05, 0.19) | st.floats(0.21, 8.0))
-def test_who_makes_way_is_not_stuck_however_slow_it_is(speed: float) -> None:
+def test_slow_progress_does_not_count_as_stuck(speed: float) -> None:
     along = way(speed=speed)
-    followed(along, 10.0)
-    assert along.goal == ((5.0, 4.0) if speed < 0.2 else (5.0, 96.0))  # 2 m before the first it makes for the next
+    track_of(along, 10.0)
+    assert along.goal == ((5.0, 4.0) if speed < 0.2 else (5.0, 96.0))  # 2 m before the first way-point it changes to the next
 
 
-def test_who_does_something_else_is_not_stuck() -> None:
+def test_a_pause_does_not_count_as_stuck() -> None:
     along = way(stuck_s=6.0)
     for tick in range(0, 1000, 50):
         along.velocity(tick * TICK_NS, (5.0, 50.0), ["a"])
@@ -281,8 +281,8 @@ def test_who_does_something_else_is_not_stuck() -> None:
     assert along.goal == (5.0, 4.0)
 
 
-def test_an_area_that_is_all_seen_at_once_is_hovered_over() -> None:
-    track = followed(
+def test_it_hovers_over_an_area_within_its_view() -> None:
+    track = track_of(
         LaneFollower(Comb("a", Rectangle(0.0, 0.0, 6.0, 6.0), 8.0), speed=4.0, acceleration=2.0, stuck_s=6.0), 30.0
     )
     assert np.abs(track[50:, :2] - 3.0).max() < 1.5

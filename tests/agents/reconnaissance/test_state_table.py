@@ -1,4 +1,4 @@
-"""The table of a mission: every row of it, and what holds for any sequence of facts."""
+"""The state table of a mission: every row, and laws for any sequence of facts."""
 
 import math
 from itertools import pairwise
@@ -17,7 +17,7 @@ NEAR, NEARER = 1.0, 0.5  # nearer than d1 = 1.2 m, nearer than d2 = 0.9 m
 
 
 def run(state: MissionState, from_s: float, to_s: float, **facts: Any) -> MissionState:
-    """Ten ticks a second from one instant to another, the latter included, at which the same is known."""
+    """Ten ticks a second with constant facts, up to and including ``to_s``."""
     for tick in range(round(10 * from_s), round(10 * to_s) + 1):
         state = step(state, MissionFacts(100 * MS * tick, **facts))
     return state
@@ -32,7 +32,7 @@ def searching(to_s: float = 9.9) -> MissionState:
 
 
 def tracking(from_s: float = 5.0, to_s: float = 9.9) -> MissionState:
-    """Has the target in sight."""
+    """State while the target is in sight."""
     state = at(MissionState(), from_s, recognised=True)
     for tick in range(round(10 * from_s) + 1, round(10 * to_s) + 1):
         state = step(state, MissionFacts(100 * MS * tick, seen_ns=100 * MS * tick))
@@ -41,7 +41,7 @@ def tracking(from_s: float = 5.0, to_s: float = 9.9) -> MissionState:
 
 
 def avoiding(level: int, before: MissionState, from_s: float = 10.0) -> MissionState:
-    """Has just begun to."""
+    """State in which avoidance has just begun."""
     state = at(before, from_s, nearest_m=NEAR if level == 1 else NEARER, closing=True, seen_ns=round(from_s * SECOND))
     assert state.name == f"avoid{level}"
     return state
@@ -75,7 +75,7 @@ def test_it_begins_with_the_search() -> None:
         ({"shared": True, "recognised": True}, "track", "a target is recognised"),
     ],
 )
-def test_out_of_the_search(facts: dict[str, Any], name: str, why: str | None) -> None:
+def test_transitions_from_the_search(facts: dict[str, Any], name: str, why: str | None) -> None:
     state = at(searching(), 10.0, **facts)
     assert state.name == name
     if why is not None:
@@ -94,12 +94,12 @@ def test_a_shared_sector_is_searched_in_formation_until_it_is_not_shared() -> No
 # --- track ---
 
 
-def test_a_target_in_sight_is_tracked_as_long_as_it_is() -> None:
+def test_a_target_is_tracked_while_in_sight() -> None:
     assert tracking(5.0, 60.0).name == "track"
 
 
 def test_out_of_sight_it_is_lost_after_3_s_and_given_up_after_10_s_more() -> None:
-    state = tracking()  # seen at 9.9 s
+    state = tracking()  # last seen at 9.9 s
     assert not run(state, 10.0, 12.8, seen_ns=9900 * MS).lost
     state = run(state, 10.0, 12.9, seen_ns=9900 * MS)
     assert (state.lost, state.name) == (True, "track")
@@ -108,14 +108,14 @@ def test_out_of_sight_it_is_lost_after_3_s_and_given_up_after_10_s_more() -> Non
     assert (state.name, state.why) == ("search", "the target is lost")
 
 
-def test_a_target_that_only_the_map_knows_is_lost_3_s_after_it_was_found() -> None:
+def test_a_target_known_from_the_map_only_is_lost_after_3_s() -> None:
     state = at(searching(), 10.0, probability=0.999)
     assert not run(state, 10.1, 12.9).lost
     assert run(state, 10.1, 13.0).lost
     assert run(state, 10.1, 23.0).name == "search"
 
 
-def test_when_another_target_was_seen_last_does_not_matter() -> None:
+def test_earlier_detections_do_not_count() -> None:
     state = at(searching(), 10.0, recognised=True, seen_ns=SECOND)
     assert not run(state, 10.1, 12.9, seen_ns=SECOND).lost
 
@@ -145,7 +145,7 @@ def test_avoidance_goes_before_tracking(nearest: float, closing: bool, name: str
 
 
 @pytest.mark.parametrize("before", [searching(), tracking()])
-def test_level_1_ends_when_nothing_has_been_within_d1_and_20_cm_for_half_a_second(before: MissionState) -> None:
+def test_level_1_ends_after_half_a_second_beyond_d1_plus_20_cm(before: MissionState) -> None:
     state = avoiding(1, before)
     assert run(state, 10.1, 20.0, nearest_m=1.4, seen_ns=20 * SECOND).name == "avoid1"
     assert run(state, 10.1, 10.5, nearest_m=1.41, seen_ns=10 * SECOND).name == "avoid1"
@@ -158,7 +158,7 @@ def test_level_1_ends_when_nothing_has_been_within_d1_and_20_cm_for_half_a_secon
 
 
 @pytest.mark.parametrize("before", [searching(), tracking()])
-def test_level_2_ends_in_level_1_when_nothing_has_been_within_d2_and_15_cm_for_half_a_second(before: MissionState) -> None:
+def test_level_2_ends_in_level_1_after_half_a_second_beyond_d2_plus_15_cm(before: MissionState) -> None:
     state = avoiding(2, before)
     assert run(state, 10.1, 20.0, nearest_m=1.05, seen_ns=20 * SECOND).name == "avoid2"
     assert run(state, 10.1, 10.5, nearest_m=1.06, seen_ns=10 * SECOND).name == "avoid2"
@@ -168,7 +168,7 @@ def test_level_2_ends_in_level_1_when_nothing_has_been_within_d2_and_15_cm_for_h
     assert run(state, 10.7, 11.2, nearest_m=9.0, seen_ns=10 * SECOND).name == before.name
 
 
-def test_a_target_that_is_confirmed_on_the_way_around_is_tracked_after_it() -> None:
+def test_a_target_confirmed_during_avoidance_is_tracked_afterwards() -> None:
     state = at(avoiding(1, searching()), 10.1, nearest_m=NEAR, closing=True, recognised=True)
     assert (state.name, state.task) == ("avoid1", "track")
     state = run(state, 10.2, 10.7, seen_ns=10200 * MS)
@@ -176,8 +176,8 @@ def test_a_target_that_is_confirmed_on_the_way_around_is_tracked_after_it() -> N
 
 
 @pytest.mark.parametrize("nearest", [NEAR, NEARER])
-def test_a_spiral_goes_on_around_things_and_ends_in_time_even_where_avoidance_never_does(nearest: float) -> None:
-    """As in a narrow street, or before a building on which the target is said to be."""
+def test_a_spiral_counts_time_in_avoidance_and_ends_during_it(nearest: float) -> None:
+    """As in a narrow street, or in front of a building with the reported target on it."""
     near = {"seen_ns": 9900 * MS, "nearest_m": nearest, "closing": True}
     state = run(tracking(), 10.0, 22.8, **near)
     assert (state.avoids, state.task, state.spiral_ns) == (True, "track", 9900 * MS)
@@ -185,8 +185,8 @@ def test_a_spiral_goes_on_around_things_and_ends_in_time_even_where_avoidance_ne
     assert (state.avoids, state.task, state.task_why) == (True, "search", "the target is lost")
 
 
-def test_a_spiral_that_is_interrupted_goes_on_afterwards() -> None:
-    """4 s of it, 3 s around something, and the other 3 s."""
+def test_an_interrupted_spiral_continues() -> None:
+    """4 s of the spiral, 3 s of avoidance, then the remaining 3 s."""
     seen = {"seen_ns": 9900 * MS}
     state = run(tracking(), 10.0, 16.9, **seen)
     state = run(state, 17.0, 19.4, nearest_m=NEAR, closing=True, **seen)
@@ -202,7 +202,7 @@ def test_a_spiral_that_is_interrupted_goes_on_afterwards() -> None:
 lengths = st.one_of(st.sampled_from([0.0, 0.5, 1.0, 1.1, 1.3, 1.5, math.inf, math.nan, -math.inf]), st.floats(0.0, 3.0))
 known = st.builds(
     MissionFacts,
-    now_ns=st.one_of(st.integers(0, 3 * SECOND), st.integers(0, 150 * MS)),  # since the last ones
+    now_ns=st.one_of(st.integers(0, 3 * SECOND), st.integers(0, 150 * MS)),  # since the previous facts
     nearest_m=lengths,
     closing=st.booleans(),
     second_m=st.sampled_from([0.9, 0.9, 2.0]),
@@ -215,7 +215,7 @@ known = st.builds(
 
 
 def history(sequence: list[MissionFacts]) -> list[tuple[MissionState, MissionFacts]]:
-    """Each state with the facts that led to it; times one after another."""
+    """States and the facts that led to them, with increasing times."""
     state, now_ns, seen = MissionState(), 0, list[tuple[MissionState, MissionFacts]]()
     for each in sequence:
         now_ns += each.now_ns
@@ -226,7 +226,7 @@ def history(sequence: list[MissionFacts]) -> list[tuple[MissionState, MissionFac
 
 
 @given(st.lists(known, max_size=60))
-def test_there_is_at_most_one_switch_in_half_a_second_whatever_is_known(sequence: list[MissionFacts]) -> None:
+def test_there_is_at_most_one_switch_in_half_a_second(sequence: list[MissionFacts]) -> None:
     states = [MissionState(), *(state for state, _ in history(sequence))]
     switched = [after.now_ns for before, after in pairwise(states) if before.name != after.name]
     assert all(later - earlier >= DWELL_NS for earlier, later in pairwise(switched))  # type: ignore[operator]
@@ -235,7 +235,7 @@ def test_there_is_at_most_one_switch_in_half_a_second_whatever_is_known(sequence
 
 @given(st.lists(known, min_size=1, max_size=60))
 def test_level_2_begins_as_soon_as_a_switch_is_allowed(sequence: list[MissionFacts]) -> None:
-    """So never more than half a second late; and nothing else begins before it."""
+    """At most half a second late; no other algorithm begins before it."""
     before = MissionState()
     for state, facts in history(sequence):
         near = not facts.nearest_m >= facts.second_m
@@ -243,13 +243,13 @@ def test_level_2_begins_as_soon_as_a_switch_is_allowed(sequence: list[MissionFac
         if near:
             assert state.name == ("avoid2" if allowed else before.name)
         elif state.name == "avoid2":
-            assert before.name == "avoid2"  # it does not begin for nothing
+            assert before.name == "avoid2"  # no begin without an obstacle
         before = state
 
 
 @given(st.lists(known, max_size=60))
-def test_what_is_suspended_returns(sequence: list[MissionFacts]) -> None:
-    """Once nothing is near any more for long enough, the task commands, and all that time the task was one of the tasks."""
+def test_a_suspended_task_returns(sequence: list[MissionFacts]) -> None:
+    """Some time after the last near obstacle the task commands; the task is always one of the three tasks."""
     seen = history(sequence)
     assert all(state.task in ("search", "formation", "track") for state, _ in seen)
     state = seen[-1][0] if seen else MissionState()
@@ -262,14 +262,14 @@ def test_what_is_suspended_returns(sequence: list[MissionFacts]) -> None:
 
 
 @given(st.lists(known, min_size=1, max_size=40), st.integers(0, 10 * SECOND))
-def test_a_clock_that_was_put_back_counts_as_no_time(sequence: list[MissionFacts], back_ns: int) -> None:
+def test_a_clock_set_back_counts_as_no_time(sequence: list[MissionFacts], back_ns: int) -> None:
     state, facts = history(sequence)[-1]
     assert step(state, facts._replace(now_ns=facts.now_ns - back_ns)) == step(state, facts)
 
 
 @given(st.lists(known, min_size=1, max_size=60))
-def test_nothing_is_tracked_for_long_that_is_not_seen_whatever_is_near(sequence: list[MissionFacts]) -> None:
-    """The spiral counts all of the time from one tick to the next, from the one on at which the target is lost."""
+def test_tracking_out_of_sight_is_limited(sequence: list[MissionFacts]) -> None:
+    """The spiral counts the whole time between ticks, from the tick on at which the target is lost."""
     before, seen_ns, late_ns = MissionState(), 0, 0
     for state, facts in history(sequence):
         passed_ns = state.now_ns - (before.now_ns or state.now_ns)  # type: ignore[operator]

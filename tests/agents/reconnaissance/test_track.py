@@ -1,4 +1,4 @@
-"""An agent that recognises and tracks: the laws of the loop with the agent in it, whose target it is, and what it tells."""
+"""An agent that recognises and tracks: laws of the closed loop, ownership of targets, and messages."""
 
 import math
 from itertools import pairwise
@@ -8,8 +8,8 @@ import pytest
 
 import vcmvsp
 from tests.support.agents.aerial_loop import BODY
-from tests.support.agents.agent_loop import T, Uav, info, received, said
-from tests.support.agents.fake_cameras import T_NS, Eye, at_rest, keep_over, started
+from tests.support.agents.agent_loop import T, Uav, info, reception_of, reception_of_body
+from tests.support.agents.fake_cameras import T_NS, FakeWatch, at_rest, positions_over, started_agent
 from vcmvsp.agents.reconnaissance.roster import Roster
 from vcmvsp.agents.reconnaissance.track import CLIMB, TrackTarget
 from vcmvsp.cosim.agent import Radio
@@ -17,8 +17,8 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Reception, Waypoint
 
 
-def told(sender: str, tick: int, **body: Any) -> Reception:
-    return said(sender, {"do": "track", "ms": tick * 100, **body})
+def claim_from(sender: str, tick: int, **body: Any) -> Reception:
+    return reception_of_body(sender, {"do": "track", "ms": tick * 100, **body})
 
 
 # --- the loop -----------------------------------------------------------------------------------------------------------------
@@ -26,9 +26,9 @@ def told(sender: str, tick: int, **body: Any) -> Reception:
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7, 2.0, -3.0])
 def test_the_offset_shrinks_by_0_92_a_tick_at_any_yaw_once_the_target_is_confirmed(yaw: float) -> None:
-    track = started(TrackTarget(), Eye(at_rest(alpha=(3.0, -2.0))))
-    was = keep_over(track, Uav((0.0, 0.0, 30.0), yaw), 40)
-    assert [each.position for each in was[:3]] == [(0.0, 0.0, 30.0)] * 3  # it hovers until the third picture
+    track = started_agent(TrackTarget(), FakeWatch(at_rest(alpha=(3.0, -2.0))))
+    was = positions_over(track, Uav((0.0, 0.0, 30.0), yaw), 40)
+    assert [each.position for each in was[:3]] == [(0.0, 0.0, 30.0)] * 3  # hovers until the third picture
     for before, after in pairwise(was[2:]):
         shares = [(t - b) / (t - a) for t, a, b in zip((3.0, -2.0), before.position[:2], after.position[:2], strict=True)]
         assert shares == pytest.approx([0.92, 0.92], abs=1e-6)
@@ -37,41 +37,46 @@ def test_the_offset_shrinks_by_0_92_a_tick_at_any_yaw_once_the_target_is_confirm
 
 
 @pytest.mark.parametrize(("smoothing", "lag", "within"), [(0.0, 0.625, 1e-6), (0.2, 0.0, 1e-3)])
-def test_behind_a_target_at_half_a_metre_a_second_it_lags_by_v_over_k_unless_it_knows_the_speed(
+def test_behind_a_target_at_half_a_metre_a_second_it_lags_by_v_over_k_without_speed_estimate(
     smoothing: float, lag: float, within: float
 ) -> None:
-    track = started(TrackTarget(smoothing=smoothing), Eye(lambda time_s: {"alpha": (0.5 * time_s, 1.0)}))
-    was = keep_over(track, Uav((0.0, 0.0, 30.0), 1.0), 300)
+    track = started_agent(TrackTarget(smoothing=smoothing), FakeWatch(lambda time_s: {"alpha": (0.5 * time_s, 1.0)}))
+    was = positions_over(track, Uav((0.0, 0.0, 30.0), 1.0), 300)
     for tick in range(200, 300):
         assert 0.5 * tick * T - was[tick].position[0] == pytest.approx(lag, abs=within)
         assert was[tick].position[1] == pytest.approx(1.0, abs=1e-6)
 
 
-def test_with_pictures_now_and_then_it_gets_there_as_well() -> None:
-    was = keep_over(started(TrackTarget(), Eye(at_rest(alpha=(3.0, -2.0)), every=5)), Uav((0.0, 0.0, 30.0)), 120)
+def test_it_converges_with_every_fifth_picture() -> None:
+    was = positions_over(
+        started_agent(TrackTarget(), FakeWatch(at_rest(alpha=(3.0, -2.0)), every=5)), Uav((0.0, 0.0, 30.0)), 120
+    )
     assert was[-1].position == pytest.approx((3.0, -2.0, 30.0), abs=1e-3)
 
 
-def test_it_climbs_to_its_height_no_faster_than_allowed() -> None:
-    was = keep_over(started(TrackTarget(height=20.0), Eye(at_rest(alpha=(0.0, 0.0)))), Uav((0.0, 0.0, 30.0)), 300)
+def test_its_climb_to_its_height_is_limited() -> None:
+    was = positions_over(
+        started_agent(TrackTarget(height=20.0), FakeWatch(at_rest(alpha=(0.0, 0.0)))), Uav((0.0, 0.0, 30.0)), 300
+    )
     heights = [each.position[2] for each in was]
     assert max(abs(b - a) for a, b in pairwise(heights)) <= CLIMB * T + 1e-9
     assert heights[-1] == pytest.approx(20.0, abs=1e-3)
 
 
-def test_a_gain_that_cannot_settle_is_refused_at_the_start_by_its_key() -> None:
+def test_an_unstable_gain_is_refused_with_its_key() -> None:
     for params, latency in (({"gain": 21.0}, 0.0), ({}, 2.0)):
         track = TrackTarget(**params)  # type: ignore[arg-type]
-        track.watch = Eye(at_rest())  # type: ignore[assignment]
+        track.watch = FakeWatch(at_rest())  # type: ignore[assignment]
         with pytest.raises(ValueError, match=r"gain = .*must lie between 0 and"):
             track.start(info("me", ("me",), latency_s=latency, body=BODY))
 
 
-# --- whose target -------------------------------------------------------------------------------------------------------------
+# --- ownership of targets
+# -----------------------------------------------------------------------------------------------------
 
 
-def test_what_is_confirmed_is_told_and_noted_once() -> None:
-    track = started(TrackTarget(), Eye(at_rest(alpha=(3.0, -2.0))), alone=False)
+def test_a_confirmed_target_is_a_fact_and_noted_once() -> None:
+    track = started_agent(TrackTarget(), FakeWatch(at_rest(alpha=(3.0, -2.0))), alone=False)
     uav, notes = Uav((0.0, 0.0, 30.0)), []
     facts = []
     for tick in range(10):
@@ -84,8 +89,8 @@ def test_what_is_confirmed_is_told_and_noted_once() -> None:
     assert [each for i, each in enumerate(notes) if i != 2] == [{}] * 9
 
 
-def test_of_two_the_nearest_is_found_first_and_the_other_at_the_next_picture() -> None:
-    track = started(TrackTarget(), Eye(at_rest(alpha=(5.0, 0.0), bravo=(0.0, 4.0))), alone=False)
+def test_of_two_targets_the_nearest_is_found_first() -> None:
+    track = started_agent(TrackTarget(), FakeWatch(at_rest(alpha=(5.0, 0.0), bravo=(0.0, 4.0))), alone=False)
     uav, found = Uav((0.0, 0.0, 30.0)), []
     for tick in range(5):
         track.facts(uav.see(tick * T_NS))
@@ -97,38 +102,38 @@ def test_of_two_the_nearest_is_found_first_and_the_other_at_the_next_picture() -
     ("name", "place", "theirs"),
     [
         ("alpha", (15.0, 0.0), True),
-        ("alpha", (90.0, 0.0), False),  # another one that looks alike
-        ("", (3.0, 0.0), False),  # who does not see what is there
+        ("alpha", (90.0, 0.0), False),  # another target with equal looks
+        ("", (3.0, 0.0), False),  # claim from the map, without a detection
         ("bravo", (3.0, 0.0), False),
     ],
 )
-def test_a_target_that_another_tracks_is_not_recognised(name: str, place: tuple[float, float], theirs: bool) -> None:
-    track = started(TrackTarget(), Eye(at_rest(alpha=(3.0, -2.0))), alone=False)
+def test_a_target_tracked_by_another_is_not_recognised(name: str, place: tuple[float, float], theirs: bool) -> None:
+    track = started_agent(TrackTarget(), FakeWatch(at_rest(alpha=(3.0, -2.0))), alone=False)
     assert track.roster is not None
     uav, facts = Uav((0.0, 0.0, 30.0)), []
     notes: list[str] = []
     for tick in range(1, 8):
-        obs = uav.see(tick * T_NS, [told("other", tick, tg=name, at=list(place), since=0)])
+        obs = uav.see(tick * T_NS, [claim_from("other", tick, tg=name, at=list(place), since=0)])
         track.roster.hear(obs)
         facts.append(track.facts(obs))
         notes += track.drain_notes()
     assert any("recognised" in each for each in facts) == ("found" in notes) == (not theirs)
 
 
-def test_who_began_later_gives_way_and_leaves_the_place_alone_for_a_while() -> None:
-    track = started(TrackTarget(), Eye(at_rest(alpha=(3.0, -2.0))), alone=False)
+def test_the_later_claim_yields_and_the_place_is_given_up_for_a_minute() -> None:
+    track = started_agent(TrackTarget(), FakeWatch(at_rest(alpha=(3.0, -2.0))), alone=False)
     assert track.roster is not None
     uav, targets = Uav((0.0, 0.0, 30.0)), []
     for tick in range(1, 21):
         since = {"since": 0} if tick >= 15 else {"since": tick * 100}
-        heard = [told("other", tick, tg="alpha", at=[3.0, -2.0], **since)] if tick >= 8 else []
+        heard = [claim_from("other", tick, tg="alpha", at=[3.0, -2.0], **since)] if tick >= 8 else []
         obs = uav.see(tick * T_NS, heard)
         track.roster.hear(obs)
         facts = track.facts(obs)
         if track.claim is None and "place" in facts:
             track.begin(obs, facts["place"])
         elif facts.get("taken"):
-            assert tick == 15  # before that the other one had begun after this one
+            assert tick == 15  # until then the other claim was the later one
             track.end(obs)
         if "target" in (noted := track.drain_notes()):
             targets.append((tick, noted["target"]))
@@ -137,23 +142,23 @@ def test_who_began_later_gives_way_and_leaves_the_place_alone_for_a_while() -> N
     assert track.roster.given_up(15 * T_NS + 60_000_000_000) == []
 
 
-def test_alone_it_searches_where_it_lost_the_target_and_then_gives_the_place_up() -> None:
-    track = started(TrackTarget(), Eye(lambda time_s: {"alpha": (1.0, 0.0)} if time_s < 2.0 else {}))
-    was = keep_over(track, Uav((0.0, 0.0, 30.0)), 200)
+def test_alone_it_searches_for_a_lost_target_and_then_gives_the_place_up() -> None:
+    track = started_agent(TrackTarget(), FakeWatch(lambda time_s: {"alpha": (1.0, 0.0)} if time_s < 2.0 else {}))
+    was = positions_over(track, Uav((0.0, 0.0, 30.0)), 200)
     lost = 1.9 + 3.0 + 10.0
     away = [math.dist(each.position[:2], (1.0, 0.0)) for each in was]
     assert max(away[20:48]) < 0.5
     assert max(away[50 : round(lost / T)]) > 3.0  # the spiral
-    assert was[round(lost / T) + 2].position == was[-1].position  # then it hovers
+    assert was[round(lost / T) + 2].position == was[-1].position  # then hovering
     assert track.roster is not None
     assert track.roster.given_up(0) == [pytest.approx((1.0, 0.0))]
     assert track.claim is None
 
 
 @pytest.mark.parametrize("params", [{"lost_s": 60.0}, {"spiral_s": 1.0}, {"lost_s": 0.5, "spiral_s": 60.0}])
-def test_in_a_mission_it_is_lost_and_searched_for_as_long_as_the_mission_says(params: dict[str, float]) -> None:
-    """Else the place would not be given up when the mission ends the search, and begun with again at once, for ever."""
-    track = started(TrackTarget(**params), Eye(at_rest(alpha=(1.0, 0.0))), alone=False)  # type: ignore[arg-type]
+def test_in_a_mission_the_mission_times_loss_and_search(params: dict[str, float]) -> None:
+    """Otherwise the place would not be given up at the end of the search, and would be searched again at once, for ever."""
+    track = started_agent(TrackTarget(**params), FakeWatch(at_rest(alpha=(1.0, 0.0))), alone=False)  # type: ignore[arg-type]
     uav, radio = Uav((0.0, 0.0, 30.0)), Radio("me", ("me", "other"))
     track.facts(uav.see(0))
     track.begin(uav.see(0), (1.0, 0.0))
@@ -172,34 +177,35 @@ def test_in_a_mission_it_is_lost_and_searched_for_as_long_as_the_mission_says(pa
     assert track.roster.given_up(0) == [pytest.approx((1.0, 0.0))]
 
 
-def test_it_may_be_started_again_and_knows_nothing_of_what_was_before() -> None:
+def test_a_second_start_repeats_the_first_run() -> None:
     track, ways = TrackTarget(), []
     for _ in range(2):
-        track.watch = Eye(lambda time_s: {"alpha": (3.0, -2.0)} if time_s < 2.0 else {})  # type: ignore[assignment]
+        track.watch = FakeWatch(lambda time_s: {"alpha": (3.0, -2.0)} if time_s < 2.0 else {})  # type: ignore[assignment]
         track.start(info("me", ("me", "other"), body=BODY))
-        ways.append(keep_over(track, Uav((0.0, 0.0, 30.0)), 200))
+        ways.append(positions_over(track, Uav((0.0, 0.0, 30.0)), 200))
         assert track.roster is not None
         assert len(track.roster.given_up(0)) == 1
     assert ways[0] == ways[1]
 
 
-def test_it_tells_others_what_it_tracks() -> None:
-    track, radio = started(TrackTarget(), Eye(at_rest(alpha=(3.0, -2.0)))), Radio("me", ("me", "other"))
+def test_it_sends_its_claim() -> None:
+    track, radio = started_agent(TrackTarget(), FakeWatch(at_rest(alpha=(3.0, -2.0)))), Radio("me", ("me", "other"))
     uav = Uav((0.0, 0.0, 30.0))
     other = Roster("other", ("me", "other"))
     for tick in range(5):
         track.act(uav.see(tick * T_NS), radio)
-        other.hear(uav.see(tick * T_NS, [received(each) for each in radio.drain()]))
+        other.hear(uav.see(tick * T_NS, [reception_of(each) for each in radio.drain()]))
     claim = other.claims(5 * T_NS)["me"]
     assert claim.target == "alpha"
     assert claim.place == pytest.approx((3.0, -2.0))
 
 
-# --- a target that only the map knows -----------------------------------------------------------------------------------------
+# --- a target known from the map only
+# -----------------------------------------------------------------------------------------
 
 
-def test_nobody_loses_a_target_on_the_way_to_where_it_is_said_to_be() -> None:
-    track = started(TrackTarget(), Eye(at_rest()), alone=False)
+def test_a_target_is_not_lost_on_the_way_to_its_reported_place() -> None:
+    track = started_agent(TrackTarget(), FakeWatch(at_rest()), alone=False)
     uav, radio = Uav((0.0, 0.0, 30.0)), Radio("me", ("me", "other"))
     track.facts(uav.see(0))
     track.begin(uav.see(0), (60.0, 0.0))
@@ -219,7 +225,7 @@ def test_nobody_loses_a_target_on_the_way_to_where_it_is_said_to_be() -> None:
 
 
 def test_the_way_to_a_reported_place_has_a_time_limit() -> None:
-    track = started(TrackTarget(max_speed=4.0), Eye(at_rest()), alone=False)
+    track = started_agent(TrackTarget(max_speed=4.0), FakeWatch(at_rest()), alone=False)
     uav = Uav((0.0, 0.0, 30.0))
     track.facts(uav.see(0))
     track.begin(uav.see(0), (60.0, 0.0))
@@ -227,8 +233,8 @@ def test_the_way_to_a_reported_place_has_a_time_limit() -> None:
     assert max(seen) == pytest.approx(2.0 * 60.0 / 4.0 * 1e9, abs=1.01 * T_NS)
 
 
-def test_it_learns_which_one_it_is_when_it_sees_it() -> None:
-    track = started(TrackTarget(), Eye(at_rest(bravo=(0.5, 30.0))), alone=False)
+def test_the_claim_gets_its_name_with_the_first_detection() -> None:
+    track = started_agent(TrackTarget(), FakeWatch(at_rest(bravo=(0.5, 30.0))), alone=False)
     uav, radio, targets = Uav((0.0, 0.0, 30.0)), Radio("me", ("me", "other")), []
     track.facts(uav.see(0))
     track.begin(uav.see(0), (0.0, 30.0))
@@ -248,7 +254,7 @@ def test_it_learns_which_one_it_is_when_it_sees_it() -> None:
 
 
 def test_alone_it_hovers_where_it_began() -> None:
-    track, uav = started(TrackTarget(height=25.0), Eye(at_rest())), Uav((1.0, 2.0, 30.0))
+    track, uav = started_agent(TrackTarget(height=25.0), FakeWatch(at_rest())), Uav((1.0, 2.0, 30.0))
     assert track.act(uav.see(0), Radio("me", ("me", "other"))) == Waypoint(position=(1.0, 2.0, 25.0))
 
 
@@ -267,7 +273,7 @@ def test_alone_it_hovers_where_it_began() -> None:
         ({}, "", "watching is missing"),
     ],
 )
-def test_what_is_wrong_is_said_with_its_key(params: dict[str, Any], key: str, words: str) -> None:
+def test_errors_name_the_key(params: dict[str, Any], key: str, words: str) -> None:
     scenario = {
         "name": "x",
         "duration_s": 1.0,

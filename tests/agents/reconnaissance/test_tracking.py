@@ -1,4 +1,4 @@
-"""What keeping over a target must do: the loop, which detection counts, and the search for one that is lost."""
+"""Hovering over a target: the loop, association of detections, and the search for a lost target."""
 
 import math
 from collections.abc import Callable
@@ -28,7 +28,7 @@ def follow(
     start: Point = (0.0, 0.0),
     shown: Callable[[int], bool] = lambda tick: True,
 ) -> list[Point]:
-    """Offsets of the target, tick by tick, of a vehicle that moves as it is told and sees through its camera."""
+    """Offsets of the target, tick by tick, of a vehicle without lag that sees through its camera."""
     tracker.begin(-T_NS, target(-1))
     (x, y), offsets = start, []
     for tick in range(ticks):
@@ -48,8 +48,8 @@ def moving(speed: float, heading: float) -> Callable[[int], Point]:
 
 
 @given(st.floats(0.0, 2.0), angles, st.sets(st.integers(60, 150)))
-def test_of_a_target_on_its_way_frames_without_it_cost_nothing(speed: float, heading: float, missed: set[int]) -> None:
-    """Once its speed is known the prediction is exact; up to 2.9 s at a stretch."""
+def test_missed_frames_of_a_steady_target_cause_no_error(speed: float, heading: float, missed: set[int]) -> None:
+    """With a known speed the prediction is exact; gaps of up to 2.9 s."""
     hidden = {tick for tick in missed if not all(other in missed for other in range(tick - 28, tick))}
     target = moving(speed, heading)
     seen, now_and_then = (
@@ -58,7 +58,7 @@ def test_of_a_target_on_its_way_frames_without_it_cost_nothing(speed: float, hea
     assert now_and_then[-1] == pytest.approx(seen[-1], abs=1e-3)
 
 
-def test_the_estimated_speed_follows_by_a_fifth_a_tick_and_by_as_much_where_ticks_are_missed() -> None:
+def test_the_estimated_speed_converges_by_a_fifth_a_tick_with_missed_ticks_too() -> None:
     tracker, other = Tracker(T), Tracker(T)
     for each in (tracker, other):
         each.begin(0, (0.0, 0.0))
@@ -85,7 +85,7 @@ def test_the_bound_is_where_a_root_of_the_loop_leaves_the_unit_circle(n: int) ->
 @pytest.mark.parametrize(
     ("latency", "gain", "fits"), [(1.5, 1.01, True), (1.5, 1.02, False), (2.0, 0.76, True), (2.0, 0.8, False)]
 )
-def test_a_gain_that_cannot_settle_with_the_latency_is_refused(latency: float, gain: float, fits: bool) -> None:
+def test_a_gain_unstable_with_the_latency_is_refused(latency: float, gain: float, fits: bool) -> None:
     if fits:
         Tracker(T, latency_s=latency, gain=gain)
     else:
@@ -93,16 +93,16 @@ def test_a_gain_that_cannot_settle_with_the_latency_is_refused(latency: float, g
             Tracker(T, latency_s=latency, gain=gain)
 
 
-def test_no_command_is_faster_than_allowed() -> None:
+def test_commands_are_limited() -> None:
     tracker = Tracker(T, max_speed=2.0)
     tracker.begin(0, (30.0, 40.0))
     assert tracker.command(0, (0.0, 0.0, 10.0)) == pytest.approx((1.2, 1.6))
 
 
-# --- which detection is it ---
+# --- association ---
 
 
-def test_the_nearest_detection_is_the_target_unless_it_is_too_far_or_no_place() -> None:
+def test_the_nearest_valid_detection_in_reach_is_the_target() -> None:
     tracker = Tracker(T)
     tracker.begin(0, (0.0, 0.0))
     assert not tracker.see(T_NS, [(2.2, 0.0), (math.nan, 0.0), (0.0, math.inf)])
@@ -110,7 +110,7 @@ def test_the_nearest_detection_is_the_target_unless_it_is_too_far_or_no_place() 
     assert tracker.predicted(2 * T_NS) == (-1.0, 0.0)
 
 
-def test_a_picture_that_was_seen_before_or_is_older_changes_nothing() -> None:
+def test_repeated_and_older_pictures_are_ignored() -> None:
     tracker = Tracker(T)
     tracker.begin(T_NS, (0.0, 0.0))
     tracker.see(3 * T_NS, [(0.1, 0.0)])
@@ -135,7 +135,7 @@ def test_the_region_of_interest_grows_with_the_time_out_of_sight() -> None:
         ([1, 0, 1, 0, 1], True),
         ([1, 0, 0, 1, 0, 1], False),  # three of six
         ([1, 1, 0, 0, 0], False),
-        ([1, 1, 9], False),  # 9: elsewhere
+        ([1, 1, 9], False),  # 9: another place
         ([9, 1, 9, 1, 1], True),
         ([9, 1, 9, 0, 1], False),
     ],
@@ -156,7 +156,7 @@ def test_two_detections_in_one_frame_count_once() -> None:
 # --- lost ---
 
 
-def test_after_three_seconds_it_is_lost_and_searched_for_ten_seconds_where_it_was_last() -> None:
+def test_after_three_seconds_it_is_lost_and_searched_for_ten_seconds_at_its_last_place() -> None:
     tracker = Tracker(T)
     follow(tracker, moving(0.5, 0.0), 51)
     seen_ns, last = 50 * T_NS, (2.5, 0.0)
@@ -177,7 +177,7 @@ def test_after_three_seconds_it_is_lost_and_searched_for_ten_seconds_where_it_wa
     assert tracker.command(seen_ns + 131 * T_NS, (*place, 30.0)) == (0.0, 0.0)
 
 
-def test_the_search_begins_in_the_direction_in_which_the_target_went() -> None:
+def test_the_search_begins_in_the_direction_of_the_targets_motion() -> None:
     tracker = Tracker(T)
     follow(tracker, moving(0.5, 2.0), 51)
     x, y = tracker.predicted(8 * 10**9)
@@ -185,7 +185,7 @@ def test_the_search_begins_in_the_direction_in_which_the_target_went() -> None:
     assert math.atan2(vy, vx) == pytest.approx(2.0, abs=0.3)
 
 
-def test_a_search_that_is_not_commanded_does_not_run_out_and_a_detection_ends_it() -> None:
+def test_a_search_counts_commanded_ticks_only_and_ends_with_a_detection() -> None:
     tracker = Tracker(T)
     tracker.begin(0, (0.0, 0.0))
     assert tracker.phase(60 * 10**9) == "spiral"
@@ -199,7 +199,7 @@ def test_a_search_that_is_not_commanded_does_not_run_out_and_a_detection_ends_it
     assert tracker.phase(80 * 10**9) == "spiral"
 
 
-def test_who_tracks_nothing_stands() -> None:
+def test_without_a_target_the_command_is_zero() -> None:
     tracker = Tracker(T)
     assert tracker.phase(0) == "none"
     assert tracker.command(0, (1.0, 2.0, 3.0)) == (0.0, 0.0)
@@ -214,10 +214,10 @@ def test_who_tracks_nothing_stands() -> None:
 
 
 @given(st.floats(0.1, 5.0), st.floats(0.5, 10.0), angles, st.floats(0.0, 30.0), st.floats(0.01, 1.0))
-def test_a_spiral_is_flown_at_no_more_than_its_speed_and_no_less_than_seven_tenths(
+def test_the_speed_on_a_spiral_is_between_seven_tenths_and_all_of_its_own(
     speed: float, pitch: float, heading: float, when: float, step: float
 ) -> None:
-    """On an arc the chord is no longer than the way; so many short steps add up to the way."""
+    """The chord of an arc is no longer than the arc; many short steps add up to the way."""
     ways = [spiral(when + step * i / 200, speed, pitch, heading) for i in range(201)]
     way = sum(math.dist(a, b) for a, b in pairwise(ways))
     assert 0.7 * speed * step <= way <= speed * step * (1.0 + 1e-9) + 1e-12

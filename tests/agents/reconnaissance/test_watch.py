@@ -1,4 +1,4 @@
-"""A camera that looks for targets: each picture once, placed by where it was taken from."""
+"""A camera that watches for targets: each picture is processed once and placed by the pose at its exposure."""
 
 import math
 from pathlib import Path
@@ -46,24 +46,25 @@ def watch(folder: Path) -> Watch:
 
 
 def seen(tick: int, position: Vec3, attitude: Quaternion = (1.0, 0.0, 0.0, 0.0), **readings: Any) -> Observation:
-    """Of a vehicle that moves at 4 m/s and 1 rad/s."""
+    """Observation of a vehicle that moves at 4 m/s and 1 rad/s."""
     rates: tuple[Vec3, Vec3] = (4.0, 0.0, 0.0), (0.0, 0.0, 1.0)
     state = VehicleState(position=position, velocity=rates[0], attitude=attitude, angular_velocity=rates[1])
     return Observation(vehicle="me", time_ns=tick * T_NS, state=state, readings=readings)
 
 
-def taken(made: SyntheticFrame, time_ns: int) -> Image:
+def image_of(made: SyntheticFrame, time_ns: int) -> Image:
     return Image(pixels=made.image, time_ns=time_ns, focal_px=FOCAL_PX)
 
 
-# --- where the vehicle was ----------------------------------------------------------------------------------------------------
+# --- pose of the vehicle
+# ------------------------------------------------------------------------------------------------------
 
 
 @given(UNIT, AXIS, st.floats(0.0, 3.0), st.floats(-20.0, 20.0), st.floats(0.0, 1.0), st.booleans())
-def test_between_two_ticks_a_constant_acceleration_is_followed_exactly(
+def test_interpolation_between_ticks_is_exact_at_constant_acceleration(
     first: Quaternion, axis: Vec3, rate: float, acceleration: float, share: float, other_sign: bool
 ) -> None:
-    """Of the position, and of a turn about one axis; whichever of the two quaternions stands for an attitude."""
+    """Of the position, and of a rotation about one axis, for either quaternion of an attitude."""
     norm, length = math.hypot(*first), math.hypot(*axis)
     w, x, y, z = (each / norm for each in first)
     unit = tuple(each / length for each in axis)
@@ -91,7 +92,7 @@ def test_between_two_ticks_a_constant_acceleration_is_followed_exactly(
     assert math.hypot(*found.attitude) == pytest.approx(1.0)
 
 
-def test_a_pose_is_known_between_two_ticks_and_not_before_after_or_where_ticks_are_missing() -> None:
+def test_poses_exist_between_two_ticks_and_not_before_after_or_in_gaps() -> None:
     poses = Poses(T)
     for tick in (2, 3, 8, 9):
         poses.add(seen(tick, (0.4 * tick, 0.0, 5.0)))
@@ -111,7 +112,7 @@ def test_a_pose_is_known_between_two_ticks_and_not_before_after_or_where_ticks_a
             assert pose.position == pytest.approx((0.4 * ticks, 0.0, 5.0))
     for tick in range(10, 300):
         poses.add(seen(tick, (0.4 * tick, 0.0, 5.0)))
-    assert poses.at(8 * T_NS) is None  # long ago
+    assert poses.at(8 * T_NS) is None  # too old
     assert poses.at(200 * T_NS) is not None
 
 
@@ -119,8 +120,8 @@ def test_a_pose_is_known_between_two_ticks_and_not_before_after_or_where_ticks_a
 
 
 @pytest.mark.parametrize("late", [0.0, 0.5, 1.0, 3.4])
-def test_a_picture_is_placed_by_where_it_was_taken_however_late_it_comes(watch: Watch, late: float) -> None:
-    """At 4 m/s and 1 rad/s the present pose would be metres off."""
+def test_a_late_picture_is_placed_by_the_pose_at_its_exposure(watch: Watch, late: float) -> None:
+    """At 4 m/s and 1 rad/s the present pose would be off by metres."""
 
     def pose(time_s: float) -> tuple[Vec3, Quaternion]:
         return (4.0 * time_s, -1.0, 20.0), quaternion_from_yaw(time_s)
@@ -130,10 +131,10 @@ def test_a_picture_is_placed_by_where_it_was_taken_however_late_it_comes(watch: 
     then = VehicleState(position=pose(at * T)[0], attitude=pose(at * T)[1])
     for tick in range(8):
         assert watch.look(seen(tick, *pose(tick * T))) is None
-    shown = watch.look(seen(8, *pose(8 * T), camera=taken(made, round(at * T_NS))))
+    shown = watch.look(seen(8, *pose(8 * T), camera=image_of(made, round(at * T_NS))))
     assert shown is not None
     (truth,), (sighting,) = made.seen.truths, shown.sightings
-    place = nadir_of(taken(made, 0), then).ground_point((truth.u, truth.v))
+    place = nadir_of(image_of(made, 0), then).ground_point((truth.u, truth.v))
     assert place is not None
     assert sighting.place == pytest.approx(place, abs=0.05)
     assert math.dist(sighting.centre_px, (truth.u, truth.v)) < 2.0
@@ -143,19 +144,19 @@ def test_a_picture_is_placed_by_where_it_was_taken_however_late_it_comes(watch: 
     assert sighting.side_px == pytest.approx(made.side_px, rel=0.05)
 
 
-def test_each_picture_is_looked_at_once_and_all_who_ask_at_a_tick_get_the_same(watch: Watch) -> None:
-    picture = taken(frame(np.random.default_rng(3), 20.0), 0)
+def test_each_picture_is_processed_once_with_one_result_a_tick(watch: Watch) -> None:
+    picture = image_of(frame(np.random.default_rng(3), 20.0), 0)
     first = seen(0, (0.0, 0.0, 20.0), camera=picture)
     shown = watch.look(first)
     assert shown is not None
     assert watch.look(first) is shown
     assert watch.look(seen(1, (0.0, 0.0, 20.0), camera=picture)) is None
     assert watch.look(seen(2, (0.0, 0.0, 20.0))) is None
-    assert watch.look(seen(3, (0.0, 0.0, 20.0), camera=taken(frame(np.random.default_rng(3), 20.0), 3 * T_NS))) is not None
+    assert watch.look(seen(3, (0.0, 0.0, 20.0), camera=image_of(frame(np.random.default_rng(3), 20.0), 3 * T_NS))) is not None
 
 
-def test_a_picture_of_a_time_without_a_pose_is_left_out(watch: Watch) -> None:
-    picture = taken(frame(np.random.default_rng(3), 20.0), 5 * T_NS)
+def test_a_picture_without_a_pose_is_ignored(watch: Watch) -> None:
+    picture = image_of(frame(np.random.default_rng(3), 20.0), 5 * T_NS)
     assert watch.look(seen(0, (0.0, 0.0, 20.0))) is None
     assert watch.look(seen(9, (0.0, 0.0, 20.0), camera=picture)) is None
 
@@ -163,7 +164,9 @@ def test_a_picture_of_a_time_without_a_pose_is_left_out(watch: Watch) -> None:
 @pytest.mark.parametrize(
     ("tilt", "sees", "reliable"), [(0.1, True, True), (0.25, True, True), (0.45, None, False), (0.6, False, False)]
 )
-def test_of_a_tilted_camera_what_is_seen_is_placed_right(watch: Watch, tilt: float, sees: bool | None, reliable: bool) -> None:
+def test_detections_of_a_tilted_camera_are_placed_correctly(
+    watch: Watch, tilt: float, sees: bool | None, reliable: bool
+) -> None:
     for tick in range(8):
         rng = np.random.default_rng(tick)
         place = (float(320 + rng.uniform(-60, 60)), float(240 + rng.uniform(-40, 40)))
@@ -172,7 +175,7 @@ def test_of_a_tilted_camera_what_is_seen_is_placed_right(watch: Watch, tilt: flo
         a, b = math.cos(0.5 * tilt), math.sin(0.5 * tilt)
         attitude = a, b * math.sin(about), b * math.cos(about), 0.0
         (x, y, z), made = _camera_at((0.0, 0.0, 20.0), attitude), tilted(level, tilt, about)
-        shown = watch.look(seen(tick, (x, y, z), attitude, camera=taken(made, tick * T_NS)))
+        shown = watch.look(seen(tick, (x, y, z), attitude, camera=image_of(made, tick * T_NS)))
         assert shown is not None
         assert true is not None
         assert (shown.looked is not None) == reliable
@@ -182,48 +185,49 @@ def test_of_a_tilted_camera_what_is_seen_is_placed_right(watch: Watch, tilt: flo
 
 
 def _camera_at(position: Vec3, attitude: Quaternion) -> Vec3:
-    """Where a vehicle is whose camera is there."""
+    """Position of a vehicle whose camera is at a position."""
     at = nadir_of(Image(pixels=np.zeros((2, 2, 3), np.uint8)), VehicleState(position=position, attitude=attitude)).position
     return tuple(2.0 * p - q for p, q in zip(position, at, strict=True))  # type: ignore[return-value]
 
 
-# --- where it looks -----------------------------------------------------------------------------------------------------------
+# --- region that is searched
+# --------------------------------------------------------------------------------------------------
 
 
-def test_only_the_part_of_the_ground_is_looked_at_that_it_is_told(watch: Watch) -> None:
+def test_only_the_set_region_of_the_ground_is_searched(watch: Watch) -> None:
     made = frame(np.random.default_rng(3), 20.0 + MOUNT[2], places=[(300.0, 200.0)], distractors=False)
-    shown = watch.look(seen(0, (0.0, 0.0, 20.0), camera=taken(made, 0)))
+    shown = watch.look(seen(0, (0.0, 0.0, 20.0), camera=image_of(made, 0)))
     assert shown is not None
     assert shown.whole
     x, y = shown.nadir.ground_point((300.0, 200.0)) or (math.nan, math.nan)
     for tick, (aside, found) in enumerate([(0.0, 1), (1.9, 1), (2.2, 0)], start=1):
         watch.region = GroundDisc((x + aside, y), 2.0)
-        part = watch.look(seen(tick, (0.0, 0.0, 20.0), camera=taken(made, tick * T_NS)))
+        part = watch.look(seen(tick, (0.0, 0.0, 20.0), camera=image_of(made, tick * T_NS)))
         assert part is not None
         assert (len(part.sightings), part.whole) == (found, False)
         corners = np.array(part.footprint)
-        assert corners.min(axis=0) == pytest.approx((x + aside - 2.0, y - 2.0), abs=0.1)  # a pixel or two
+        assert corners.min(axis=0) == pytest.approx((x + aside - 2.0, y - 2.0), abs=0.1)  # one or two pixels
         assert corners.max(axis=0) == pytest.approx((x + aside + 2.0, y + 2.0), abs=0.1)
     watch.region = GroundDisc((x + 90.0, y), 2.0)
-    part = watch.look(seen(4, (0.0, 0.0, 20.0), camera=taken(made, 4 * T_NS)))
+    part = watch.look(seen(4, (0.0, 0.0, 20.0), camera=image_of(made, 4 * T_NS)))
     assert part is not None
     assert (part.sightings, part.looked, part.footprint) == ((), None, None)
 
 
-def test_a_target_at_the_edge_is_not_taken_to_be_missed(watch: Watch) -> None:
-    """What counts as looked at ends half a side of a target from the edges of the picture."""
+def test_a_target_at_the_edge_does_not_count_as_missed(watch: Watch) -> None:
+    """The region that counts as looked at ends half a side of a target from the edges of the picture."""
     made = frame(np.random.default_rng(3), 20.0 + MOUNT[2])
-    shown = watch.look(seen(0, (5.0, 0.0, 20.0), camera=taken(made, 0)))
+    shown = watch.look(seen(0, (5.0, 0.0, 20.0), camera=image_of(made, 0)))
     assert shown is not None
-    assert shown.looked == (21, 21, 619, 459)  # a side is 400 * 2 / 19.95 px
+    assert shown.looked == (21, 21, 619, 459)  # side: 400 * 2 / 19.95 px
     across, ahead = 598 * 19.95 / 400.0, 438 * 19.95 / 400.0
     corners = np.array(shown.footprint)
     assert np.ptp(corners, axis=0) == pytest.approx((ahead, across))
     assert corners.mean(axis=0) == pytest.approx((5.0, 0.0))
 
 
-def test_where_targets_are_too_small_to_be_recognised_nothing_counts_as_looked_at(watch: Watch) -> None:
-    """12 px are the least: a target of 2 m is that large at 400 px from 66.7 m."""
+def test_too_high_for_recognition_no_region_counts_as_looked_at(watch: Watch) -> None:
+    """At least 12 px: the size of a 2 m target at 400 px from 66.7 m."""
     image = Image(pixels=np.zeros((480, 640, 3), np.uint8), focal_px=400.0)
     for tick, (height, looked) in enumerate([(66.0, True), (67.0, False)]):
         made = msgspec.structs.replace(image, time_ns=tick * T_NS)
@@ -232,7 +236,8 @@ def test_where_targets_are_too_small_to_be_recognised_nothing_counts_as_looked_a
         assert (shown.looked is not None) is looked
 
 
-# --- what is wrong ------------------------------------------------------------------------------------------------------------
+# --- refusals
+# ---------------------------------------------------------------------------------------------------------------------
 
 
 def test_bad_cameras_are_refused(watch: Watch) -> None:

@@ -1,4 +1,4 @@
-"""``vcmvsp radio --coverage``: maps agree with what runs recorded."""
+"""``vcmvsp radio --coverage``: maps agree with recorded runs."""
 
 import json
 import math
@@ -20,12 +20,12 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run that nobody changes."""
+    """A run shared by all tests, unchanged."""
     return run_rooms(tmp_path_factory.mktemp("coverage"))
 
 
 @pytest.mark.parametrize("at_s", [None, 2.0])
-def test_levels_at_vehicles_are_those_of_the_run(folder: Path, at_s: float | None) -> None:
+def test_levels_at_vehicles_agree_with_the_run(folder: Path, at_s: float | None) -> None:
     found = coverage.coverage(folder, "car3", at_s=at_s, resolution_m=20.0)
     for name, (level, _) in found.others.items():
         sent_ns = round((at_s or 0.0) * 1e9)
@@ -40,7 +40,7 @@ def test_a_map_has_a_value_for_each_place(folder: Path) -> None:
     assert found.x[0] < 0.0 < 200.0 < found.x[-1]
     column, row = np.searchsorted(found.x, 0.0), np.searchsorted(found.y, 0.0)
     assert (found.x[column], found.y[row]) == (0.0, 0.0)
-    assert np.unravel_index(np.argmax(found.level_dbm), found.level_dbm.shape) == (row, column)  # where it stands
+    assert np.unravel_index(np.argmax(found.level_dbm), found.level_dbm.shape) == (row, column)  # the vehicle's position
     assert np.array_equal(found.level_dbm >= -82.0, found.success > 0.5)
 
 
@@ -52,7 +52,7 @@ def test_in_an_empty_world_the_map_reaches_as_far_as_the_radio(folder: Path) -> 
 
 
 @pytest.mark.parametrize("height_m", [40.0, 200.0])
-def test_the_words_above_a_map_fit_its_width(folder: Path, height_m: float) -> None:
+def test_the_title_of_a_map_fits_its_width(folder: Path, height_m: float) -> None:
     found = coverage.coverage(folder, "car1", resolution_m=8.0)
     figure = radio_plots.coverage(msgspec.structs.replace(found, y=np.linspace(0.0, height_m, len(found.y))))
     figure.draw_without_rendering()
@@ -75,12 +75,12 @@ def test_a_resolution_is_a_positive_number(folder: Path, resolution_m: float) ->
 
 
 @pytest.mark.parametrize("at_s", [-1.0, 1e9, math.nan])
-def test_a_run_has_places_while_it_lasts(folder: Path, at_s: float) -> None:
+def test_a_time_outside_the_run_is_refused(folder: Path, at_s: float) -> None:
     with pytest.raises(UsageError, match="lasted from 0 to"):
         coverage.coverage(folder, "car1", at_s=at_s, resolution_m=20.0)
 
 
-def test_of_a_run_with_damage_the_states_alone_count(folder: Path, tmp_path: Path) -> None:
+def test_a_damaged_run_needs_only_its_states(folder: Path, tmp_path: Path) -> None:
     run = shutil.copytree(folder, tmp_path / "run")
     (run / "metrics.json").write_text("{")
     assert coverage.coverage(run, "car1", at_s=1.0, resolution_m=50.0).places.keys() >= {"car1", "car2"}

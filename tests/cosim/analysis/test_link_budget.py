@@ -1,4 +1,4 @@
-"""``vcmvsp radio``: what it says of a run adds up and agrees with what was recorded."""
+"""``vcmvsp radio``: reports of a run add up and agree with its recording."""
 
 import json
 import math
@@ -25,13 +25,13 @@ LINKS = [(a, b) for a in ("car1", "car2", "car3", "car4") for b in ("car1", "car
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run that nobody changes."""
+    """A run shared by all tests, unchanged."""
     return run_rooms(tmp_path_factory.mktemp("explain"))
 
 
 @pytest.fixture
 def log(folder: Path) -> explain.Log:
-    """Its frames."""
+    """The frames of the run."""
     return explain.Log(folder)
 
 
@@ -45,8 +45,8 @@ def test_every_frame_is_received_lost_or_under_way(log: explain.Log, folder: Pat
         lost = sum(loss["frames"] for loss in row["losses"].values())
         assert row["received"] + lost + row["under_way"] == row["frames"] == len(rows(folder, row["sender"], row["receiver"]))
     ratios = [row["delivery_ratio"] for row in found]
-    assert ratios == sorted(ratios)  # the worst comes first
-    assert sum(row["under_way"] for row in found) > 0  # delays of 0.15 s, and the run ends
+    assert ratios == sorted(ratios)  # worst first
+    assert sum(row["under_way"] for row in found) > 0  # delays are 0.15 s: some frames are under way at the end
 
     total = json.loads((folder / "metrics.json").read_text())["radio"]
     assert sum(row["received"] for row in found) == total["receptions"]
@@ -59,7 +59,7 @@ def test_every_frame_is_received_lost_or_under_way(log: explain.Log, folder: Pat
 
 
 @pytest.mark.parametrize("pair", [("car1", "car2"), ("car2", "car3"), ("car4", "car1")])
-def test_numbers_of_a_link_are_those_of_its_rows(log: explain.Log, folder: Path, pair: tuple[str, str]) -> None:
+def test_numbers_of_a_link_follow_from_its_rows(log: explain.Log, folder: Path, pair: tuple[str, str]) -> None:
     found, frames = explain.link_report(log, pair), rows(folder, *pair)
     end_ns = log.facts.end_ns
     arrived = [row["received_ns"] for row in frames if row["received_ns"] is not None and row["received_ns"] <= end_ns]
@@ -101,7 +101,7 @@ def test_budgets_add_up(log: explain.Log, folder: Path) -> None:
     for pair in LINKS:
         for row in rows(folder, *pair)[::7]:
             budget = link_budget.frame_report(log, pair, str(row["frame"]))["budget"]
-            assert budget["power_dbm"] == power.get(pair[0], 16.0206)  # the scenario's own; nothing is left over
+            assert budget["power_dbm"] == power.get(pair[0], 16.0206)  # the scenario's own; no remainder
             assert (budget["tx_gain_dbi"], budget["rx_gain_dbi"]) == (gain.get(pair[0], 0.0), gain.get(pair[1], 0.0))
             items = ("power_dbm", "tx_gain_dbi", "rx_gain_dbi", "path_loss_db", "walls_db", "shadowing_db", "fading_db")
             assert sum(budget[item] for item in items) == pytest.approx(row["rssi_dbm"], abs=1e-9)
@@ -116,13 +116,13 @@ def test_without_its_scenario_a_run_still_has_budgets(folder: Path, tmp_path: Pa
     for name in ("radio.parquet", "states.parquet"):
         shutil.copy(folder / name, tmp_path)
     report = link_budget.frame_report(explain.Log(tmp_path), ("car3", "car2"), "worst")
-    assert report["budget"]["power_dbm"] == pytest.approx(22.0, abs=1e-9)  # with both antennas
+    assert report["budget"]["power_dbm"] == pytest.approx(22.0, abs=1e-9)  # includes both antenna gains
     assert report["budget"]["floor_dbm"] is None
     link_text.frame_text(report)
 
 
-def test_a_loss_is_explained_by_what_caused_it(log: explain.Log, folder: Path) -> None:
-    """Every sentence says what the level would have been, and that is above the threshold where one item explains it."""
+def test_a_loss_is_explained_by_its_cause(log: explain.Log, folder: Path) -> None:
+    """Every text contains the level without the one item that caused the loss; it is above the threshold."""
     seen = set()
     for pair in LINKS:
         for row in rows(folder, *pair)[::3]:
@@ -159,14 +159,14 @@ def test_other_losses_in_words(log: explain.Log, outcome: str, words: str) -> No
 
 
 def test_interference_follows_from_snr_and_sinr(log: explain.Log) -> None:
-    # Of two powers in dBm, the second as strong as noise: 3.0103 dB between SNR and SINR.
+    # SNR - SINR is 3.0103 dB if interference is as strong as noise.
     frames = log.frames(("car1", "car2"))
     log.column("sinr_db")[frames._rows[0]] -= 10.0 * math.log10(2.0)
     report = link_budget.frame_report(log, ("car1", "car2"), str(frames["frame"][0]))
     assert report["budget"]["interference_dbm"] == pytest.approx(report["budget"]["noise_dbm"], abs=1e-9)
 
 
-def test_what_a_script_takes_is_an_item_of_the_budget(tmp_path: Path) -> None:
+def test_the_loss_of_a_script_is_in_the_budget(tmp_path: Path) -> None:
     script = {"script": {"changes": [{"from_s": 0.0, "attenuation_db": 12.5}]}}
     (tmp_path / "s.toml").write_text(ROOMS)
     api.run(tmp_path / "s.toml", set={f"radio.{key}": value for key, value in script.items()}, out=tmp_path / "run")
@@ -175,7 +175,7 @@ def test_what_a_script_takes_is_an_item_of_the_budget(tmp_path: Path) -> None:
     assert "script or trace" in link_text.frame_text(report)
 
 
-def test_the_frame_that_is_asked_for(log: explain.Log, folder: Path) -> None:
+def test_worst_and_lost_frames(log: explain.Log, folder: Path) -> None:
     frames = rows(folder, "car1", "car2")
     worst = min(frames, key=lambda row: row["sinr_db"])["frame"]
     lost = next(row["frame"] for row in frames if row["received_ns"] is None)
@@ -186,7 +186,7 @@ def test_the_frame_that_is_asked_for(log: explain.Log, folder: Path) -> None:
 # --- the command ------------------------------------------------------------------------------------------------------------
 
 
-def test_where_no_frame_has_a_sinr_none_is_the_worst(folder: Path, tmp_path: Path) -> None:
+def test_without_a_sinr_no_frame_is_the_worst(folder: Path, tmp_path: Path) -> None:
     shutil.copy(folder / "states.parquet", tmp_path)
     table = pq.read_table(folder / "radio.parquet")
     unknown = pa.nulls(table.num_rows, pa.float64())
@@ -235,13 +235,13 @@ def test_text_and_json_of_a_run(folder: Path) -> None:
         (["--coverage", "car1", "--resolution", "9", "--out", "/no/such/folder/map.png"], "No such file"),
     ],
 )
-def test_what_is_wrong_is_said_by_name(folder: Path, arguments: list[str], words: str) -> None:
+def test_wrong_arguments_are_named(folder: Path, arguments: list[str], words: str) -> None:
     code, out, err = vcmvsp_command("radio", str(folder), *arguments)
     assert (code, out) == (2, "")
     assert words in err
 
 
-def test_what_is_no_run(folder: Path, tmp_path: Path) -> None:
+def test_folders_without_a_run(folder: Path, tmp_path: Path) -> None:
     assert "not the folder of a run" in vcmvsp_command("radio", "formation-circle").err
     assert "no states.parquet here" in vcmvsp_command("radio", str(tmp_path)).err
     assert "no scenario.toml here" in vcmvsp_command("radio", str(tmp_path), "--coverage", "car1").err
@@ -255,7 +255,7 @@ def test_what_is_no_run(folder: Path, tmp_path: Path) -> None:
             explain.Log(tmp_path)
 
 
-def test_who_is_alone_has_no_links(tmp_path: Path) -> None:
+def test_a_single_vehicle_has_no_links(tmp_path: Path) -> None:
     run = api.run("pillar-single", set={"duration_s": 0.2}, agents="inprocess", out=tmp_path / "run")
     assert run.folder is not None
     outcome = vcmvsp_command("radio", str(run.folder))

@@ -1,4 +1,4 @@
-"""``vcmvsp calibrate-recognition``: pictures whose targets are known, counts of looks, and what the command says."""
+"""``vcmvsp calibrate-recognition``: pictures with known targets, counts of looks, and the command's output."""
 
 import json
 import math
@@ -19,7 +19,7 @@ FLAG = {"name": "flag", "picture": "targets/alpha.png", "size_m": 2.0}
 
 
 def flags(place: tuple[float, float] = (5.0, 3.0), **world: Any) -> dict[str, Any]:
-    """A target in an empty square of 60 m, a vehicle over it, and others that look for nothing."""
+    """A target in an empty square of 60 m, a vehicle above it that searches for it, and another that searches for nothing."""
     camera = {"kind": "nadir_camera", "width": 320, "height": 240, "field_of_view": 1.35}
     target = {"name": "flag", "picture": "targets/alpha.png", "size": 2.0, "place": place}
     uav = {"kind": "quadrotor", "position": [0.0, 0.0, 15.0]}
@@ -48,7 +48,7 @@ def file(tmp_path: Path) -> Path:
 # --- pictures ---
 
 
-def test_what_is_recognised_lies_where_the_target_is_and_is_turned_as_it_is() -> None:
+def test_sightings_have_the_place_and_angle_of_the_target() -> None:
     taken = Snapshots(flags())
     pictures = [taken.take(number, 12) for number in range(12)]
     assert all(len(each.targets) == 1 for each in pictures[::2])
@@ -62,15 +62,15 @@ def test_what_is_recognised_lies_where_the_target_is_and_is_turned_as_it_is() ->
         assert target.visible == 1.0
 
 
-def test_hits_are_the_cells_of_the_map_in_which_targets_are() -> None:
-    """Cells of 2 m from the south-west corner of the area, (-30, -30): the target is in column 17, row 16 of 30."""
+def test_hits_are_the_map_cells_with_targets() -> None:
+    """Cells of 2 m from the south-west corner of the area, (-30, -30): the target is in column 17, row 16, of 30 columns."""
     taken = Snapshots(flags())
     hit = [each.cells[each.hits].tolist() for each in (taken.take(number, 12) for number in range(12)) if each.sightings]
     assert {tuple(cells) for cells in hit} == {(16 * 30 + 17,)}
 
 
 def test_half_a_target_under_a_roof_is_half_visible() -> None:
-    """A roof on its eastern half, half a metre high, moves by 0.3 m as seen from aside; one on all of it covers all."""
+    """A roof on its eastern half, 0.5 m high, is displaced by 0.3 m in an oblique view; a roof on all of it covers all."""
     half = Snapshots(flags((0.0, 0.0), boxes=[box(1.5, 0.0, 3.0, 0.5)]))
     seen = [half.take(number, 12).targets[0].visible for number in range(0, 12, 2)]
     assert all(0.2 <= share <= 0.8 for share in seen)
@@ -82,7 +82,7 @@ def test_half_a_target_under_a_roof_is_half_visible() -> None:
 
 
 def test_vehicles_keep_out_of_buildings() -> None:
-    """Half a metre away from walls, too; those are higher than they fly."""
+    """At least 0.5 m away from walls; the buildings are higher than the flight height."""
     taken = Snapshots(flags(boxes=[box(-15.0, -15.0, 20.0, 30.0), box(15.0, 15.0, 20.0, 30.0)]))
     places = np.array([taken._placed(np.random.default_rng(i), 0.0, with_target=i % 2 == 0).position for i in range(100)])
     for middle in (-15.0, 15.0):
@@ -109,7 +109,7 @@ def test_wilsons_interval() -> None:
 
 
 def picture(sightings: list[tuple[float, float]], **target: Any) -> Snapshot:
-    """Of cells 0 to 9, of which a target at the origin is in number 3 and what is recognised there hits it."""
+    """Cells 0 to 9: a target at the origin is in cell 3; sightings within 1 m of it hit cell 3, others cell 7."""
     known = InSight("flag", (0.0, 0.0), 2.0, (50.0, 50.0), 0.0, 1.0, True, 3)._replace(**target)
     said = tuple(
         Sighting(target="flag", place=place, centre_px=(50.0, 50.0), angle=0.1, side_px=9.0, score=1.0) for place in sightings
@@ -123,7 +123,7 @@ def picture(sightings: list[tuple[float, float]], **target: Any) -> Snapshot:
 def test_looks_and_targets_are_counted() -> None:
     rates = Rates()
     rates.add(picture([(0.5, 0.5)]))  # recognised
-    rates.add(picture([(9.0, 0.0)]))  # missed, and something that is not there
+    rates.add(picture([(9.0, 0.0)]))  # missed, and a false sighting
     rates.add(picture([], visible=0.5))  # missed, half hidden
     rates.add(picture([], looked=False, cell=None))  # not looked at
     assert rates.p == (1, 3)
@@ -141,7 +141,7 @@ def test_looks_and_targets_are_counted() -> None:
 # --- the command ---
 
 
-def test_the_last_lines_are_for_the_scenario(file: Path) -> None:
+def test_the_last_lines_are_tables_of_a_scenario(file: Path) -> None:
     given = vcmvsp_command("calibrate-recognition", str(file), "--frames", "12", "--quiet")
     assert given.code == 0, given.err
     assert "12 pictures from 15 m, cells of 2 m" in given.out
@@ -189,7 +189,7 @@ def test_json(file: Path) -> None:
         (("--set", "world.boxes=[{center=[0,0,10], size=[90,90,20]}]"), "over the area at 15 m"),
     ],
 )
-def test_what_cannot_be_measured_is_told_with_its_key(file: Path, arguments: tuple[str, ...], words: str) -> None:
+def test_errors_are_reported_with_their_key(file: Path, arguments: tuple[str, ...], words: str) -> None:
     given = vcmvsp_command("calibrate-recognition", str(file), "--quiet", *arguments)
     assert given.code == 2, given.err
     assert words in given.err
@@ -197,14 +197,14 @@ def test_what_cannot_be_measured_is_told_with_its_key(file: Path, arguments: tup
 
 
 def test_a_camera_that_sees_the_horizon_can_be_measured() -> None:
-    """Tilted by up to 5 deg, corners of a picture of 173 deg look past the ground: no target is put there."""
+    """Tilted by up to 5 deg, the corners of a picture of 173 deg are above the horizon: no target is placed there."""
     scenario = flags()
     scenario["vehicle"][1]["sensors"]["camera"]["field_of_view"] = 3.02
     taken = Snapshots(scenario)
     assert all(taken.take(number, 6).targets for number in (0, 2, 4))
 
 
-def test_a_scenario_without_recognition_says_so() -> None:
+def test_a_scenario_without_recognition_is_refused() -> None:
     given = vcmvsp_command("calibrate-recognition", "lab-patrol")
     assert given.code == 2
     assert "lab-patrol: agents.watching: is missing" in given.err

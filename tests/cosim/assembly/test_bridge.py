@@ -1,4 +1,4 @@
-"""`[bridge]`: which doors a run can have together."""
+"""`[bridge]`: gateways that a run can combine."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("kind", ["ip", "vcmvsp.netsim.bridge.gateways.ip.gateway:Ip"])
-def test_a_second_door_of_a_kind_of_which_there_is_one_is_refused_where_it_stands(tmp_path: Path, kind: str) -> None:
+def test_a_second_gateway_of_a_single_kind_is_refused_with_its_key(tmp_path: Path, kind: str) -> None:
     (tmp_path / "s.toml").write_text(two_cars() + DOORS.format(kind=kind))
     outcome = vcmvsp_command("check", "s.toml")
     assert (outcome.code, outcome.out) == (2, "")
@@ -24,7 +24,7 @@ def test_a_second_door_of_a_kind_of_which_there_is_one_is_refused_where_it_stand
     assert "s.toml" in outcome.err
 
 
-def test_of_other_kinds_there_may_be_several(tmp_path: Path) -> None:
+def test_other_kinds_can_be_combined(tmp_path: Path) -> None:
     doors = "[bridge.udp]\n[bridge.lab]\nkind = 'udp'\nfirst_port = 48000\n[bridge.net]\nkind = 'ip'\n"
     (tmp_path / "s.toml").write_text(two_cars() + doors)
     assert vcmvsp_command("check", "s.toml").code == 0

@@ -1,4 +1,4 @@
-"""What an operator does during a run: planned or live, it is the same run."""
+"""Interventions of an operator: planned and live ones give the same run."""
 
 import tomllib
 from collections.abc import Sequence
@@ -35,7 +35,7 @@ def run(interventions: list[dict[str, Any]], observe: Any = None, **settings: An
 
 
 @given(st.lists(st.integers(0, 10**10), max_size=20))
-def test_all_are_done_once_at_their_time_in_order(times_ns: list[int]) -> None:
+def test_each_is_executed_once_at_its_time_in_order(times_ns: list[int]) -> None:
     planned = [OutageTable(at_s=each / 1e9, for_s=1.0) for each in times_ns]
     operator, done = Operator(planned, ["car1"], lambda *_: None), list[Event]()
     due = operator.start(INFO)
@@ -47,7 +47,7 @@ def test_all_are_done_once_at_their_time_in_order(times_ns: list[int]) -> None:
     assert [event.time_ns for event in done] == sorted(times_ns)
 
 
-def test_what_is_asked_for_is_done_at_the_instant_that_begins() -> None:
+def test_a_live_request_is_executed_at_the_current_instant() -> None:
     operator = Operator([HaltTable(at_s=5.0)], ["car1", "car2"], lambda *_: None)
     assert not operator.poll(0)
     operator.ask(OutageTable(at_s=0.0, for_s=2.0, vehicles=("car2",)))
@@ -58,7 +58,7 @@ def test_what_is_asked_for_is_done_at_the_instant_that_begins() -> None:
     assert [seconds_to_ns(each.at_s) for each in operator.all] == [1_234_567_891, 5_000_000_000]
 
 
-def test_what_cannot_be_done_is_refused_and_forgotten() -> None:
+def test_an_impossible_request_is_refused_and_dropped() -> None:
     def check(table: InterventionTable, earlier: Sequence[InterventionTable]) -> None:
         raise ValueError("no")
 
@@ -68,7 +68,7 @@ def test_what_cannot_be_done_is_refused_and_forgotten() -> None:
     assert not operator.poll(0)
 
 
-def test_none_named_means_all() -> None:
+def test_no_names_mean_all() -> None:
     operator = Operator([HaltTable(at_s=0.0)], ["car1", "car2"], lambda *_: None)
     (event,) = operator.step(0, ()).events
     assert event.value.vehicles == ("car1", "car2")  # type: ignore[union-attr]
@@ -88,13 +88,13 @@ def test_none_named_means_all() -> None:
         ({"kind": "move", "at_s": 1.0, "obstacle": "box", "position": [0.0, 0.0]}, "box"),
     ],
 )
-def test_a_scenario_with_one_that_cannot_be_done_is_refused(table: dict[str, Any], words: str) -> None:
+def test_a_scenario_with_an_impossible_one_is_refused(table: dict[str, Any], words: str) -> None:
     with pytest.raises(ScenarioError, match=words) as caught:
         run([table])
     assert "intervention[0]" in str(caught.value)
 
 
-def test_during_an_outage_nothing_arrives_and_outside_all_fares_as_without_it() -> None:
+def test_an_outage_loses_its_frames_and_changes_no_others() -> None:
     calm, cut = (run(each) for each in ([], [{"kind": "outage", "at_s": 2.0, "for_s": 1.5, "vehicles": ["car2"]}]))
     ours, theirs = (each.radio.to_pylist() for each in (cut, calm))
     for mine, other in zip(ours, theirs, strict=True):
@@ -103,8 +103,8 @@ def test_during_an_outage_nothing_arrives_and_outside_all_fares_as_without_it() 
 
 
 @pytest.mark.parametrize("preset", ["ideal", "wifi-b-1"])
-def test_what_was_done_live_is_repeated_to_the_byte(preset: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Asked for from within the run, at instants of all slots; the resolved scenario tells it."""
+def test_live_interventions_are_repeated_to_the_byte(preset: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Requested from within the run, at instants of all slots; the resolved scenario contains them."""
     orders: dict[int, InterventionTable] = {
         3: OutageTable(at_s=0.0, for_s=0.7),
         20: SetTable(at_s=0.0, key="radio.loss.probability", value=0.7),
@@ -146,7 +146,7 @@ def test_what_was_done_live_is_repeated_to_the_byte(preset: str, tmp_path: Path,
         SetTable(at_s=0.0, key="radio.loss.probability", value=float("nan")),
     ],
 )
-def test_live_numbers_that_a_scenario_could_not_have_are_refused(table: InterventionTable) -> None:
+def test_live_numbers_invalid_in_a_scenario_are_refused(table: InterventionTable) -> None:
     operator = Operator([], ["car1"], lambda *_: None)
     with pytest.raises(ValueError, match=r"finite|Expected"):
         operator.ask(table)

@@ -1,4 +1,4 @@
-"""Remarks: what is valid but hardly meant so is said at the check and at the start of a run; nothing else is."""
+"""Remarks: valid but probably unintended values are reported at the check and at the start of a run; nothing else is."""
 
 from typing import Any
 
@@ -37,18 +37,18 @@ def test_no_built_in_scenario_is_remarked_on(name: str) -> None:
         (pulsed(0.4, 0.2), "period_s = 0.4: agents act every 0.1 s, in step with the pulses"),
     ],
 )
-def test_what_is_hardly_meant_so_is_said_with_its_key(changes: dict[str, Any], words: str) -> None:
+def test_unlikely_values_are_remarked_on_with_their_key(changes: dict[str, Any], words: str) -> None:
     (line,) = told("formation-circle", **changes)
     assert words in line
 
 
 @pytest.mark.parametrize("changes", [pulsed(0.103, 0.2), pulsed(0.4, 0.5), pulsed(0.1, 1.0), {"radio__delay__seconds": 5.0}])
-def test_what_may_be_meant_so_is_not_remarked_on(changes: dict[str, Any]) -> None:
-    """The pulses of 0.4 s with half of it on hit two ticks of four; a jammer with a duty of 1 does not pulse."""
+def test_plausible_values_are_not_remarked_on(changes: dict[str, Any]) -> None:
+    """Pulses of 0.4 s with a duty of 0.5 hit two ticks of four; a jammer with a duty of 1 does not pulse."""
     assert told("formation-circle", **changes) == []
 
 
-def test_a_run_without_an_error_says_why_before_and_after(tmp_path: Any) -> None:
+def test_a_missing_error_is_explained_before_and_after(tmp_path: Any) -> None:
     done = vcmvsp_command("run", "formation-circle", "--set", "duration_s=1", "--agents", "inprocess", "--out", f"{tmp_path}/x")
     assert "metrics.from_s = 20: the run ends at 1 s" in done.err
     assert "formation: no error: metrics.from_s = 20 s, the run ended at 1 s" in done.out

@@ -1,4 +1,4 @@
-"""``vcmvsp bench``: the rows of the programs in ``bench``, where there are any."""
+"""``vcmvsp bench``: rows, exit codes and helpers of the programs in ``bench``; refusal where the sources are missing."""
 
 import csv
 import json
@@ -30,14 +30,14 @@ from vcmvsp.physics.dynamics.bullet import p
 pytestmark = pytest.mark.processes
 
 
-def test_without_the_sources_it_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_sources_it_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reproduce, "HOME", tmp_path)
     given = vcmvsp_command("bench")
     assert given.code == 2
     assert "in a checkout of the sources" in given.err
 
 
-def test_a_part_that_is_none_ends_it(capfd: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_part_is_refused(capfd: pytest.CaptureFixture[str]) -> None:
     assert vcmvsp_command("bench", "nothing").code == 2
     assert "there is no part 'nothing'" in capfd.readouterr().err
 
@@ -56,7 +56,7 @@ def test_rows_as_json(
     assert told["schema"] == "vcmvsp.bench/1"
 
 
-def test_what_could_not_be_measured_is_no_number_and_no_failure(
+def test_a_missing_measurement_is_no_number_and_no_failure(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(bench, "PARTS", {"a": lambda: [missing("it", "<= 1x", "it is not there")]})
@@ -77,7 +77,7 @@ def test_an_interruption_loses_no_row(monkeypatch: pytest.MonkeyPatch, capsys: p
     assert [each["name"] for each in json.loads(capsys.readouterr().out)["rows"]] == ["it"]
 
 
-def test_the_exponent_of_a_power_is_that_power() -> None:
+def test_the_exponent_of_a_power_law() -> None:
     assert exponent([3.0 * count**1.5 for count in COUNTS]) == pytest.approx(1.5)
 
 
@@ -92,7 +92,7 @@ def test_every_part_of_a_run_is_clocked(name: str, monkeypatch: pytest.MonkeyPat
 
 
 @given(limit=st.integers(2, MOST + MOST // 2), power=st.floats(0.5, 3.0), first=st.integers(1, MOST - 1))
-def test_of_a_power_the_number_is_found_between_two_that_were_measured(limit: int, power: float, first: int) -> None:
+def test_the_limit_of_a_power_law_is_between_two_measurements(limit: int, power: float, first: int) -> None:
     asked: list[int] = []
 
     def cost(count: int) -> float:
@@ -105,11 +105,11 @@ def test_of_a_power_the_number_is_found_between_two_that_were_measured(limit: in
     assert len(asked) == len(set(asked))
     if max(asked) > limit:
         assert min(asked) <= found.number <= max(asked)
-    else:  # beyond the most that is tried it is reckoned
+    else:  # extrapolated beyond the largest number that is measured
         assert "reckoned" in found.words
 
 
-def test_what_is_too_far_beyond_what_was_measured_is_no_number() -> None:
+def test_a_limit_far_beyond_the_measurements_is_no_number() -> None:
     assert reach(lambda count: 1e-6 * count, 96).words == f"more than {MOST}"
     assert reach(lambda _: 0.5, 96).words == f"more than {MOST}"
     assert reach(lambda _: 0.5, MOST).words == f"more than {MOST}"
@@ -117,18 +117,18 @@ def test_what_is_too_far_beyond_what_was_measured_is_no_number() -> None:
     assert reach(lambda _: 3.0, 8).words == "fewer than 1 (3.00)"
 
 
-def test_the_words_name_the_two_that_were_measured() -> None:
+def test_the_words_contain_both_measurements() -> None:
     assert Reached(150, {64: 0.2, 128: 0.75, 256: 2.5}).words == "150 (128: 0.75, 256: 2.50)"
 
 
 @pytest.mark.parametrize("kind", ["kinematic", "p2dx", "quadrotor"])
-def test_each_of_a_team_reports_so_often(kind: str) -> None:
+def test_each_vehicle_of_a_team_reports(kind: str) -> None:
     found = growth.costs(team({kind: 3}, 1.0, RADIOS["ideal radio"], 2.0))
     assert found["arrived"] == 1.0
     assert run_cpu_s(team({kind: 2, "kinematic": 1}, 1.0, RADIOS["ideal radio"], 0.2)) > 0.0
 
 
-def test_what_a_run_leaves_grows_with_what_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_of_a_run_grow_with_its_messages(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(limits_files, "VEHICLES", 3)
     monkeypatch.setattr(limits_files, "DURATION_S", 1.0)
     silent, talking = limits_files.left(limits_files.SILENT_HZ), limits_files.left(limits_files.TALKING_HZ)
@@ -137,7 +137,7 @@ def test_what_a_run_leaves_grows_with_what_is_said(monkeypatch: pytest.MonkeyPat
     assert talking.states == silent.states
 
 
-def test_memory_is_that_of_the_process_for_each_state_and_each_reception(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_of_the_process_per_state_and_per_reception(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(limits_files, "VEHICLES", 3)
     states, receptions, peak_bytes = limits_files.taken(limits_files.TALKING_HZ, 0.1, 1.0)
     assert (states, receptions) == (3 * 11, 3 * 10 * 2)
@@ -175,30 +175,30 @@ HERE = Path(sys.executable)
 NOWHERE = Path("nowhere/bin/python")
 
 
-def test_a_program_works_whenever_it_is_asked() -> None:
+def test_a_program_answers_every_request() -> None:
     with program("simpy_air", HERE, agents=3, span_s=1.0) as stretch:
         assert [stretch() > 0.0 for _ in range(3)] == [True] * 3
 
 
-def test_a_program_that_does_not_answer_says_why() -> None:
+def test_a_program_that_does_not_answer_is_an_error() -> None:
     with pytest.raises(SilentError, match=r"No module named bench\.peers\.nothing"), program("nothing", HERE):
         pass
 
 
 @pytest.mark.parametrize("peer", drones.PEERS)
-def test_a_row_without_its_peer_says_what_to_do(peer: drones.Peer) -> None:
+def test_a_row_without_its_peer_names_the_remedy(peer: drones.Peer) -> None:
     for count in peer.most:
         row = drones._row(count, peer._replace(python=NOWHERE))
         assert row.holds
         assert row.other == "not measured: it is not installed: make nowhere/.ready"
 
 
-def test_so_does_a_row_of_messages() -> None:
+def test_a_row_of_messages_names_the_remedy() -> None:
     row = messages.beside(10, IDEAL, "nothing", "it", "gradysim_broadcast", NOWHERE, ">= 2 times less")
     assert row.other.endswith("make nowhere/.ready")
 
 
-def test_so_do_rows_of_the_radio(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rows_of_the_radio_name_the_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NS3_PREFIX", str(tmp_path))
     monkeypatch.setenv("NS3_RESULTS", str(tmp_path))
     monkeypatch.setattr(radio, "_thousand", lambda: pytest.fail("it is to be asked for only"))
@@ -210,31 +210,31 @@ def test_so_do_rows_of_the_radio(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize("channel", [IDEAL, LEVELS], ids=["losses", "levels"])
-def test_of_what_everybody_broadcasts_a_fifth_is_lost(channel: dict[str, object]) -> None:
+def test_a_fifth_of_all_broadcasts_is_lost(channel: dict[str, object]) -> None:
     duration_s, count = 10.0, 5
     agents = {f"car{n}": Counter() for n in range(count)}
     api.run(talk(count, channel, duration_s), agents=agents, mcap=False)
-    sent = 10 * duration_s - 1  # what is sent at the last tick arrives after it
+    sent = 10 * duration_s - 1  # messages of the last tick arrive after the end
     shares = [each.heard / (sent * (count - 1)) for each in agents.values()]
     assert shares == pytest.approx([1.0 - LOSS] * count, abs=0.08)
 
 
 @pytest.mark.parametrize("loss", [0.0, LOSS, 1.0])
-def test_the_programme_on_simpy_loses_what_it_is_told_to(loss: float) -> None:
+def test_the_simpy_program_has_the_given_loss(loss: float) -> None:
     count, span_s = 5, 20.0
     heard = sum(node.heard for node in talked(count, span_s, loss))
     assert heard / (10 * span_s * count * (count - 1)) == pytest.approx(1.0 - loss, abs=0.03)
 
 
 class Clock:
-    """CPU time that goes on when it is told to."""
+    """A simulated CPU clock."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = 0.0
         monkeypatch.setattr("time.process_time", lambda: self.now)
 
 
-def test_what_is_called_counts_as_its_own_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_inner_call_counts_only_for_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = Clock(monkeypatch)
     watch = Stopwatch()
 
@@ -256,7 +256,7 @@ def test_what_is_called_counts_as_its_own_alone(monkeypatch: pytest.MonkeyPatch)
     assert watch.spent() == dict.fromkeys(PARTS, 0.0) | told
 
 
-def test_a_call_that_fails_gives_the_time_back_to_its_caller(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_after_a_failed_call_time_counts_for_its_caller(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = Clock(monkeypatch)
     watch = Stopwatch()
 
@@ -271,9 +271,9 @@ def test_a_call_that_fails_gives_the_time_back_to_its_caller(monkeypatch: pytest
     assert (watch.spent()["radio"], watch.spent()["kernel"]) == (1.0, 2.0)
 
 
-def test_what_the_clock_takes_is_taken_off(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_cost_of_the_clock_is_subtracted(monkeypatch: pytest.MonkeyPatch) -> None:
     ticks = iter(range(10**9))
-    monkeypatch.setattr("time.process_time", lambda: float(next(ticks)))  # each look at it takes a second
+    monkeypatch.setattr("time.process_time", lambda: float(next(ticks)))  # each reading takes 1 s
     watch = Stopwatch()
     nothing = watch.clocked("recording", lambda: None)
     watch.change("kernel")
@@ -283,11 +283,11 @@ def test_what_the_clock_takes_is_taken_off(monkeypatch: pytest.MonkeyPatch) -> N
     assert found["recording"] + found["kernel"] < 3.0
 
 
-def test_every_part_of_a_run_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_part_of_a_run_has_a_share(monkeypatch: pytest.MonkeyPatch) -> None:
     short = Case("it", {"duration_s": 1.0, "metrics.from_s": 0.0}, study=True)
     monkeypatch.setattr(shares, "CASES", {"formation-circle": short})
     for name in ("begin", "advance"):
-        monkeypatch.setattr(Kernel, name, getattr(Kernel, name))  # so that all are put back
+        monkeypatch.setattr(Kernel, name, getattr(Kernel, name))  # registered with monkeypatch: restored after the test
     monkeypatch.setattr(p, "stepSimulation", p.stepSimulation)
     found = shares.spent("formation-circle")
     assert all(found[part] > 0.0 for part in PARTS)
@@ -306,6 +306,6 @@ def test_the_parts_of_each_bar_fill_it(tmp_path: Path) -> None:
     assert [(row["scenario"], float(row["end_s"])) for row in rows] == [("a", 1.0), ("b", float(len(PARTS)))]
 
 
-def test_a_row_tells_all_shares() -> None:
+def test_a_row_contains_all_shares() -> None:
     row = shares._row("formation-circle", {part: 2.0 if part == "Bullet" else 0.0 for part in PARTS})
     assert (row.ours, row.other, row.ratio) == ("Bullet 100 %", "2.0 CPU s", 1.0)

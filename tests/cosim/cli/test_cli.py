@@ -1,4 +1,4 @@
-"""The command line: where results go, and what is said where."""
+"""Command line: folders of results, options, and output on stdout and stderr."""
 
 import json
 import re
@@ -39,7 +39,7 @@ class Chatty(Agent):
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The current folder of each test, with a scenario in it."""
+    """Current folder of each test, with a scenario."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "s.toml").write_text(two_cars())
     return tmp_path
@@ -56,7 +56,7 @@ def test_a_run_leaves_its_files(folder: Path) -> None:
     assert set(FILES) <= {path.name for path in (folder / "out").iterdir()}
 
 
-def test_without_a_folder_results_go_where_nothing_is_yet(folder: Path) -> None:
+def test_without_a_folder_results_go_into_a_new_one(folder: Path) -> None:
     for name in ("two-cars-0", "two-cars-0-2", "two-cars-0-3"):
         code, out, _ = vcmvsp_command("run", "s.toml")
         assert code == 0
@@ -195,7 +195,7 @@ def test_json_is_the_metrics_and_nothing_else_even_if_agents_print(folder: Path,
 
 
 def test_json_is_clean_with_the_physics_engine_too() -> None:
-    """PyBullet greets from C++, past Python's own stdout."""
+    """PyBullet prints a greeting from C++, past Python's stdout."""
     settings = ["--set", "duration_s=0.5", "--agents", "inprocess"]
     command = [*VCMVSP, "run", "formation-circle", *settings, "--json", "--out", "out"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=500, check=True)
@@ -246,7 +246,7 @@ def test_progress_is_lines_on_stderr_in_a_log(monkeypatch: pytest.MonkeyPatch) -
     assert "simulated (" not in out.partition("\n")[2]
 
 
-def test_quiet_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_quiet_prints_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress, "LOG_EVERY_S", 0.0)
     assert vcmvsp_command("run", "s.toml", "--out", "out", "--quiet") == (0, "", "")
     assert vcmvsp_command("run", "s.toml", "--out", "out", "-q").err.startswith("vcmvsp: --out out: is not empty")
@@ -272,7 +272,7 @@ def test_an_agent_that_calls_exit_fails_like_any_other(folder: Path) -> None:
         pytest.param("Velocity(linear='abc')", "linear"),
     ],
 )
-def test_a_command_that_is_none_names_agent_and_vehicle(folder: Path, returned: str, words: str) -> None:
+def test_an_invalid_command_names_agent_and_vehicle(folder: Path, returned: str, words: str) -> None:
     source = f"from vcmvsp import Agent, Velocity\nclass A(Agent):\n    def act(self, obs, radio):\n        return {returned}\n"
     (folder / "odd.py").write_text(source)
     (folder / "s.toml").write_text(two_cars(agent="kind='odd.py:A'"))
@@ -286,7 +286,7 @@ def test_a_command_that_is_none_names_agent_and_vehicle(folder: Path, returned: 
 # --- list, show, check, doctor ----------------------------------------------------------------------------------------------
 
 
-def test_list_names_every_scenario_and_what_it_shows() -> None:
+def test_list_names_and_describes_every_scenario() -> None:
     code, out, _ = vcmvsp_command("list")
     about = json.loads(vcmvsp_command("list", "--json").out)
     assert code == 0
@@ -294,18 +294,18 @@ def test_list_names_every_scenario_and_what_it_shows() -> None:
     assert all(re.search(rf"^{name} +{re.escape(words)}$", out, re.MULTILINE) for name, words in about.items())
 
 
-def test_show_refuses_what_is_no_text(folder: Path) -> None:
+def test_show_refuses_invalid_text(folder: Path) -> None:
     (folder / "s.toml").write_bytes(b"name = '\xff'")
     assert vcmvsp_command("show", "s.toml") == vcmvsp_command("check", "s.toml")
 
 
-def test_check_agrees_with_a_run_whose_host_brings_the_class_along(folder: Path) -> None:
+def test_check_accepts_an_agent_with_a_class_from_its_host(folder: Path) -> None:
     (folder / "s.toml").write_text(two_cars(agents="runs = 'zenoh'", agent=""))
     assert vcmvsp_command("check", "s.toml").code == 0
 
 
-def test_doctor_finds_this_installation_well() -> None:
+def test_doctor_finds_no_fault_here() -> None:
     code, out, err = vcmvsp_command("doctor")
     assert (code, err) == (0, "")
     assert all(line.startswith("ok ") for line in out.splitlines())
-    assert len(set(re.findall(r"digest (\w+)", out))) == 1  # one process and many give the same
+    assert len(set(re.findall(r"digest (\w+)", out))) == 1  # same digest in one process and in many

@@ -1,4 +1,4 @@
-"""Completion, asked as shells ask for it: by environment variables."""
+"""Completion through the environment variables that shells set."""
 
 import os
 import subprocess
@@ -20,7 +20,7 @@ HEAVY = ("numpy", "rich", "matplotlib", "pybullet", "zenoh")
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(sys.modules, "rich", sys.modules.get("rich"))  # which completion hides
+    monkeypatch.setitem(sys.modules, "rich", sys.modules.get("rich"))  # completion hides it; restored after the test
     return tmp_path
 
 
@@ -30,7 +30,7 @@ def bash(monkeypatch: pytest.MonkeyPatch) -> "Shell":
 
 
 class Shell:
-    """What a shell is told when somebody presses TAB behind these words."""
+    """Completions that a shell shows for these words and TAB."""
 
     def __init__(self, patch: pytest.MonkeyPatch, name: str) -> None:
         self._patch, self._name = patch, name
@@ -56,7 +56,7 @@ def test_commands_and_their_options(bash: Shell) -> None:
     assert {"--set", "--seed"} == {*bash("run", "--se")}
 
 
-def test_scenarios_and_files_of_ones_own(bash: Shell, folder: Path) -> None:
+def test_scenarios_and_user_files(bash: Shell, folder: Path) -> None:
     assert bash("run", "formation-c") == ["formation-circle"]
     assert {*scenarios.names()} <= {*bash("check", "")}
     (folder / "formation-mine.toml").touch()
@@ -88,7 +88,7 @@ def test_kinds_parts_presets_and_vehicles(bash: Shell, words: tuple[str, ...], o
 
 
 @pytest.mark.parametrize("words", [("run", "--out", ""), ("plot", ""), ("run", "nothing-begins-so")])
-def test_where_nothing_is_known_the_shell_completes_files(bash: Shell, words: tuple[str, ...]) -> None:
+def test_without_candidates_the_shell_completes_files(bash: Shell, words: tuple[str, ...]) -> None:
     assert bash(*words) == []
 
 
@@ -115,7 +115,7 @@ def test_keys_are_offered_down_to_the_next_dot_and_then_values(bash: Shell, type
     assert {*offered} <= {*bash("run", "formation-circle", "--set", *typed)}
 
 
-def test_the_keys_of_a_scenario_of_ones_own_have_its_names(bash: Shell, folder: Path) -> None:
+def test_keys_of_a_user_scenario_have_its_names(bash: Shell, folder: Path) -> None:
     (folder / "own.toml").write_text("[[vehicle]]\nname = 'bus'\nsensors = { eye = { kind = 'lms' } }\n")
     assert bash("run", "own.toml", "--set", "veh") == ["vehicle.", "vehicles."]
     assert "vehicle.bus.sensors.eye.beams=" in bash("run", "own.toml", "--set", "vehicle.bus.sensors.eye.")
@@ -134,21 +134,21 @@ def test_the_keys_of_a_scenario_of_ones_own_have_its_names(bash: Shell, folder: 
         (("robot", "--set", "bau"), "baud="),
     ],
 )
-def test_where_set_means_a_part_of_a_scenario_so_do_the_keys(bash: Shell, words: tuple[str, ...], offered: str) -> None:
+def test_keys_fit_the_set_option_of_the_command(bash: Shell, words: tuple[str, ...], offered: str) -> None:
     assert offered in bash(*words)
 
 
 # --- how shells ask -----------------------------------------------------------------------------------------------------------
 
 
-def test_zsh_and_fish_are_told_what_a_command_does(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_zsh_and_fish_receive_descriptions(monkeypatch: pytest.MonkeyPatch) -> None:
     assert Shell(monkeypatch, "zsh")("ru")[0].startswith("""_arguments '*: :(("run":"Run a scenario""")
     assert Shell(monkeypatch, "fish")("ru")[0].startswith("run\tRun a scenario")
     assert Shell(monkeypatch, "zsh")("run", "--set", "radio.loss.kind=be")[0].endswith('(("radio.loss.kind=bernoulli"))\'')
     assert Shell(monkeypatch, "zsh")("run", "--out", "x") == ["_files"]
 
 
-def test_fish_is_told_by_the_exit_code_whether_there_is_anything(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_exit_code_for_fish_is_0_if_there_are_completions(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("_VCMVSP_COMPLETE", "complete_fish")
     monkeypatch.setenv("_TYPER_COMPLETE_FISH_ACTION", "is-args")
     for words, code in (("vcmvsp ru", 0), ("vcmvsp run --out x", 1)):
@@ -156,7 +156,7 @@ def test_fish_is_told_by_the_exit_code_whether_there_is_anything(monkeypatch: py
         assert vcmvsp_command() == (code, "", "")
 
 
-def test_what_cannot_be_answered_is_answered_by_silence(monkeypatch: pytest.MonkeyPatch, bash: Shell) -> None:
+def test_without_an_index_there_is_no_output(monkeypatch: pytest.MonkeyPatch, bash: Shell) -> None:
     monkeypatch.setattr(completion, "INDEX", Path("/nowhere"))
     monkeypatch.setenv("_VCMVSP_COMPLETE", "complete_bash")
     monkeypatch.setenv("COMP_WORDS", "vcmvsp\nrun\n--set\nrad")
@@ -164,8 +164,8 @@ def test_what_cannot_be_answered_is_answered_by_silence(monkeypatch: pytest.Monk
     assert (vcmvsp_command().out, vcmvsp_command().err) == ("", "")
 
 
-def asked(*arguments: str, **variables: str) -> str:
-    """The real command, in a process of its own."""
+def output_of(*arguments: str, **variables: str) -> str:
+    """Output of the real command, in a process of its own."""
     command = [sys.executable, *arguments]
     environment = {**os.environ, **variables}
     return subprocess.run(command, capture_output=True, text=True, timeout=500, check=True, env=environment).stdout
@@ -177,7 +177,7 @@ def test_it_loads_nothing_heavy() -> None:
         f"try: main()\nfinally: print([each for each in {HEAVY} if sys.modules.get(each)])"
     )
     words = {"COMP_WORDS": "vcmvsp\nrun\nformation-circle\n--set\nradio.mac.a", "COMP_CWORD": "4"}
-    out = asked("-c", code, _VCMVSP_COMPLETE="complete_bash", **words)
+    out = output_of("-c", code, _VCMVSP_COMPLETE="complete_bash", **words)
     assert out.splitlines() == ["radio.mac.attempts=", "radio.mac.acknowledge=", "[]"]
 
 

@@ -1,4 +1,4 @@
-"""``vcmvsp doctor --connect``: says what works on the way to a run, and why not what does not."""
+"""``vcmvsp doctor --connect``: checks on the way to a run, and the cause of the first failure."""
 
 import contextlib
 import datetime as dt
@@ -12,7 +12,7 @@ import zenoh
 from zenoh.handlers import Callback
 
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.run_processes import reserved
+from tests.support.cosim.run_processes import reserve_port
 from tests.support.cosim.secure_hub import lasting_links
 from vcmvsp.cosim.hosts import protocol
 from vcmvsp.cosim.hosts.event_publisher import Topics
@@ -48,15 +48,15 @@ def opened_hub(stack: contextlib.ExitStack, keys: Keys | None = None) -> Hub:
     return hub
 
 
-def shows(stack: contextlib.ExitStack, keys: Keys | None = None) -> str:
-    """The endpoint of a hub that says what it is."""
+def shown_hub(stack: contextlib.ExitStack, keys: Keys | None = None) -> str:
+    """Endpoint of a hub that publishes what it is."""
     hub = opened_hub(stack, keys)
     stack.callback(Topics(hub.session, ABOUT, keys).close)
     return hub.endpoint
 
 
-def examined(endpoint: str, *more: str) -> tuple[int | str | None, dict[str, tuple[bool, str]]]:
-    """The exit code, and each check with what was said; the lines for people say the same."""
+def doctor_checks(endpoint: str, *more: str) -> tuple[int | str | None, dict[str, tuple[bool, str]]]:
+    """Exit code; for each check, its result and its text."""
     anybody = ["--insecure"] if endpoint.startswith("tcp/") else []
     code, out, _ = vcmvsp_command("doctor", "--connect", endpoint, *more, *anybody, "--json")
     checks = {each["name"]: (each["ok"], each["words"]) for each in json.loads(out)}
@@ -64,9 +64,9 @@ def examined(endpoint: str, *more: str) -> tuple[int | str | None, dict[str, tup
     return code, checks
 
 
-def test_a_host_finds_all_well(keys: Keys, stack: contextlib.ExitStack) -> None:
-    endpoint = shows(stack, keys)
-    code, checks = examined(endpoint, "--keys", str(keys.folder / "laptop.keys"))
+def test_all_checks_pass_for_a_host(keys: Keys, stack: contextlib.ExitStack) -> None:
+    endpoint = shown_hub(stack, keys)
+    code, checks = doctor_checks(endpoint, "--keys", str(keys.folder / "laptop.keys"))
     assert code == 0
     names = ["certificate", "endpoint", "run's certificate", "run", "versions", "round trip", "clocks", "access", "vehicles"]
     assert list(checks) == names
@@ -80,9 +80,9 @@ def test_a_host_finds_all_well(keys: Keys, stack: contextlib.ExitStack) -> None:
     assert words["vehicles"] == "car1, car2; still missing: car2"
 
 
-def test_an_observer_finds_all_well(keys: Keys, stack: contextlib.ExitStack) -> None:
-    endpoint, file = shows(stack, keys), str(keys.folder / "anna.keys")
-    code, checks = examined(endpoint, "--keys", file)
+def test_all_checks_pass_for_an_observer(keys: Keys, stack: contextlib.ExitStack) -> None:
+    endpoint, file = shown_hub(stack, keys), str(keys.folder / "anna.keys")
+    code, checks = doctor_checks(endpoint, "--keys", file)
     assert code == 0
     assert checks["access"] == (True, "'anna' receives the topics of the run and acts only for itself")
     code, out, _ = vcmvsp_command("doctor", "--connect", endpoint, "--keys", file)
@@ -90,54 +90,54 @@ def test_an_observer_finds_all_well(keys: Keys, stack: contextlib.ExitStack) -> 
     assert [line[:7] for line in out.splitlines()] == ["ok     "] * 9
 
 
-def test_without_certificates_it_says_so(stack: contextlib.ExitStack) -> None:
-    code, checks = examined(shows(stack))
+def test_missing_certificates_are_reported(stack: contextlib.ExitStack) -> None:
+    code, checks = doctor_checks(shown_hub(stack))
     assert code == 0
     assert checks["access"][1].startswith("no certificates are required: anyone in reach of this endpoint receives")
 
 
-def test_access_that_is_not_right_is_found(keys: Keys, stack: contextlib.ExitStack, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A hub that lets hosts hear, and speak on the keys of others."""
+def test_wrong_access_is_found(keys: Keys, stack: contextlib.ExitStack, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A hub without access control: hosts receive its topics and may send on the keys of other vehicles."""
     real = access_control.hub_security
 
     def lax(known: Keys) -> dict[str, Any]:
         return {name: part for name, part in real(known).items() if name != "access_control"}
 
     monkeypatch.setattr(access_control, "hub_security", lax)
-    code, checks = examined(shows(stack, keys), "--keys", str(keys.folder / "laptop.keys"))
+    code, checks = doctor_checks(shown_hub(stack, keys), "--keys", str(keys.folder / "laptop.keys"))
     assert code == 1
     words = "'laptop' receives the topics of the run and may act for other vehicles, which is wrong for a host"
     assert checks["access"] == (False, words)
 
 
-def test_what_is_wrong_is_named_and_ends_the_examination(
+def test_the_first_failure_is_named_and_ends_the_checks(
     keys: Keys, stack: contextlib.ExitStack, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    endpoint = shows(stack, keys)
+    endpoint = shown_hub(stack, keys)
     foreign = tmp_path / "foreign"
     authority.init(foreign)
     authority.issue(foreign, "anna")
     with monkeypatch.context() as patch:
         patch.setattr(certificates, "now", lambda: dt.datetime.now(dt.UTC) - dt.timedelta(days=2))
         authority.issue(foreign, "old", days=1)
-    nobody = f"tls/127.0.0.1:{stack.enter_context(reserved())}"
+    nobody = f"tls/127.0.0.1:{stack.enter_context(reserve_port())}"
     for where, file, name, words in (
         (nobody, keys.folder / "anna.keys", "endpoint", "no program listens there (Connection refused)"),
         (endpoint, foreign / "anna.keys", "endpoint", "is of another authority than"),
         (endpoint, foreign / "old.keys", "certificate", "the certificate of 'old' expired on"),
         (endpoint, keys.folder / "gone.keys", "run", "'gone' is unknown to this run: its certificate was revoked"),
     ):
-        code, checks = examined(where, "--keys", str(file))
+        code, checks = doctor_checks(where, "--keys", str(file))
         assert code == 1
         assert list(checks)[-1] == name
         assert [ok for ok, _ in checks.values()] == [True] * (len(checks) - 1) + [False]
         assert words in checks[name][1]
-    code, checks = examined(endpoint.replace("tls/", "tcp/"))
+    code, checks = doctor_checks(endpoint.replace("tls/", "tcp/"))
     assert checks["endpoint"][1].endswith("that run requires certificates: connect to tls/... and add --keys FILE")
 
 
 @pytest.mark.parametrize("off_s", [-3600.0, 5.0])
-def test_the_other_clock_and_the_other_version(stack: contextlib.ExitStack, off_s: float) -> None:
+def test_another_clock_and_another_version(stack: contextlib.ExitStack, off_s: float) -> None:
     hub = opened_hub(stack)
 
     def answer(query: zenoh.Query) -> None:
@@ -146,7 +146,7 @@ def test_the_other_clock_and_the_other_version(stack: contextlib.ExitStack, off_
             query.reply(query.key_expr, json.dumps(about))
 
     hub.session.declare_queryable(key_names.ABOUT, Callback(answer, indirect=False))
-    code, checks = examined(hub.endpoint)
+    code, checks = doctor_checks(hub.endpoint)
     assert code == 1
     ok, words = checks["versions"]
     assert not ok
@@ -157,8 +157,8 @@ def test_the_other_clock_and_the_other_version(stack: contextlib.ExitStack, off_
     assert abs(found - abs(off_s) * 1e3) <= spread + 0.02  # ms; both are rounded
 
 
-def test_a_run_that_says_nothing(stack: contextlib.ExitStack) -> None:
-    code, checks = examined(opened_hub(stack).endpoint)
+def test_a_run_without_a_description(stack: contextlib.ExitStack) -> None:
+    code, checks = doctor_checks(opened_hub(stack).endpoint)
     assert code == 1
     assert checks["run"] == (False, "the listener there does not identify its run: use the same vcmvsp version at both ends")
 

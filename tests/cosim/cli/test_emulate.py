@@ -1,4 +1,4 @@
-"""``vcmvsp emulate`` as its users start it: drivers and readers connect to what it says, and it leaves nothing behind."""
+"""``vcmvsp emulate``: drivers and readers connect to the printed address; at the end no process and no link is left."""
 
 import json
 import math
@@ -18,8 +18,8 @@ import pytest
 import serial  # type: ignore[import-untyped]
 
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.run_processes import VCMVSP, reserved
-from tests.support.hardware.driver_runs import held
+from tests.support.cosim.run_processes import VCMVSP, reserve_port
+from tests.support.hardware.driver_runs import open_resources
 from vcmvsp.cosim.types import Velocity
 from vcmvsp.hardware.drivers.arcos.driver import ArcosDriver
 from vcmvsp.hardware.drivers.arcos.protocol import Command, PacketReader, command, is_sip
@@ -44,7 +44,7 @@ PATIENCE_S = 60.0
 
 
 class Emulated:
-    """A command that runs, and what it has said."""
+    """A running command and its output."""
 
     def __init__(self, *arguments: str) -> None:
         line = [*VCMVSP, "emulate", *arguments]
@@ -56,7 +56,7 @@ class Emulated:
         return self.process.stdout.readline().rstrip("\n")
 
     def end(self, number: int = signal.SIGINT) -> tuple[int, str, str]:
-        """How it ends when it is interrupted: exit code, what it said."""
+        """Interrupt it; exit code, stdout, stderr. No child process may be left."""
         children = psutil.Process(self.process.pid).children(recursive=True)
         self.process.send_signal(number)
         out, err = self.process.communicate(timeout=PATIENCE_S)
@@ -79,7 +79,7 @@ def emulated(*arguments: str) -> Iterator[Emulated]:
 def drive(
     url: str, until: Callable[[Sample], bool], v: float, begin: Callable[[Sample], bool] = bool, **options: Any
 ) -> list[Sample]:
-    """Stand until a sample is such that it may ``begin``, then drive until one is as it should be; a robot may be late."""
+    """Stand still until a sample meets ``begin``, then drive until one meets ``until``, within PATIENCE_S; all samples."""
     driver = ArcosDriver(url, **{"connect_s": 30.0, "silence_s": 20.0, **options})
     samples: list[Sample] = []
     driver.open()
@@ -112,7 +112,7 @@ def test_a_driver_drives_it(robot: str, port: str, tmp_path: Path) -> None:
     assert not Path(port).is_symlink()
 
 
-def test_json_says_it_in_two_lines_and_sigterm_ends_it_as_well() -> None:
+def test_json_is_two_lines_and_sigterm_ends_it_too() -> None:
     with emulated("amigobot", "--json", "--dwm1001", "PTY", "--ubisense", "udp://127.0.0.1:9") as command_line:
         about = json.loads(command_line.line())
         assert about["url"].startswith("/dev/pts/")
@@ -144,13 +144,15 @@ def test_a_bad_line_is_counted() -> None:
     assert happened["bytes_lost"] + happened["bytes_changed"] > 0
 
 
-def pinged(sample: Sample) -> list[float]:
-    """What sonar 2 has measured anew, m."""
+def sonar_ranges(sample: Sample) -> list[float]:
+    """New ranges of sonar 2, m."""
     return [metres for number, metres in sample.sonar if number == 2]
 
 
-def echo(x: float) -> float:
-    """What it measures from there, m: it sits 0.15 m ahead and looks 15 degrees to the left, its cone goes to 5 degrees."""
+def expected_range(x: float) -> float:
+    """Range of sonar 2 with the robot at x, m: it is 0.15 m ahead, turned 15 degrees to the left; its cone's edge is at 5
+    degrees.
+    """
     return (FACE_M - 0.15 - x) / math.cos(math.radians(5.0))
 
 
@@ -163,15 +165,19 @@ def test_in_a_scenario_the_sonar_sees_the_wall_and_the_robot_stalls_against_it(t
         tags = ("--ubisense", there, "--fix-hz", "20", "--sigma-m", "0.05", "--tag", "ABC")
         with emulated("amigobot", "--scenario", str(tmp_path / "wall.toml"), *tags) as command_line:
             url = command_line.line()
-            samples = drive(url, lambda sample: sample.stalled == (True, True), 0.4, begin=lambda sample: bool(pinged(sample)))
+            samples = drive(
+                url, lambda sample: sample.stalled == (True, True), 0.4, begin=lambda sample: bool(sonar_ranges(sample))
+            )
             assert samples[-1].stalled == (True, True)
             xs = [sample.odometry.pose[0] for sample in samples]
-            ahead = [(*way, metres) for way, each in zip(pairwise([0.0, *xs]), samples, strict=True) for metres in pinged(each)]
+            ahead = [
+                (*way, metres) for way, each in zip(pairwise([0.0, *xs]), samples, strict=True) for metres in sonar_ranges(each)
+            ]
             standing = [metres for before, x, metres in ahead if before == x == 0.0]
             assert standing
-            assert standing == pytest.approx([echo(0.0)] * len(standing), abs=0.12)
-            for before, x, metres in ahead:  # a ping may be older than the pose
-                assert x >= 0.2 or echo(x) - 0.12 <= metres <= echo(before) + 0.12
+            assert standing == pytest.approx([expected_range(0.0)] * len(standing), abs=0.12)
+            for before, x, metres in ahead:  # a range may be older than the pose
+                assert x >= 0.2 or expected_range(x) - 0.12 <= metres <= expected_range(before) + 0.12
             assert ahead[-1][-1] < 0.1
             ear.setblocking(False)
             located = []
@@ -183,11 +189,11 @@ def test_in_a_scenario_the_sonar_sees_the_wall_and_the_robot_stalls_against_it(t
     assert {each.tag for each in located} == {"0000000000000ABC"}
     along = [each.position[0] for each in located if each.position]
     assert min(along) < 0.2
-    assert 0.25 < along[-1] < FACE_M  # its front is 0.16 m ahead; five standard deviations
+    assert 0.25 < along[-1] < FACE_M  # the robot's front is 0.16 m ahead; margin of five standard deviations
     assert max(along) < FACE_M + 0.1
 
 
-def test_a_vehicle_among_others_takes_the_place_of_its_agent(tmp_path: Path) -> None:
+def test_the_emulator_replaces_the_agent_of_a_vehicle(tmp_path: Path) -> None:
     text = """
 name = "two"
 duration_s = 1.0
@@ -211,7 +217,7 @@ agent = { fails_s = 0.5 }
     assert json.loads(out)["vehicle"] == "car2"
 
 
-def test_a_tag_alone_goes_round() -> None:
+def test_a_tag_alone_circles() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear:
         ear.bind(("127.0.0.1", 0))
         ear.settimeout(PATIENCE_S)
@@ -225,7 +231,7 @@ def test_a_tag_alone_goes_round() -> None:
 
 
 def test_a_client_raises_the_baud_rate_and_comes_back_at_the_new_one() -> None:
-    """As ARIA does: HOSTBAUD at the old rate, then the port is opened again at the new one; the session goes on."""
+    """As in ARIA: HOSTBAUD at the old rate, then the port is opened again at the new one; the session continues."""
     with emulated("p2dx", "--paced") as command_line:
         url = command_line.line()
         with serial.Serial(url, 9600, timeout=0.05) as port:
@@ -244,7 +250,7 @@ def test_a_client_raises_the_baud_rate_and_comes_back_at_the_new_one() -> None:
                 hear(bytes((number,)).__eq__ if number < 2 else lambda packet: packet[0] == 2)
             port.write(command(Command.OPEN, 1) + command(Command.HOSTBAUD, 2))
             time.sleep(0.5)
-            assert not any(is_sip(packet) for packet in reader.feed(port.read(1000))[1:])  # noise, but for what came before
+            assert not any(is_sip(packet) for packet in reader.feed(port.read(1000))[1:])  # noise after earlier packets
             port.close()
             port.baudrate = 38400
             port.open()
@@ -257,7 +263,7 @@ def test_a_client_raises_the_baud_rate_and_comes_back_at_the_new_one() -> None:
 
 
 @pytest.mark.parametrize("port", ["tcp://:0", "udp"])
-def test_an_autopilot_is_heard(port: str) -> None:
+def test_an_autopilot_sends_mavlink(port: str) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear:
         ear.bind(("127.0.0.1", 0))
         ear.settimeout(PATIENCE_S)
@@ -279,7 +285,7 @@ def test_an_autopilot_is_heard(port: str) -> None:
 
 
 def test_a_robot_that_runs_ros_2_is_driven(stack: ExitStack) -> None:
-    endpoint = f"tcp/127.0.0.1:{stack.enter_context(reserved())}"
+    endpoint = f"tcp/127.0.0.1:{stack.enter_context(reserve_port())}"
     with emulated("ros2", "--port", endpoint, "--stamped", "--pose", "1,2,0", "--json") as command_line:
         assert json.loads(command_line.line())["url"] == endpoint
         driver = Ros2Driver(endpoint=endpoint, stamped=True, pose="world", connect_s=30.0, silence_s=20.0)
@@ -321,7 +327,7 @@ def test_a_robot_that_runs_ros_2_is_driven(stack: ExitStack) -> None:
         (("mavlink", "--system-id", "0"), "from 1 to 255"),
     ],
 )
-def test_what_cannot_be_is_said_in_one_line(arguments: tuple[str, ...], said: str) -> None:
+def test_wrong_arguments_are_refused_in_one_line(arguments: tuple[str, ...], said: str) -> None:
     outcome = vcmvsp_command("emulate", *arguments)
     assert outcome.code == 2
     assert said in outcome.err
@@ -329,7 +335,7 @@ def test_what_cannot_be_is_said_in_one_line(arguments: tuple[str, ...], said: st
     assert outcome.out == ""
 
 
-def test_a_port_that_is_taken_is_said_in_one_line(tmp_path: Path) -> None:
+def test_a_port_in_use_is_refused_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "robot").touch()
     outcome = vcmvsp_command("emulate", "amigobot", "--port", str(tmp_path / "robot"))
     assert (outcome.code, outcome.err.count("\n")) == (2, 1)
@@ -340,9 +346,9 @@ def test_a_port_that_is_taken_is_said_in_one_line(tmp_path: Path) -> None:
     assert "in use" in outcome.err
 
 
-def test_nothing_is_left_of_it_in_this_process() -> None:
-    before = held()
+def test_it_leaves_nothing_open_in_its_process() -> None:
+    before = open_resources()
     outcome = vcmvsp_command("emulate", "amigobot", "--duration", "0.2", "--ubisense", "udp://127.0.0.1:9", "--dwm1001", "PTY")
     assert outcome.code == 0
     assert len(outcome.out.splitlines()) >= 4
-    assert held() <= before
+    assert open_resources() <= before

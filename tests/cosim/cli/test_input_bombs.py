@@ -1,4 +1,4 @@
-"""Every file that a user gives is read, or refused in one line, in a few seconds and a gigabyte, however much it unpacks to."""
+"""Every input file, however large it unpacks, is read or refused in one line, within a few seconds and a gigabyte."""
 
 import shutil
 import struct
@@ -10,7 +10,7 @@ import pytest
 import vcmvsp
 from tests.support.cosim import unpacking_bombs as bombs
 from tests.support.cosim.command_line import two_cars
-from tests.support.cosim.measured_commands import Measured, answered, measured
+from tests.support.cosim.measured_commands import CommandCost, assert_answered, measure_commands
 from tests.support.cosim.unpacking_bombs import DEEP, sparse
 
 pytestmark = pytest.mark.processes
@@ -21,12 +21,12 @@ REAL = two_cars(car1='driver = { kind = "bench" }')
 
 
 def text(name: str, content: str) -> Make:
-    """A file of this content."""
+    """Writes a file with this content."""
     return lambda folder: (folder / name).write_text(content)
 
 
 def zeros(name: str, head: str = "") -> Make:
-    """Ten gigabytes behind this beginning."""
+    """Writes a file of ten gigabytes of zeros that begins with ``head``."""
 
     def make(folder: Path) -> None:
         sparse(folder / name)
@@ -37,7 +37,7 @@ def zeros(name: str, head: str = "") -> Make:
 
 
 def both_of(one: Make, other: Make) -> Make:
-    """Two files."""
+    """Writes two files."""
     return lambda folder: (one(folder), other(folder))
 
 
@@ -53,12 +53,12 @@ def vehicle(make: Make) -> tuple[str, Make]:
 
 
 def stl(folder: Path) -> None:
-    """A mesh that claims two thousand million triangles and has one."""
+    """A mesh whose header claims two thousand million triangles; it contains one."""
     (folder / "m.stl").write_bytes(bytes(80) + struct.pack("<I", 2_000_000_000) + bytes(50))
 
 
 def scenario(tail: str, make: Make, command: str = "check {}/s.toml") -> tuple[str, Make]:
-    """A scenario that ends with these tables, and a file for it."""
+    """A command, and a writer of its scenario (two cars and the tables ``tail``) and of another file."""
 
     def both(folder: Path) -> None:
         (folder / "s.toml").write_text(two_cars(tail=tail))
@@ -68,7 +68,7 @@ def scenario(tail: str, make: Make, command: str = "check {}/s.toml") -> tuple[s
 
 
 def replayed(make: Make) -> tuple[str, Make]:
-    """A run with a real vehicle, and what came into it from outside."""
+    """Replay of a run with a real vehicle, whose recorded inputs are written by ``make``."""
 
     def both(folder: Path) -> None:
         (folder / "scenario.toml").write_text(REAL)
@@ -125,8 +125,8 @@ STUDY_READERS = ("report {}", "plot {}", "study {}/../s.toml --vary duration_s=0
 
 
 @pytest.fixture(scope="module")
-def answers(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Measured]:
-    """What the commands say to each."""
+def answers(tmp_path_factory: pytest.TempPathFactory) -> dict[str, CommandCost]:
+    """Output and costs of each command."""
     top = tmp_path_factory.mktemp("given")
     (top / "s.toml").write_text(two_cars())
     vcmvsp.run(top / "s.toml", out=top / "run", set={"duration_s": 1.0})
@@ -142,9 +142,9 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Measured]:
             folder = Path(shutil.copytree(top / "study", top / f"{reader[:5].strip()}-{name.replace(' ', '-')}"))
             make(folder)
             asked[f"{reader.split()[0]} {name}"] = reader.replace("{}", str(folder))
-    return dict(zip(asked, measured(list(asked.values())), strict=True))
+    return dict(zip(asked, measure_commands(list(asked.values())), strict=True))
 
 
 @pytest.mark.parametrize("name", [*GIVEN, *(f"{reader.split()[0]} {name}" for name in IN_STUDY for reader in STUDY_READERS)])
-def test_what_is_given_is_read_or_refused_at_little_cost(name: str, answers: dict[str, Measured]) -> None:
-    answered(answers[name])
+def test_inputs_are_read_or_refused_at_little_cost(name: str, answers: dict[str, CommandCost]) -> None:
+    assert_answered(answers[name])

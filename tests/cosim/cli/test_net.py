@@ -1,4 +1,4 @@
-"""`vcmvsp net`: a run whose vehicles are machines, programs on them, and what is left when runs are killed."""
+"""`vcmvsp net`: a run whose vehicles are network namespaces, programs in them, and remains of killed runs."""
 
 import contextlib
 import json
@@ -44,14 +44,14 @@ def net(*arguments: str) -> list[str]:
 
 
 def on(vehicle: str, *command: str, run: str, text: str = "") -> "subprocess.CompletedProcess[str]":
-    """A program on a vehicle's machine, to its end."""
+    """Result of a program in a vehicle's namespace."""
     whole = net("exec", vehicle, "--run", run, "--", *command)
     return subprocess.run(whole, input=text, capture_output=True, text=True, check=False, timeout=500)
 
 
 @contextlib.contextmanager
 def up(folder: Path, *options: str, name: str = NAME) -> Iterator["subprocess.Popen[str]"]:
-    """A run with a network; killed in the end, if it is still there."""
+    """A run with a network; killed at the end if it is still running."""
     scenario = folder / f"{name}.toml"
     scenario.write_text(SCENARIO.format(name=name))
     command = [*VCMVSP, "net", "up", str(scenario), "--out", str(folder / name), *options]
@@ -70,7 +70,7 @@ def up(folder: Path, *options: str, name: str = NAME) -> Iterator["subprocess.Po
             process.communicate(timeout=READY_S)
         finally:
             process.kill()
-            with contextlib.suppress(networks.RunAlive):  # a bridge that is still there takes it away itself
+            with contextlib.suppress(networks.RunAlive):  # a bridge that is still running removes its network itself
                 networks.clear(name)
 
 
@@ -80,7 +80,7 @@ def network(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         yield NAME
 
 
-def test_names_of_vehicles_are_known_inside_and_others_still_are(network: str) -> None:
+def test_names_of_vehicles_resolve_inside_and_others_still_do(network: str) -> None:
     usual = Path("/etc/hosts").read_text("utf-8")
     seen = on("car1", "cat", "/etc/hosts", run=network).stdout
     assert seen.startswith(usual.rstrip("\n"))
@@ -112,7 +112,7 @@ def test_signals_go_to_the_program(network: str) -> None:
 
 
 def test_a_pipe_that_ends_ends_the_program(network: str) -> None:
-    """Python ignores SIGPIPE; a program that inherited that would go on for ever."""
+    """Python ignores SIGPIPE; a program that inherited this would never end."""
     done = on("car1", "sh", "-c", "yes | head -1", run=network)
     assert (done.stdout, done.stderr) == ("y\n", "")
 
@@ -124,7 +124,7 @@ def test_a_pipe_that_ends_ends_the_program(network: str) -> None:
         (("car1", "--run", "elsewhere"), r"--run elsewhere: no such run; runs: (\w+, )*{run}(, \w+)*\n"),
     ],
 )
-def test_where_there_is_no_such_machine_the_message_says_which_there_are(
+def test_an_unknown_vehicle_or_run_is_refused_with_the_known_ones(
     network: str, arguments: tuple[str, ...], problem: str
 ) -> None:
     outcome = vcmvsp_command("net", "exec", *arguments, *(() if "--run" in arguments else ("--run", network)), "--", "true")
@@ -132,7 +132,7 @@ def test_where_there_is_no_such_machine_the_message_says_which_there_are(
     assert re.fullmatch(f"vcmvsp: {problem.format(run=network)}", outcome.err)
 
 
-def test_a_program_that_there_is_not_is_said_in_one_line(network: str) -> None:
+def test_a_missing_program_is_reported_in_one_line(network: str) -> None:
     done = on("car1", "no-such-program", "-x", run=network)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == "vcmvsp: no-such-program -x: No such file or directory\n"
@@ -149,7 +149,7 @@ def test_of_two_runs_one_must_be_named(network: str) -> None:
     assert {NAME, f"{NAME}other"} <= set(re.findall(r"\w+", outcome.err))
 
 
-def test_status_tells_addresses_and_that_the_run_is_alive(network: str) -> None:
+def test_status_shows_addresses_and_a_live_run(network: str) -> None:
     outcome = vcmvsp_command("net", "status", "--json")
     about = next(each for each in json.loads(outcome.out) if each["run"] == network)
     assert about["alive"] is True
@@ -159,7 +159,7 @@ def test_status_tells_addresses_and_that_the_run_is_alive(network: str) -> None:
     assert f"{network}: alive, process {about['pid']}\n  car1  10.77.0.1  fd77::1\n  car2  10.77.0.2  fd77::2\n" in text
 
 
-def test_what_is_alive_is_not_cleared_away(network: str) -> None:
+def test_the_network_of_a_live_run_is_not_removed(network: str) -> None:
     outcome = vcmvsp_command("net", "down", network)
     assert outcome.code == 2
     assert f"run {network} is alive" in outcome.err
@@ -175,14 +175,14 @@ def test_a_second_run_of_the_same_name_is_refused_before_it_begins(network: str,
     assert not (tmp_path / "out").exists()
 
 
-def test_without_a_name_all_that_are_dead_are_cleared_away(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_name_all_dead_networks_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(networks, "FOLDER", tmp_path / "net")
     assert vcmvsp_command("net", "status").out == "no run has a network on this machine\n"
     assert vcmvsp_command("net", "down").out == "no network to remove\n"
     leases = {name: networks.Lease(name) for name in ("alive", "dead")}
     for name, lease in leases.items():
         lease.tell(networks.RunNetwork(run=name, pid=os.getpid(), spaces=()))
-    os.close(leases["dead"]._lock)  # as the end of its process does
+    os.close(leases["dead"]._lock)  # as at the end of its process
     assert vcmvsp_command("net", "down").out == "dead: gone\n"
     assert [each.run for each in networks.networks()] == ["alive"]
     leases["alive"].end()
@@ -190,18 +190,18 @@ def test_without_a_name_all_that_are_dead_are_cleared_away(tmp_path: Path, monke
 
 
 @pytest.mark.needs("ping")
-def test_ping_fares_as_the_radio_recorded(tmp_path: Path) -> None:
+def test_ping_agrees_with_the_recorded_radio(tmp_path: Path) -> None:
     name = f"{NAME}ping"
     with up(tmp_path, "--set", "radio.loss.probability=0.25", "--set", "bridge.ip.layer=3", name=name):  # no ARP among the rows
-        # Some one by one, which find the way free; then 80 at once: after these, ping waits for as long as -W says, and not
-        # for two of its round trips.
+        # 20 one by one, on an idle radio; then 80 at once: after these, ping waits for the time given by -W, not for two
+        # round-trip times.
         pings = "ping -n -c 20 -i 0.03 -W 1 car2; ping -n -c 80 -l 80 -W 2 car2"
         said = on("car1", "sh", "-c", pings, run=name).stdout
     rows = pq.read_table(tmp_path / name / "radio.parquet").to_pylist()
     there = [each["outcome"] == "received" for each in rows if each["sender"] == "car1"]
     back = [each["outcome"] == "received" for each in rows if each["sender"] == "car2"]
     assert len(there) == 20 + 80
-    assert len(back) == sum(there) < len(there)  # what car2 has heard it answers
+    assert len(back) == sum(there) < len(there)  # car2 answers every request that it receives
     assert f"80 packets transmitted, {sum(back[sum(there[:20]) :])} received" in said
     quickest_ms = [float(each) for each in re.findall(r"min/avg/max/mdev = ([\d.]+)", said)]
     assert 40.0 <= min(quickest_ms) < 80.0  # 20 ms each way
@@ -220,13 +220,13 @@ def test_iperf_measures_the_rate_of_the_link(tmp_path: Path) -> None:
             on("car1", "iperf3", "-c", "10.77.0.2", "-u", "-b", "5M", "-l", str(size), "-t", "4", run=name)
             heard, _ = server.communicate(timeout=READY_S)
     sums = [each["sum"] for each in json.loads(heard)["intervals"]][2:]
-    rates = [each["bits_per_second"] for each in sums if each["seconds"] > 0.2]  # others end it, or a time of standing still
+    rates = [each["bits_per_second"] for each in sums if each["seconds"] > 0.2]  # a shorter one is the last, or follows a stall
     assert len(rates) > 4
     share = size / (size + 28)  # without headers of UDP and IP
-    assert statistics.median(rates) == pytest.approx(rate_bps * share, rel=0.03)  # whatever holds the machine up now and then
+    assert statistics.median(rates) == pytest.approx(rate_bps * share, rel=0.03)  # median: robust against stalls of the machine
 
 
-def test_a_network_lasts_as_long_as_is_said_and_leaves_nothing(tmp_path: Path) -> None:
+def test_a_network_lasts_for_its_duration_and_leaves_nothing(tmp_path: Path) -> None:
     with up(tmp_path, "--duration", "0.5", "--network", "10.99.0.0/24", name=f"{NAME}short") as process:
         assert process.wait(READY_S) == 0
         assert not [each for each in networks.networks() if each.run == f"{NAME}short"]
@@ -235,8 +235,8 @@ def test_a_network_lasts_as_long_as_is_said_and_leaves_nothing(tmp_path: Path) -
     assert 'network = "10.99.0.0/24"' in scenario
 
 
-def test_a_door_of_another_name_is_the_network(tmp_path: Path) -> None:
-    """A second one would be refused."""
+def test_a_gateway_of_another_name_is_the_network(tmp_path: Path) -> None:
+    """A second gateway of this kind would be refused."""
     options = ("--set", "bridge.lab.kind=ip", "--network", "10.99.0.0/24", "--duration", "0.5")
     with up(tmp_path, *options, name=f"{NAME}lab") as process:
         assert process.wait(READY_S) == 0
@@ -245,7 +245,7 @@ def test_a_door_of_another_name_is_the_network(tmp_path: Path) -> None:
     assert 'network = "10.99.0.0/24"' in scenario
 
 
-def test_what_a_killed_run_has_left_is_shown_and_cleared_away(tmp_path: Path) -> None:
+def test_remains_of_a_killed_run_are_shown_and_removed(tmp_path: Path) -> None:
     name = f"{NAME}killed"
     with up(tmp_path, name=name) as process:
         bridge = next(each.pid for each in networks.networks() if each.run == name)
@@ -262,7 +262,7 @@ def test_what_a_killed_run_has_left_is_shown_and_cleared_away(tmp_path: Path) ->
         assert not list(namespaces.NAMES.glob(f"vcmvsp-{name}-*"))
 
 
-def test_force_takes_the_network_from_a_run_that_is_alive(tmp_path: Path) -> None:
+def test_force_removes_the_network_of_a_live_run(tmp_path: Path) -> None:
     name = f"{NAME}forced"
     with up(tmp_path, name=name) as process:
         assert vcmvsp_command("net", "down", name, "--force").code == 0
@@ -271,7 +271,7 @@ def test_force_takes_the_network_from_a_run_that_is_alive(tmp_path: Path) -> Non
         assert not list(namespaces.NAMES.glob(f"vcmvsp-{name}-*"))
 
 
-def test_who_lacks_the_rights_is_told_which(tmp_path: Path) -> None:
+def test_missing_rights_are_named(tmp_path: Path) -> None:
     scenario = tmp_path / "cars.toml"
     scenario.write_text(SCENARIO.format(name=f"{NAME}powerless"))
     without = "import ctypes, os, sys; ctypes.CDLL(None).prctl(24, 12); os.execv(sys.argv[1], sys.argv[1:])"  # PR_CAPBSET_DROP
@@ -313,14 +313,14 @@ finally:
 
 
 def called_by_sudo(run: str, kind: str, folder: Path) -> list[str]:
-    """What a run says that starts its bridge as one does whose user is nobody."""
+    """Output of a program started with sudo by user nobody (65534): its ids, and the answer of the bridge that it starts."""
     code = CALLED_BY_SUDO.format(run=run, kind=kind, folder=str(folder))
     environment = {**os.environ, "SUDO_UID": "65534"}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True, timeout=60)
     return done.stdout.splitlines()
 
 
-def test_with_sudo_only_the_interfaces_are_made_with_the_rights_of_root(tmp_path: Path) -> None:
+def test_with_sudo_only_the_interfaces_are_made_as_root(tmp_path: Path) -> None:
     ids, for_good, line = called_by_sudo(f"{NAME}sudo", "ip", tmp_path)
     assert (ids, for_good) == (f"{(65534,) * 6} [65534]", "for good")
     assert "10.77.0.1" in line
@@ -330,7 +330,7 @@ def test_with_sudo_only_the_interfaces_are_made_with_the_rights_of_root(tmp_path
 @pytest.mark.parametrize(
     ("run", "kind"), [(NAME, "evil.py:Door"), (NAME, "os:system"), ("../evil", "ip")], ids=["a file", "a module", "a path"]
 )
-def test_with_sudo_a_run_names_no_code_and_no_files_to_what_has_the_rights_of_root(run: str, kind: str, tmp_path: Path) -> None:
+def test_with_sudo_a_run_passes_no_code_and_no_files_to_root(run: str, kind: str, tmp_path: Path) -> None:
     canary = tmp_path / "canary"
     (tmp_path / "evil.py").write_text(f"open({str(canary)!r}, 'w')\nclass Door: pass\n")
     *_, problem = called_by_sudo(run, kind, tmp_path)
@@ -338,6 +338,6 @@ def test_with_sudo_a_run_names_no_code_and_no_files_to_what_has_the_rights_of_ro
     assert not canary.exists()
 
 
-def test_with_sudo_programs_are_of_the_user_who_called_it(network: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_with_sudo_programs_run_as_the_calling_user(network: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SUDO_UID", "65534")
     assert on("car1", "id", "-u", run=network).stdout == "65534\n"

@@ -1,4 +1,4 @@
-"""``vcmvsp new``: what it writes runs and passes its own test as it is; what it must not write it does not."""
+"""``vcmvsp new``: the written files run and pass their own test unedited; names that cannot be used are refused."""
 
 import os
 import re
@@ -25,7 +25,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def python(*arguments: str) -> str:
-    """What Python, started here with the checkout on its path, prints; it must end well."""
+    """Output of Python with the checkout on its path; it must exit with 0."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, *arguments]
     done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=140, env=environment)
@@ -45,7 +45,7 @@ def test_it_runs_and_passes_its_own_test_unedited(folder: Path, part: str) -> No
 
 
 @pytest.mark.parametrize("part", kinds.PARTS)
-def test_it_says_what_it_has_written(folder: Path, part: str) -> None:
+def test_it_lists_the_written_files(folder: Path, part: str) -> None:
     code, out, err = vcmvsp_command("new", part, "thing", "--out", "some/where")
     assert (code, err) == (0, "")
     written = {str(path.relative_to(folder)) for path in (folder / "some" / "where").iterdir()}
@@ -102,7 +102,7 @@ def test_nothing_of_the_template_is_left_over(part: str) -> None:
         (("agent", "mine", "--out", "a-file/below"), "cannot write into a-file/below"),
     ],
 )
-def test_what_makes_no_sense_is_refused_in_one_line_and_nothing_is_written(
+def test_wrong_arguments_are_refused_in_one_line_and_nothing_is_written(
     folder: Path, arguments: tuple[str, ...], words: str
 ) -> None:
     (folder / "a-file").write_text("mine")
@@ -113,8 +113,8 @@ def test_what_makes_no_sense_is_refused_in_one_line_and_nothing_is_written(
 
 
 @pytest.mark.parametrize("taken", ["mine.py", "mine.toml", "test_mine.py"])
-def test_a_file_that_is_there_stays_and_nothing_is_written_beside_it(folder: Path, taken: str) -> None:
-    (folder / taken).symlink_to("nowhere")  # also one that leads nowhere: to write would make what it names
+def test_an_existing_file_stays_and_nothing_is_written_beside_it(folder: Path, taken: str) -> None:
+    (folder / taken).symlink_to("nowhere")  # a dangling link, too: writing would create its target
     assert vcmvsp_command("new", "agent", "mine").code == 2
     (folder / taken).unlink()
     (folder / taken).write_text("my own")
@@ -126,9 +126,9 @@ def test_a_file_that_is_there_stays_and_nothing_is_written_beside_it(folder: Pat
 
 
 @pytest.mark.parametrize("part", OWN)
-def test_what_is_written_is_a_kind_that_is_shown_with_its_parameters(folder: Path, part: str) -> None:
+def test_the_written_kind_is_shown_with_its_parameters(folder: Path, part: str) -> None:
     vcmvsp_command("new", part, "mine")
-    if part not in ("channel", "task"):  # layers and tasks are no groups of `show`
+    if part not in ("channel", "task"):  # `show` has no groups for layers and tasks
         code, out, err = vcmvsp_command("show", part, "mine.py:Mine")
         assert (code, err) == (0, "")
         assert out.startswith("mine.py:Mine: ")

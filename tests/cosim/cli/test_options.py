@@ -16,6 +16,6 @@ def test_poses(x: float, y: float, yaw: float) -> None:
 
 
 @pytest.mark.parametrize("text", ["1,2", "1,2,3,4", "a,b,c", "1,2,nan", "1,2,inf", ""])
-def test_what_is_no_pose(text: str) -> None:
+def test_invalid_poses(text: str) -> None:
     with pytest.raises(UsageError, match="--pose"):
         pose_of(text)

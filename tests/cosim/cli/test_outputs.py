@@ -1,4 +1,4 @@
-"""``vcmvsp plot``: the figures of a run, drawn again."""
+"""``vcmvsp plot``: redraws the figures of a run."""
 
 import tomllib
 from pathlib import Path
@@ -14,14 +14,14 @@ pytestmark = [pytest.mark.processes, pytest.mark.usefixtures("figures")]
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The current folder of each test, with a scenario in it."""
+    """Current folder of each test, with a scenario."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "s.toml").write_text(two_cars())
     return tmp_path
 
 
 @pytest.mark.parametrize("target", ["nowhere", "s.toml", "empty"])
-def test_plot_refuses_what_no_run_has_left(folder: Path, target: str) -> None:
+def test_plot_refuses_a_path_without_a_run(folder: Path, target: str) -> None:
     (folder / "empty").mkdir()
     code, out, err = vcmvsp_command("plot", target)
     assert (code, out, err.count("\n")) == (2, "", 1)
@@ -30,7 +30,7 @@ def test_plot_refuses_what_no_run_has_left(folder: Path, target: str) -> None:
 
 
 @pytest.mark.parametrize("damage", [slice(-20, None), slice(1000, 3000)])
-def test_plot_says_which_run_is_damaged(folder: Path, damage: slice) -> None:
+def test_plot_names_a_damaged_run(folder: Path, damage: slice) -> None:
     assert vcmvsp_command("run", "s.toml", "--out", "damaged").code == 0
     table = folder / "damaged" / "states.parquet"
     content = bytearray(table.read_bytes())
@@ -45,7 +45,7 @@ def test_plot_draws_the_figures_of_the_run_again(folder: Path) -> None:
     vcmvsp_command("run", "formation-circle", "--set", "physics.kind=kinematic", "--set", "duration_s=2", "--out", "out")
     figures = {name: data for name, data in contents(folder / "out").items() if name.endswith(".png")}
     assert sorted(figures) == ["formation_error.png", "trajectory.png"]
-    for _ in range(4):  # what is left to chance differs seldom
+    for _ in range(4):  # repeated: random differences are rare
         code, out, err = vcmvsp_command("plot", "out", "--out", "again")
         assert (code, err) == (0, "")
         assert sorted(out.splitlines()) == ["again/formation_error.png", "again/trajectory.png"]
@@ -72,8 +72,8 @@ def test_several_runs_are_drawn_side_by_side(folder: Path) -> None:
     assert "two of these folders are called one" in vcmvsp_command("plot", "one", "../" + folder.name + "/one").err
 
 
-def test_figures_of_a_mission_need_its_recording_and_nothing_else_does(folder: Path) -> None:
-    """A run whose recording was thrown away has all figures but those; its numbers tell of the mission."""
+def test_only_figures_of_a_mission_need_the_recording(folder: Path) -> None:
+    """Without its recording, a run has all figures except the mission's; its metrics still contain the mission."""
     scenario = {**tomllib.loads(two_cars()), "world": {"kind": "empty", "targets": [{"name": "a", "place": [0.0, 0.0]}]}}
     (folder / "mine.py").write_text(
         "from vcmvsp import Agent\nclass Mine(Agent):\n    def act(self, obs, radio):\n        self.note(task='search')\n"
@@ -85,7 +85,7 @@ def test_figures_of_a_mission_need_its_recording_and_nothing_else_does(folder: P
     assert "mission" in result.plot()
     assert (folder / "out" / "mission.png").is_file()
     (folder / "out" / "run.mcap").unlink()
-    assert sorted(result.plot()) == ["trajectory"]  # nobody follows
+    assert sorted(result.plot()) == ["trajectory"]  # no followers, thus no formation error
     code, out, err = vcmvsp_command("plot", "out", "--out", "again")
     assert (code, err) == (0, "")
     assert out.splitlines() == ["again/trajectory.png"]

@@ -1,4 +1,4 @@
-"""The channel alone from the command line: what it prints and leaves, and what it refuses."""
+"""Channel commands without a run: output, written files, and refusals."""
 
 import json
 import math
@@ -23,7 +23,7 @@ TRIAL = ("channel", "--positions", "p.csv", "--rate", "10", "--size", "100", "--
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The current folder of each test, with positions in it; nothing is compiled, which takes longer than all tests here."""
+    """Current folder of each test, with positions; without machine code, as compiling takes longer than all tests here."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("VCMVSP_COMPILED", "0")
     (tmp_path / "p.csv").write_text("x,y,z\n0,0,0\n10,0,0\n0,20,0\n400,0,0\n")
@@ -46,7 +46,7 @@ def channel(preset: str, *arguments: str) -> dict[str, Any]:
 
 
 def columns(*arguments: str) -> dict[str, Any]:
-    """What ``per`` or ``pathloss`` prints."""
+    """Columns printed by ``per`` or ``pathloss``."""
     done = vcmvsp_command(*arguments, "--json")
     assert (done.code, done.err) == (0, "")
     return json.loads(done.out)
@@ -65,7 +65,7 @@ def refused(done: Outcome, *words: str) -> None:
 
 
 def test_a_trial_counts_frames_and_receptions() -> None:
-    """Three vehicles hear each other; the fourth, 400 m away, nobody."""
+    """Three vehicles are in range of each other; the fourth, 400 m away, of none."""
     counts = channel("wifi-b-1", *sets("mac.kind=ideal"))
     assert list(counts) == ["frames", "receptions", "delivery_ratio", "delay_s", "losses", "cpu_s"]
     assert (counts["frames"], counts["receptions"], counts["losses"]) == (40, 60, {"below sensitivity": 60})
@@ -74,7 +74,7 @@ def test_a_trial_counts_frames_and_receptions() -> None:
     assert counts["cpu_s"] > 0.0
 
 
-def test_a_trial_says_the_same_in_words() -> None:
+def test_a_trial_in_words() -> None:
     done = vcmvsp_command(*TRIAL, "--quiet", "--preset", "wifi-b-1", *sets("mac.kind=ideal"))
     assert (done.code, done.err) == (0, "")
     assert "wifi-b-1: 40 frames of 4 vehicles\n" in done.out
@@ -129,11 +129,11 @@ def test_a_saturated_vehicle_needs_no_rate() -> None:
         (["--traffic", "jitter", "--jitter", "1.5"], ["--jitter", "1.5"]),
     ],
 )
-def test_traffic_that_cannot_be_is_refused(arguments: list[str], words: list[str]) -> None:
+def test_invalid_traffic_is_refused(arguments: list[str], words: list[str]) -> None:
     refused(vcmvsp_command(*TRIAL, "--preset", "ideal", *arguments), *words)
 
 
-def test_antennas_are_where_the_file_says(folder: Path) -> None:
+def test_antennas_are_at_the_positions_of_the_file(folder: Path) -> None:
     (folder / "p.csv").write_text("0,0,1\n3,4,13\n")
     channel("ideal", "--out", "rows.parquet")
     assert set(pq.read_table(folder / "rows.parquet")["distance_m"].to_pylist()) == {13.0}
@@ -147,7 +147,7 @@ def test_layers_are_set_in_any_order() -> None:
     assert set(found[0]["losses"]) <= {"below sensitivity", "fading", "packet error"}
 
 
-def test_parameters_that_another_kind_does_not_know_do_not_count(folder: Path) -> None:
+def test_parameters_unknown_to_another_kind_are_dropped(folder: Path) -> None:
     channel("wifi-b-1", "--out", "rows.parquet", *sets("path_loss.kind=friis", "mac.kind=ideal"))
     rows = pq.read_table(folder / "rows.parquet")
     wanted = 20.0 * np.log10(4.0 * np.pi * np.array(rows["distance_m"].to_pylist()) * 2.4e9 / 299_792_458.0)
@@ -168,7 +168,7 @@ def test_parameters_that_another_kind_does_not_know_do_not_count(folder: Path) -
         ("pathloss.exponent=2", ("'pathloss'", "did you mean 'path_loss'")),
         ("radio.path_loss.exponent=2", ("'radio'", "path_loss")),
         ("preset=ideal", ("'preset'",)),
-        ("fading.m=1", ("fading.m",)),  # of no fading
+        ("fading.m=1", ("fading.m",)),  # a parameter, but there is no fading layer
         ("phy.rate_bps=3", ("phy.rate_bps", "5.5e6")),
         ("phy.kind=constant_rate", ("mac.kind", "dcf")),
         ("mac.kind=csma154", ("mac.kind", "ieee802154")),
@@ -176,7 +176,7 @@ def test_parameters_that_another_kind_does_not_know_do_not_count(folder: Path) -
         ("=2", ("KEY=VALUE",)),
     ],
 )
-def test_a_setting_that_cannot_be_is_named(setting: str, words: tuple[str, ...]) -> None:
+def test_an_invalid_setting_is_named(setting: str, words: tuple[str, ...]) -> None:
     refused(vcmvsp_command(*TRIAL, "--preset", "wifi-b-1", "--set", setting), f"--set {setting}: ", *words)
 
 
@@ -203,7 +203,7 @@ def test_a_value_and_a_table_of_the_same_name_are_told_apart() -> None:
         (("--out", "."), ("is a folder",)),
     ],
 )
-def test_an_option_that_cannot_be_is_named(arguments: tuple[str, ...], words: tuple[str, ...], folder: Path) -> None:
+def test_an_invalid_option_is_named(arguments: tuple[str, ...], words: tuple[str, ...], folder: Path) -> None:
     refused(vcmvsp_command(*TRIAL, "--preset", "ideal", *arguments), *words)
     assert files(folder) == ["p.csv"]
 
@@ -230,7 +230,7 @@ def test_an_interrupted_trial_leaves_no_file(folder: Path, monkeypatch: pytest.M
     assert files(folder) == ["p.csv"]
 
 
-def test_a_trial_that_takes_its_time_says_how_far_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_trial_reports_its_progress(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vcmvsp.cosim.terminal.progress.LOG_EVERY_S", 0.0)
     done = vcmvsp_command(*TRIAL, "--preset", "ideal", "--json")
     assert " of 1 s simulated" in done.err
@@ -242,7 +242,7 @@ def test_a_trial_that_takes_its_time_says_how_far_it_is(monkeypatch: pytest.Monk
 
 
 def test_packet_errors_by_snr() -> None:
-    """802.11b at 1 Mbit/s by its formula, pb = exp(-22 x) / 2: 48 bits of header, and 8 x (100 + 36) behind it."""
+    """802.11b at 1 Mbit/s, x = SNR: pb = exp(-22 x) / 2; header of 48 bits, then 8 (100 + 36) bits."""
     found = columns("per", "--preset", "wifi-b-1", "--snr", "-6:-4:0.5", "--size", "100")
     assert list(found) == ["preset", "model", "size_bytes", "snr_db", "success", "per", "payload_success"]
     assert (found["preset"], found["model"], found["size_bytes"]) == ("wifi-b-1", "dsss", 100)
@@ -280,7 +280,7 @@ def test_packet_errors_as_a_table() -> None:
         (("--preset", "wifi-b-1", "--snr", "0:1:1", "--size", "-1"), ("--size: ",)),
     ],
 )
-def test_packet_errors_that_cannot_be_asked_for(arguments: tuple[str, ...], words: tuple[str, ...]) -> None:
+def test_packet_errors_with_invalid_options(arguments: tuple[str, ...], words: tuple[str, ...]) -> None:
     refused(vcmvsp_command("per", "--size", "100", *arguments), *words)
 
 
@@ -339,7 +339,7 @@ def corner(tmp_path: Path) -> Path:
 
 
 def test_rays_are_fitted_to_a_measured_log(corner: Path) -> None:
-    """Levels 3 dB below those of the free path, over open ground: the offset says so, and the table is one of the radio."""
+    """Levels 3 dB below free space, over open ground: the offset is 3 dB, and the written table is one of [radio]."""
     header, rows = "time,ax,ay,az,bx,by,bz,rssi_dbm", list[str]()
     for number in range(12):
         distance = 2.0 + number
@@ -426,7 +426,7 @@ def test_paths_of_rays_between_points(corner: Path) -> None:
         (("radio.path_loss={}", "radio.fading.kind=geometric"), "0,0,1\n", r"needs path_loss.kind = 'rays'"),
     ],
 )
-def test_what_rays_cannot_do_is_one_error(corner: Path, change: tuple[str, ...], points: str, words: str) -> None:
+def test_invalid_use_of_rays_is_one_error(corner: Path, change: tuple[str, ...], points: str, words: str) -> None:
     (corner / "points.csv").write_text(points, "utf-8")
     sets = [word for each in change for word in ("--set", each)]
     told = vcmvsp_command("radio", str(corner / "corner.toml"), "--paths", str(corner / "points.csv"), *sets)
@@ -435,7 +435,7 @@ def test_what_rays_cannot_do_is_one_error(corner: Path, change: tuple[str, ...],
     assert "Traceback" not in told.err
 
 
-def test_the_paths_of_a_frame_make_its_level(corner: Path) -> None:
+def test_the_paths_of_a_frame_sum_to_its_level(corner: Path) -> None:
     second = '[[vehicle]]\nname = "car2"\nkind = "p2dx"\npose = [22.0, 16.0, 0.0]\nagent = { kind = "trajectory" }\n'
     (corner / "two.toml").write_text(f"{CORNER}{second}", "utf-8")
     vcmvsp.run(corner / "two.toml", set={"duration_s": 0.3, "physics.kind": "kinematic"}, out=corner / "run")
@@ -451,7 +451,7 @@ def test_the_paths_of_a_frame_make_its_level(corner: Path) -> None:
     assert "diffraction" in text
 
 
-def test_positions_of_antennas_are_those_of_the_vehicles_and_heights(corner: Path) -> None:
+def test_antennas_are_at_the_vehicles_plus_their_heights(corner: Path) -> None:
     vcmvsp.run(corner / "corner.toml", set={"duration_s": 0.2, "physics.kind": "kinematic"}, out=corner / "run")
     places = corner / "places.csv"
     told = vcmvsp_command("radio", str(corner / "run"), "--positions", str(places))
@@ -473,6 +473,6 @@ def test_antennas_that_start_inside_a_solid_are_counted(corner: Path) -> None:
     assert "inside a solid" not in vcmvsp_command("check", str(corner / "corner.toml")).err
 
 
-def test_paths_are_asked_for_alone(corner: Path) -> None:
+def test_paths_exclude_other_outputs(corner: Path) -> None:
     told = vcmvsp_command("radio", str(corner / "corner.toml"), "--paths", "points.csv", "--coverage", "car1")
     assert (told.code, "--paths and --coverage exclude each other" in told.err) == (2, True)

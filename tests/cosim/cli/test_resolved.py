@@ -1,4 +1,4 @@
-"""The command line: a resolved scenario gives the same bytes again."""
+"""Command line: a resolved scenario gives the same bytes again."""
 
 from pathlib import Path
 
@@ -64,7 +64,7 @@ RESOLVED: list[object] = [
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The current folder of each test, with a scenario in it."""
+    """Current folder of each test, with a scenario."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "s.toml").write_text(two_cars())
     return tmp_path
@@ -84,7 +84,7 @@ def test_a_resolved_scenario_gives_the_same_bytes_again(folder: Path, text: str)
     assert contents(folder / "again") == contents(folder / "first")
 
 
-@pytest.mark.parametrize("name", [name for name in scenarios.names() if name != "hybrid-formation"])  # which is real
+@pytest.mark.parametrize("name", [name for name in scenarios.names() if name != "hybrid-formation"])  # has real vehicles
 def test_built_in_scenarios_are_the_same_when_resolved(folder: Path, name: str) -> None:
     short = ["--set", "duration_s=1", "--set", "physics.kind=kinematic"]
     assert vcmvsp_command("run", name, *short, "--out", "first").code == 0
@@ -98,13 +98,13 @@ def test_the_period_of_a_class_is_resolved_exactly(folder: Path) -> None:
     assert f"period_s = {1 / 30}\n" in vcmvsp_command("show", "s.toml", "--resolved").out
 
 
-def test_settings_are_part_of_what_is_shown() -> None:
+def test_settings_are_part_of_the_shown_scenario() -> None:
     assert "probability = 0.25" in vcmvsp_command("show", "s.toml", "--set", "radio.loss.probability=0.25").out
     assert "probability" not in vcmvsp_command("show", "s.toml").out
 
 
 def test_nothing_of_this_machine_is_in_the_results(folder: Path) -> None:
-    """Another folder, another file name, another place for the agents: the same bytes."""
+    """Another folder, another file name, agents in other processes: the same bytes."""
     (folder / "elsewhere").mkdir()
     (folder / "elsewhere" / "other.toml").write_text(two_cars())
     vcmvsp_command("run", "s.toml", "--out", "one")

@@ -1,4 +1,4 @@
-"""Reading results executes nothing of theirs; commands that execute what a scenario names say so."""
+"""Reading results executes no code of theirs; the help of commands that execute classes of a scenario states it."""
 
 import sys
 import tomllib
@@ -24,7 +24,7 @@ from vcmvsp.cosim.view.player.recording import Recording
 
 pytestmark = pytest.mark.processes
 
-NEITHER = {  # they import classes of their own command line alone, or none
+NEITHER = {  # import only classes of their own command line, or none
     *("agent", "robot", "watch", "stop", "operator", "doctor", "new", "list", "reference", "figure", "validate", "bench"),
     *("demo", "channel", "per", "pathloss", "emulate ubisense", "emulate dwm1001", "emulate mavlink", "emulate ros2"),
     *("keys init", "keys hub", "keys vehicle", "keys observer", "keys list", "keys revoke"),
@@ -40,12 +40,12 @@ READING = {
     "radio coverage": ["radio", ".", "--coverage", "car1", "--resolution", "2", "--out", "map.png"],
     "report of a study": ["report", "study"],
 }
-"""Calls of all commands that read results, but for `view`, which has no end."""
+"""Calls of all commands that read results, except `view`, which does not end."""
 KINDS = ("evil.py:Thing", "evil:Thing", "theirs")
 
 
 def commands() -> Iterator[tuple[str, str]]:
-    """Every command, and what stands below its help."""
+    """Every command with the epilog of its help."""
     for name, command in app.command().commands.items():
         inner = getattr(command, "commands", None)
         for each, found in (inner or {"": command}).items():
@@ -57,7 +57,7 @@ def test_every_command_reads_data_executes_a_program_or_does_neither() -> None:
     reads = {name for name, epilog in known.items() if DATA in epilog}
     executes = {name for name, epilog in known.items() if PROGRAM in epilog}
     assert reads == {name.split()[0] for name in READING} | {"view"}
-    assert reads & executes == {"radio"}  # of a folder or of a scenario
+    assert reads & executes == {"radio"}  # reads a folder, executes a scenario
     assert known.keys() - reads - executes == NEITHER
 
 
@@ -72,7 +72,7 @@ def honest(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(params=KINDS)
 def evil(honest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Path:
-    """The same folder, in which all kinds are of its own; it is the current folder, and modules are found in it."""
+    """The same folder with all kinds replaced by its own classes; it is the current folder and on the module path."""
     folder = tmp_path / "run"
     for path in honest.rglob("*"):
         if path.is_file():
@@ -101,7 +101,7 @@ def evil(honest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request:
 
 
 def _swapped(table: Any, kind: str) -> Any:
-    """The same with every kind replaced."""
+    """The table with every kind replaced."""
     if isinstance(table, dict):
         return {name: kind if name == "kind" else _swapped(value, kind) for name, value in table.items()}
     return [_swapped(each, kind) for each in table] if isinstance(table, list) else table
@@ -120,8 +120,8 @@ def test_reading_executes_nothing_and_works_on_the_recording(evil: Path) -> None
     assert not (evil.parent / "canary").exists()
 
 
-def test_whoever_trusts_a_folder_executes_it(evil: Path) -> None:
-    assert vcmvsp_command("radio", ".", "--coverage", "car1", "--trust").code == 2  # Thing is no layer
+def test_trust_executes_the_code_of_a_folder(evil: Path) -> None:
+    assert vcmvsp_command("radio", ".", "--coverage", "car1", "--trust").code == 2  # Thing is not a layer
     assert (evil.parent / "canary").exists()
 
 
@@ -148,7 +148,7 @@ def test_the_world_of_a_recording_is_that_of_the_run(honest: Path, evil: Path) -
         assert 0.5 * max(true_craft.size) < max(craft.size) < 2.0 * max(true_craft.size)
 
 
-def test_a_map_says_what_it_did_not_execute(evil: Path) -> None:
+def test_a_map_lists_the_classes_not_executed(evil: Path) -> None:
     found = coverage(evil, "car1", resolution_m=2.0)
     assert {"world", "radio.path_loss", "radio.phy", "radio.loss"} <= {*found.not_executed}
     assert "not executed: the classes of radio." in vcmvsp_command(*READING["radio coverage"]).out

@@ -1,4 +1,4 @@
-"""``vcmvsp robot`` as its users start it: what it makes of its options, and how it waits."""
+"""``vcmvsp robot``: its options, and waiting for a run."""
 
 import signal
 import subprocess
@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.cosim.command_line import Outcome, vcmvsp_command
-from tests.support.cosim.run_processes import reserved
+from tests.support.cosim.run_processes import reserve_port
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.security import authority
 from vcmvsp.hardware.drivers.arcos.driver import ArcosDriver
@@ -43,7 +43,7 @@ def test_the_driver_is_a_kind_and_an_address(text: str, kind: str, address: str)
     assert kind_of(text) == (kind, address)
 
 
-def test_the_address_goes_where_a_driver_wants_it() -> None:
+def test_the_address_is_the_drivers_own_parameter() -> None:
     made = built("arcos:socket://localhost:8101", {"robot": "amigo", "baud": 38400})
     assert isinstance(made, ArcosDriver)
     assert made.device == "socket://localhost:8101"
@@ -66,7 +66,7 @@ def test_the_address_goes_where_a_driver_wants_it() -> None:
         ({"vehicle": "car/3"}, "letters, digits, _ and -"),
     ],
 )
-def test_what_it_cannot_work_with_is_said(options: dict[str, str], problem: str) -> None:
+def test_unusable_arguments_are_named(options: dict[str, str], problem: str) -> None:
     outcome = robot(**options)
     assert outcome.code == 2
     assert problem in outcome.err
@@ -99,7 +99,7 @@ def test_the_certificate_of_an_observer_drives_nothing(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_it_waits_for_a_run_until_it_is_ended(number: int, stack: ExitStack) -> None:
-    endpoint = f"tcp/127.0.0.1:{stack.enter_context(reserved())}"
+    endpoint = f"tcp/127.0.0.1:{stack.enter_context(reserve_port())}"
     code = "from vcmvsp.cosim.cli import app as cli; cli.main()"
     words = ["robot", "--vehicle", "car3", "--driver", "bench", "--connect", endpoint]
     process = subprocess.Popen([sys.executable, "-c", code, *words], stderr=subprocess.PIPE, text=True)

@@ -1,4 +1,4 @@
-"""``vcmvsp stop`` and ``vcmvsp operator``, against stations that drive robots in software."""
+"""``vcmvsp stop`` and ``vcmvsp operator`` with stations that drive simulated robots."""
 
 import json
 import os
@@ -16,7 +16,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from tests.support.hardware.stations import Run, driven, mission
+from tests.support.hardware.stations import Run, mission, ready_station
 from tests.support.paths import ROOT
 from vcmvsp.hardware.drivers.base import DriverError
 from vcmvsp.hardware.station import emergency_stop
@@ -44,8 +44,8 @@ app()
 
 
 @pytest.fixture(autouse=True)
-def alone(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """Nobody else's robots are stopped by these tests."""
+def runtime_folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A runtime folder of its own: the tests stop no other robots."""
     with tempfile.TemporaryDirectory(prefix="vcmvsp-", dir="/tmp") as folder:
         monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
         monkeypatch.setattr(emergency_stop, "folders", lambda: [Path(folder) / "vcmvsp"])
@@ -53,7 +53,7 @@ def alone(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def vcmvsp_command(*arguments: str, answer_s: float = PATIENCE_S) -> subprocess.CompletedProcess[str]:
-    """The command; it waits longer than usual for a station that does not answer."""
+    """The command; waits up to ``answer_s`` for a station's answer."""
     command = [sys.executable, "-c", COMMANDS, *arguments]
     environment = {**os.environ, "ANSWER_S": str(answer_s)}
     return subprocess.run(command, capture_output=True, text=True, timeout=90, check=False, env=environment)
@@ -64,7 +64,7 @@ def drive(run: Run) -> None:
 
 
 def test_all_are_stopped_and_stay_so() -> None:
-    with driven(mission()) as first, driven(mission(vehicle="car2")) as second:
+    with ready_station(mission()) as first, ready_station(mission(vehicle="car2")) as second:
         drive(first)
         drive(second)
         done = vcmvsp_command("stop")
@@ -79,8 +79,8 @@ def test_all_are_stopped_and_stay_so() -> None:
             assert run.notices.count(("stopped", OPERATOR_STOP)) == 1
 
 
-def test_one_is_stopped_and_one_that_is_not_there_is_said() -> None:
-    with driven(mission()) as first, driven(mission(vehicle="car2")) as second:
+def test_one_is_stopped_and_a_missing_one_is_named() -> None:
+    with ready_station(mission()) as first, ready_station(mission(vehicle="car2")) as second:
         done = vcmvsp_command("stop", "car2", "car9", "--json")
         assert done.returncode == 1
         assert "as car9" in done.stderr
@@ -92,36 +92,36 @@ def test_one_is_stopped_and_one_that_is_not_there_is_said() -> None:
         assert states == {"car1": "driving", "car2": "stopped"}
 
 
-def test_there_is_none() -> None:
+def test_without_robots() -> None:
     done = vcmvsp_command("stop")
     assert (done.stdout, done.returncode) == ("", 1)
     assert done.stderr == "vcmvsp: you drive no robot on this machine\n"
 
 
-def test_what_a_killed_station_left_behind_is_removed(alone: Path) -> None:
+def test_remains_of_a_killed_station_are_removed(runtime_folder: Path) -> None:
     station = Station.start(mission())
     station.wait_ready()
     os.kill(station.pid, signal.SIGKILL)
     station.close()
-    assert len(list(alone.iterdir())) == 1
+    assert len(list(runtime_folder.iterdir())) == 1
     assert vcmvsp_command("stop").returncode == 1
-    assert list(alone.iterdir()) == []
+    assert list(runtime_folder.iterdir()) == []
 
 
-def test_a_station_that_hangs_is_said_not_to_answer() -> None:
-    with driven(mission()) as run:
+def test_a_hanging_station_is_reported() -> None:
+    with ready_station(mission()) as run:
         os.kill(run.station.pid, signal.SIGSTOP)
         done = vcmvsp_command("stop", answer_s=emergency_stop.ANSWER_S)
         os.kill(run.station.pid, signal.SIGCONT)
         assert done.returncode == 1
         assert f"car1: DOES NOT ANSWER (process {run.station.pid})" in done.stdout
-        run.until(lambda each: OPERATOR_STOP in each.causes)  # it was told all the same
+        run.until(lambda each: OPERATOR_STOP in each.causes)  # it has received the stop
 
 
 def test_robots_drive_while_there_is_an_operator() -> None:
     environment = {**os.environ, "ANSWER_S": str(PATIENCE_S)}
     with ExitStack() as stack:
-        run = stack.enter_context(driven(mission(operator_s=2.0)))
+        run = stack.enter_context(ready_station(mission(operator_s=2.0)))
         report = run.until(lambda each: each.order > 3, v=0.4)
         assert report.causes == ("operator",)
         operator = stack.enter_context(
@@ -129,13 +129,13 @@ def test_robots_drive_while_there_is_an_operator() -> None:
         )
         stack.callback(operator.kill)
         drive(run)
-        operator.send_signal(signal.SIGSTOP)  # as Ctrl-Z does
+        operator.send_signal(signal.SIGSTOP)  # as by Ctrl-Z
         report = run.until(lambda each: "operator" in each.causes, v=0.4)
         assert ("stopped", "no message of the operator for 2 s") in run.notices
         operator.send_signal(signal.SIGCONT)
         end = time.monotonic() + 0.4
         report = run.until(lambda _: time.monotonic() > end, v=0.4)
-        assert report.causes == ("operator",)  # it stays so
+        assert report.causes == ("operator",)  # still stopped
         operator.send_signal(signal.SIGINT)
         said, _ = operator.communicate(timeout=2 * PATIENCE_S)
         assert operator.returncode == 0
@@ -182,7 +182,7 @@ with driven(mission(federation_s=None, command_s=None)) as run:
 """
 
 
-def test_it_works_while_the_run_is_frozen(alone: Path) -> None:
+def test_it_works_while_the_run_is_frozen(runtime_folder: Path) -> None:
     run = subprocess.Popen([sys.executable, "-c", RUN], stdout=subprocess.PIPE, text=True, cwd=ROOT)
     try:
         assert run.stdout is not None
@@ -195,39 +195,39 @@ def test_it_works_while_the_run_is_frozen(alone: Path) -> None:
         run.kill()
         run.communicate(timeout=PATIENCE_S)
     end = time.monotonic() + PATIENCE_S
-    while list(alone.iterdir()):  # its station ends with it
+    while list(runtime_folder.iterdir()):  # the station ends with its run
         assert time.monotonic() < end
         time.sleep(0.02)
 
 
-def test_a_folder_of_somebody_else_is_refused(alone: Path) -> None:
-    alone.mkdir(mode=0o755)
-    alone.chmod(0o755)
+def test_a_folder_open_to_others_is_refused(runtime_folder: Path) -> None:
+    runtime_folder.mkdir(mode=0o755)
+    runtime_folder.chmod(0o755)
     with pytest.raises(Exception, match=r"robot at car1: 'vcmvsp stop' could not reach it.*set XDG_RUNTIME_DIR"):
         StopListener("car1")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as stranger:
-        stranger.bind(str(alone / "1-car1.sock"))
+        stranger.bind(str(runtime_folder / "1-car1.sock"))
         with StopCaller() as caller:
             assert caller.say("who") == []
 
 
-def test_words_that_are_no_verbs_are_not_heard(alone: Path) -> None:
+def test_unknown_words_are_ignored(runtime_folder: Path) -> None:
     ear = StopListener("a" * 200)
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as somebody:
             for words in (b"", b"STOP", b"stop now", b"\xff" * 4000):
-                somebody.sendto(words, str(next(alone.iterdir())))
+                somebody.sendto(words, str(next(runtime_folder.iterdir())))
         assert ear.hear() == []
         with StopCaller() as caller:
             assert len(caller.say("stop", ["a" * 200])) == 1
         assert [verb for verb, _ in ear.hear()] == ["stop"]
     finally:
         ear.close()
-    assert list(alone.iterdir()) == []
+    assert list(runtime_folder.iterdir()) == []
 
 
-def test_sockets_are_looked_for_where_somebody_who_logs_in_would(alone: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert FOLDERS()[0] == alone
+def test_sockets_are_searched_in_the_folders_of_a_login(runtime_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert FOLDERS()[0] == runtime_folder
     monkeypatch.delenv("XDG_RUNTIME_DIR")
-    assert alone not in FOLDERS()
+    assert runtime_folder not in FOLDERS()
     assert FOLDERS()[-1] == Path(f"/tmp/vcmvsp-{os.getuid()}")

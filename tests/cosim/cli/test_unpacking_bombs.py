@@ -1,4 +1,4 @@
-"""Every reader answers to what unpacks to gigabytes in a few seconds and a gigabyte: with a result, or with one line."""
+"""Every reader of results answers within a few seconds and a gigabyte, however large they unpack: a result, or one line."""
 
 import shutil
 from collections.abc import Callable, Iterable, Iterator
@@ -9,7 +9,7 @@ import pytest
 import vcmvsp
 from tests.support.cosim import unpacking_bombs as bombs
 from tests.support.cosim.command_line import two_cars
-from tests.support.cosim.measured_commands import Measured, answered, measured
+from tests.support.cosim.measured_commands import CommandCost, assert_answered, measure_commands
 
 pytestmark = pytest.mark.processes
 
@@ -30,21 +30,21 @@ def recording_of(chunks: Callable[[], Iterable[bytes]], vehicles: str = "car1 ca
 
 
 def state(time_ns: int, x_m: float = 0.0) -> Iterator[bytes]:
-    """A vehicle that is there then."""
+    """One state of car1 at ``time_ns``."""
     still = b'"velocity":[0,0,0],"attitude":[1,0,0,0],"angular_velocity":[0,0,0]'
     position = f'{{"type":"state","position":[{x_m},0,0],'.encode()
     yield bombs.head("car1/state", "vcmvsp.VehicleState") + bombs.message(position + still + b"}", time_ns)
 
 
 def empty_drawing() -> Iterator[bytes]:
-    """A world of a body without triangles."""
+    """A world with a body without triangles."""
     body = b'"id":"x","lifetime":{},"frame_locked":false,"timestamp":{"sec":0,"nsec":0},"frame_id":"world"'
     triangles = b'"triangles":[{"pose":{},"points":[],"color":{"r":0,"g":0,"b":0,"a":1},"indices":[]}]'
     return bombs.one("world/solids", "foxglove.SceneUpdate", b'{"entities":[{' + body + b"," + triangles + b"}]}")
 
 
 def names() -> Iterator[bytes]:
-    """Notes of a thousand names each, of which no two are the same: a table of 300 million cells."""
+    """Notes of a thousand names each, all different: a table of 300 million cells."""
     notes = ("{" + ",".join(f'"{row}_{name}":1' for name in range(1000)) + "}" for row in range(550))
     yield bombs.head("car1/note", "vcmvsp.Note") + b"".join(bombs.message(f'{{"values":{each}}}'.encode()) for each in notes)
 
@@ -77,13 +77,13 @@ IN_RESULTS: dict[str, tuple[Make, tuple[str, ...]]] = {
     "long about": (lambda folder: bombs.sparse(folder / "about.json"), NUMBERS),
     "long scenario": (lambda folder: bombs.sparse(folder / "scenario.toml"), SCENARIO),
 }
-"""What the folder of a run is made to hold, and the commands that read it. `ALONE`: as if the run were cut, without tables."""
+"""Damage to the folder of a run, and the commands that read it. `ALONE`: without tables, as of a killed run."""
 CASES = [(name, reader) for name, (_, readers) in IN_RESULTS.items() for reader in readers]
 
 
 @pytest.fixture(scope="module")
-def answers(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, str], Measured]:
-    """What the readers say to each of the folders."""
+def answers(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, str], CommandCost]:
+    """Output and costs of each reader for each folder."""
     runs = tmp_path_factory.mktemp("runs")
     (runs / "s.toml").write_text(two_cars())
     vcmvsp.run(runs / "s.toml", out=runs / "run", set={"duration_s": 1.0})
@@ -94,9 +94,11 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, str], M
         for path in folder.glob("*.parquet") if readers is ALONE else ():
             path.unlink()
         asked += [reader.replace("{}", str(folder)) for reader in readers]
-    return dict(zip(CASES, measured(asked), strict=True))
+    return dict(zip(CASES, measure_commands(asked), strict=True))
 
 
 @pytest.mark.parametrize(("name", "reader"), CASES)
-def test_results_are_read_or_refused_at_little_cost(name: str, reader: str, answers: dict[tuple[str, str], Measured]) -> None:
-    answered(answers[name, reader])
+def test_results_are_read_or_refused_at_little_cost(
+    name: str, reader: str, answers: dict[tuple[str, str], CommandCost]
+) -> None:
+    assert_answered(answers[name, reader])

@@ -1,4 +1,4 @@
-"""``vcmvsp view`` as a command: what it refuses, what it prints, the page that it serves, and how it ends."""
+"""``vcmvsp view``: refusals, output, the served page, and exit."""
 
 import json
 import signal
@@ -39,7 +39,7 @@ def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @contextmanager
 def viewing(run_dir: Path, *options: str) -> Iterator[tuple["subprocess.Popen[str]", str]]:
-    """The command, and the first line that it prints."""
+    """The process and the first line of its output."""
     command = [*VCMVSP, "view", str(run_dir), "--port", "0", *options]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -50,7 +50,7 @@ def viewing(run_dir: Path, *options: str) -> Iterator[tuple["subprocess.Popen[st
 
 
 @pytest.mark.parametrize("name", ["nowhere", "empty", "file.txt", "zeros"])
-def test_it_refuses_what_no_run_has_left(tmp_path: Path, name: str) -> None:
+def test_it_refuses_a_path_without_a_recording(tmp_path: Path, name: str) -> None:
     (tmp_path / "empty").mkdir()
     (tmp_path / "file.txt").touch()
     (tmp_path / "zeros").mkdir()
@@ -60,7 +60,7 @@ def test_it_refuses_what_no_run_has_left(tmp_path: Path, name: str) -> None:
     assert err.startswith(f"vcmvsp: {tmp_path / name}")
 
 
-def test_a_port_that_is_taken_is_said_in_one_line(run_dir: Path) -> None:
+def test_a_port_in_use_is_refused_in_one_line(run_dir: Path) -> None:
     with viewing(run_dir) as (_, url):
         port = url.partition("?")[0].rstrip("/").rpartition(":")[2]
         code, out, err = vcmvsp_command("view", str(run_dir), "--port", port)
@@ -77,8 +77,8 @@ def test_the_options_of_run_choose_the_page_too(run_dir: Path) -> None:
 
 
 @pytest.mark.parametrize("place", ["vcmvsp.cosim.view.player.recording.Recording", "vcmvsp.cosim.view.web_server.open_server"])
-def test_what_ends_it_before_there_is_a_page_is_no_success(place: str, run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """So that whoever waits for the page learns that there is none."""
+def test_an_end_before_the_page_is_no_success(place: str, run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A caller that waits for the page is informed that there is none."""
 
     def interrupted(*_: object) -> NoReturn:
         signal.raise_signal(signal.SIGINT)
@@ -89,7 +89,7 @@ def test_what_ends_it_before_there_is_a_page_is_no_success(place: str, run_dir: 
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_it_prints_a_url_serves_the_page_to_who_has_it_and_ends_quietly(run_dir: Path, number: int) -> None:
+def test_it_prints_a_url_serves_the_page_only_there_and_ends_quietly(run_dir: Path, number: int) -> None:
     with viewing(run_dir) as (process, url):
         assert url.startswith("http://127.0.0.1:")
         with urllib.request.build_opener(urllib.request.HTTPCookieProcessor()).open(url, timeout=PATIENCE_S) as page:
@@ -108,7 +108,7 @@ def test_json_is_one_object_and_nothing_else(run_dir: Path) -> None:
         assert process.communicate(timeout=PATIENCE_S) == ("", "")
 
 
-def test_a_recording_that_was_cut_is_shown_and_said_to_be(run_dir: Path, tmp_path: Path) -> None:
+def test_a_truncated_recording_is_shown_with_a_warning(run_dir: Path, tmp_path: Path) -> None:
     data = (run_dir / "run.mcap").read_bytes()
     (tmp_path / "run.mcap").write_bytes(data[: chunk_ends(data)[-1]])
     with viewing(tmp_path) as (process, url):
@@ -120,8 +120,8 @@ def test_a_recording_that_was_cut_is_shown_and_said_to_be(run_dir: Path, tmp_pat
     assert "it is truncated" in err
 
 
-def test_a_browser_shows_the_vehicles_where_they_were(run_dir: Path) -> None:
-    """At the end of the recording, where it stands."""
+def test_a_browser_shows_vehicles_at_recorded_places(run_dir: Path) -> None:
+    """The page opens at the end of the recording."""
     table = load(run_dir).states
     truth = np.column_stack([numbers(table, name) for name in ("x", "y", "z")])[-2:]
     with viewing(run_dir) as (_, url), browser() as started:
@@ -132,7 +132,7 @@ def test_a_browser_shows_the_vehicles_where_they_were(run_dir: Path) -> None:
         page.locator("#over").get_by_text("the run is complete").wait_for(timeout=1e3 * PATIENCE_S)
         page.wait_for_function(f"window.__viserSceneTree?.getState()['{ROBOTS}'] !== undefined", timeout=1e3 * PATIENCE_S)
         end_s = time.monotonic() + PATIENCE_S
-        while not np.allclose(shown := positions(page, ROBOTS)[:, :2], truth[:, :2], atol=0.06):  # of middles of bodies
+        while not np.allclose(shown := positions(page, ROBOTS)[:, :2], truth[:, :2], atol=0.06):  # centres of bodies
             assert time.monotonic() < end_s, shown
             page.wait_for_timeout(50)
         assert problems == []

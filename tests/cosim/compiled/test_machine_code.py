@@ -56,7 +56,7 @@ def test_code_is_kept_whole_or_not_at_all(tmp_path: Path) -> None:
     assert [each.name for each in path.parent.iterdir()] == ["it.code"]
     path.write_bytes(path.read_bytes()[:-1])
     assert machine_code._read_code(path) is None
-    machine_code._write_code(path / "not a folder", code)  # it goes on without
+    machine_code._write_code(path / "not a folder", code)  # no error: runs without cache
 
 
 def test_arrays_must_be_contiguous() -> None:
@@ -74,15 +74,15 @@ def test_much_work_is_compiled_once_and_cached_code_is_loaded_for_less(
     interpreted = core.chosen(0.5, compile_for_s=1.0)
     assert not core.is_cached
     assert not core.is_loaded
-    compiled = core.chosen(0.5, compile_for_s=1.0)  # as much as compiling costs, with the work before
+    compiled = core.chosen(0.5, compile_for_s=1.0)  # together with the work before: the cost of compiling
     assert core.is_cached
     assert core.is_loaded
-    assert type(core.chosen(0.0, compile_for_s=1.0)) is type(compiled)  # since it is loaded
+    assert type(core.chosen(0.0, compile_for_s=1.0)) is type(compiled)  # already loaded
     monkeypatch.setattr(machine_code, "_loaded", {})
     assert type(core.chosen(0.0, compile_for_s=1.0)) is type(interpreted)
     assert not core.is_loaded
     ways = [type(Core((module,), numbers(), numbers()).chosen(0.4 * LOAD_S, compile_for_s=1.0)) for _ in range(3)]
-    assert ways == [type(interpreted), type(interpreted), type(compiled)]  # small calls that are together worth the loading
+    assert ways == [type(interpreted), type(interpreted), type(compiled)]  # small calls: their sum is worth the loading
 
     for count in (4, 7):
         one, other = numbers(count), numbers(count)

@@ -1,4 +1,4 @@
-"""Names of files: what is one says its type, in whatever table it stands, and is kept with the resolved scenario."""
+"""File names in scenarios: recognised by the parameter's type, in any table, and copied with the resolved scenario."""
 
 import tomllib
 from pathlib import Path
@@ -44,7 +44,7 @@ def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     (tmp_path / "s" / "circle").write_text("no circle")
 
 
-def test_a_text_that_is_called_path_is_no_file(tmp_path: Path) -> None:
+def test_a_string_named_path_is_no_file(tmp_path: Path) -> None:
     sensor = 'sensors = { t = { kind = "own.py:Table", path = "circle", file = "nothing", table = "table.csv" } }'
     (tmp_path / "s" / "s.toml").write_text(two_cars(car1=sensor))
     assert vcmvsp_command("run", "s/s.toml", "--out", "out", "--quiet").code == 0
@@ -54,7 +54,7 @@ def test_a_text_that_is_called_path_is_no_file(tmp_path: Path) -> None:
     assert not (tmp_path / "out" / "circle").exists()
 
 
-def test_an_agent_reads_its_file_and_keeps_it_and_another_text_of_that_name_is_one_too(tmp_path: Path) -> None:
+def test_the_file_of_an_agent_is_copied_and_equal_strings_name_it_too(tmp_path: Path) -> None:
     (tmp_path / "s" / "s.toml").write_text(two_cars(agent='kind = "own.py:Reader", table = "table.csv", picture = "table.csv"'))
     answer = vcmvsp_command("run", "s/s.toml", "--out", "out", "--quiet")
     assert answer.code == 0, answer.err

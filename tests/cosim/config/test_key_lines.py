@@ -1,4 +1,4 @@
-"""The lines of keys: whatever way a document is written, every key of it has the line at which it stands."""
+"""Line numbers of keys, for all ways to write a TOML document."""
 
 import re
 import tomllib
@@ -31,7 +31,7 @@ def keys_in(value: Any, path: str = "") -> Iterator[str]:
 
 
 @pytest.mark.parametrize("path", GALLERY, ids=lambda path: path.stem)
-def test_every_key_of_the_gallery_has_a_line_that_says_it(path: Path) -> None:
+def test_every_key_of_the_gallery_has_a_line_with_it(path: Path) -> None:
     text = path.read_text("utf-8")
     found, lines = lines_of(text), text.splitlines()
     assert {*keys_in(tomllib.loads(text))} == {*found}
@@ -55,12 +55,12 @@ WAYS: list[list[tuple[str, list[str]]]] = [
     [("NAME . 'x' .y = true", ["", ".x", ".x.y"])],
     [("NAME = { a = 1, b = { c = [] } }", ["", ".a", ".b", ".b.c"])],
 ]
-"""Ways to write a key: lines, each with what begins there."""
+"""Ways to write a key: lines, each with the keys that begin there."""
 FILLERS = ["", "# [[a]] b = 1", "\t"]
 
 
 class Writer:
-    """Writes a document line by line, and notes the line of each key."""
+    """Writes a document line by line and records the line of each key."""
 
     def __init__(self, draw: st.DrawFn) -> None:
         self._draw, self.lines, self.keys = draw, list[str](), dict[str, int]()
@@ -87,7 +87,7 @@ class Writer:
 
 @st.composite
 def documents(draw: st.DrawFn) -> tuple[str, dict[str, int]]:
-    """A document, and the line of each key."""
+    """A document and the line of each key."""
     writer = Writer(draw)
     writer.pairs("")
     for name in draw(st.lists(WORDS.map(str.upper), max_size=3, unique=True)):
@@ -105,16 +105,16 @@ def test_every_key_of_a_document_has_the_line_at_which_it_was_written(written: t
 
 
 @pytest.mark.parametrize(
-    ("key", "line"),  # 0: nothing of it is in the file
+    ("key", "line"),  # 0: not in the file
     [
         ("intervention[0].kind", 8),
         ("intervention[1].at_s", 11),
         ("world.boxes[1].size", 5),
         ("world.boxes[1].size[2]", 5),
-        ("world.boxes[1].material", 4),  # not in the file: the table it would stand in
+        ("world.boxes[1].material", 4),  # not in the file: line of its table
         ("vehicle.uav12.kind", 16),  # one of 20
         ("vehicle.uav1.pose", 14),
-        ("vehicle.uav12.sensors.gps.rate_hz", 20),  # a default of all
+        ("vehicle.uav12.sensors.gps.rate_hz", 20),  # a default for all
         ("vehicle[1].kind", 22),
         ("metrics.from_s", 0),
     ],

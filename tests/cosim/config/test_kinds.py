@@ -1,4 +1,4 @@
-"""What there is to build scenarios of: list, show, world, drive."""
+"""Commands around the kinds of a scenario: list, show, world, drive."""
 
 import json
 import math
@@ -64,7 +64,7 @@ def test_every_kind_is_listed_and_each_of_its_parameters_is_shown_with_a_meaning
         (("world", "pillar", "--png", "nowhere/p.png"), "cannot be written"),
     ],
 )
-def test_what_cannot_be_shown_is_refused_by_name(tmp_path: Path, arguments: tuple[str, ...], words: str) -> None:
+def test_wrong_arguments_are_refused_by_name(tmp_path: Path, arguments: tuple[str, ...], words: str) -> None:
     outcome = vcmvsp_command(*arguments)
     assert (outcome.code, outcome.out) == (2, "")
     assert words in outcome.err
@@ -99,7 +99,7 @@ def test_commands_are_read_in_the_frame_of_the_vehicle() -> None:
 
 
 @pytest.mark.parametrize("text", ["", "v", "v=fast", "v=nan", "u=1", "v=1,vx=1", "x=1,y=2", "v=1,x=1,y=1,z=1"])
-def test_what_is_no_command_is_refused(text: str) -> None:
+def test_invalid_commands_are_refused(text: str) -> None:
     with pytest.raises(UsageError, match="--command"):
         step_response.command_of(text, 0.0, flies=True)
 
@@ -115,7 +115,7 @@ def test_a_step_response_is_that_of_the_vehicle(tmp_path: Path) -> None:
     about = response("car", "v=0.3,w=0.5")
     assert about["v"]["steady"] == pytest.approx(0.3, rel=2e-3)
     assert about["w"]["steady"] == pytest.approx(0.5, rel=2e-3)
-    assert about["v"]["rise_time_s"] == pytest.approx(0.9, abs=0.11)  # 0.3 m/s2, seen ten times a second
+    assert about["v"]["rise_time_s"] == pytest.approx(0.9, abs=0.11)  # 0.3 m/s2, sampled at 10 Hz
     assert (about["series"]["time_s"][-1], about["contacts"]) == (6.0, 0)
     about = response("uav", "v=2")
     x, y = about["series"]["x"][-1] - 5.0, about["series"]["y"][-1]
@@ -126,7 +126,7 @@ def test_a_step_response_is_that_of_the_vehicle(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("command", ["vx=1", "v=1", "vx=-1,vy=1", "v=-1", "vz=1"])
-def test_what_flies_is_judged_along_its_command_whatever_its_heading(tmp_path: Path, command: str) -> None:
+def test_a_quadrotor_is_judged_along_its_command_at_any_heading(tmp_path: Path, command: str) -> None:
     scenario = tmp_path / "pair.toml"
     scenario.write_text(PAIR.replace("heading = 1.0", "heading = -2.0"))
     about = json.loads(
@@ -151,7 +151,7 @@ def test_files_that_a_scenario_names_are_found_beside_it_and_kept(tmp_path: Path
         assert (again.code, (tmp_path / f"again{number}" / "lawn.png").is_file()) == (0, True)
 
 
-def test_one_of_many_is_found_in_the_table_of_all(tmp_path: Path) -> None:
+def test_one_of_many_has_the_line_of_its_table(tmp_path: Path) -> None:
     (tmp_path / "s.toml").write_text(
         "name = 's'\nduration_s = 1.0\n[[vehicle]]\nname = 'q'\ncount = 3\nkind = 'p2dx'\nspacing = [0.1, 0.1]\n"
     )
@@ -160,7 +160,7 @@ def test_one_of_many_is_found_in_the_table_of_all(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("figures")
-def test_solids_are_seen_in_the_figure_of_the_paths_which_say_how_much_of_them(tmp_path: Path) -> None:
+def test_solids_are_drawn_in_the_figure_of_the_paths_within_its_limits(tmp_path: Path) -> None:
     boxes = [{"center": [x, 2.0, 0.5], "size": [1.0, 1.0, 1.0]} for x in (3.0, 300.0)]
     (tmp_path / "s.toml").write_text(f"{PAIR}[world]\nkind = 'boxes'\nboxes = []\n")
     runs = [vcmvsp.run(tmp_path / "s.toml", set={"world.boxes": each}) for each in ([], boxes)]

@@ -1,4 +1,4 @@
-"""What comes from outside, whatever it is: documents, names of files, classes; each is used or refused in one line."""
+"""Untrusted input: documents, file names and classes are used, or refused in one line."""
 
 import math
 import pickle
@@ -116,7 +116,7 @@ def test_a_setting_is_refused_in_one_line(setting: str) -> None:
         ("Stopped", "interrupted at 0.000 s in agent own.py:Stopped of vehicle car2 (own.py line 31, in act)"),
     ],
 )
-def test_whatever_an_agent_raises_names_it_and_its_line(kind: str, words: str) -> None:
+def test_every_exception_of_an_agent_names_it_and_its_line(kind: str, words: str) -> None:
     Path("s.toml").write_text(agent(f"own.py:{kind}"))
     with pytest.raises(vcmvsp.VcmvspError) as caught:
         vcmvsp.run("s.toml")
@@ -132,7 +132,7 @@ def test_json_is_refused_by_one_error(raw: bytes) -> None:
 
 
 @pytest.mark.parametrize("metrics", ["{", "[]", "[" * 5000, '{"schema": ' + "9" * 5000 + "}", '{"schema": "vcmvsp.metrics/1"}'])
-def test_a_report_is_made_of_what_can_be_read(metrics: str) -> None:
+def test_a_report_contains_all_readable_parts(metrics: str) -> None:
     Path("run").mkdir()
     for name in ("metrics.json", "about.json"):
         (Path("run") / name).write_text(metrics)
@@ -154,7 +154,7 @@ def test_a_speed_is_a_positive_number(speed: float) -> None:
 
 
 class Still(vcmvsp.Agent):
-    """Waits inside `act` until it is looked at, or for good."""
+    """Waits inside `act` until `let_go` is set, at most 20 s."""
 
     entered, let_go = threading.Event(), threading.Event()
 
@@ -169,7 +169,7 @@ def test_a_class_in_the_place_of_an_agent_is_refused() -> None:
         vcmvsp.run("formation-circle", agents=wrong)
 
 
-def test_an_agent_that_computes_on_is_named() -> None:
+def test_an_agent_that_does_not_return_is_named() -> None:
     told: list[str] = []
 
     def tell(line: str) -> None:
@@ -185,13 +185,13 @@ def test_an_agent_that_computes_on_is_named() -> None:
     assert api.computing(None) == ("", "")
 
 
-def test_a_result_says_that_it_cannot_be_pickled(tmp_path: Path) -> None:
+def test_a_result_refuses_to_be_pickled(tmp_path: Path) -> None:
     (tmp_path / "s.toml").write_text(two_cars())
     with pytest.raises(UsageError, match=r"cannot be pickled: save\(folder\)"):
         pickle.dumps(vcmvsp.run("s.toml", mcap=False))
 
 
-def test_a_typo_in_the_file_of_a_host_is_its_own(tmp_path: Path) -> None:
+def test_a_typo_in_the_file_of_a_host_is_named(tmp_path: Path) -> None:
     (tmp_path / "typo.py").write_text("class Mine(Agnet): pass\n")
     answer = vcmvsp_command("agent", "typo.py:Mine", "--vehicle", "car2", "--connect", "tcp/127.0.0.1:1")
     assert answer.code == 2
@@ -201,7 +201,7 @@ def test_a_typo_in_the_file_of_a_host_is_its_own(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "section", ["vehicle.car1.driver", "vehicle[1].driver", "vehicle.car1.sensors.front.rate_hz", "vehicle.car1.agent.leader"]
 )
-def test_the_reference_knows_keys_as_messages_spell_them(section: str) -> None:
+def test_the_reference_finds_keys_as_spelled_in_messages(section: str) -> None:
     assert section.rpartition(".")[2] in vcmvsp_command("reference", section).out
 
 

@@ -1,4 +1,4 @@
-"""From a kind to a class: short names, modules and files, each with errors that say what to do."""
+"""From a kind to a class: short names, modules and files; errors name the remedy."""
 
 import importlib
 import os
@@ -36,7 +36,7 @@ def test_every_short_name_leads_to_its_class(group: str, kind: str) -> None:
 
 
 @pytest.mark.parametrize(("group", "kind"), [(group, kind) for group, kinds in builtin_kinds.KINDS.items() for kind in kinds])
-def test_a_slip_of_the_pen_is_answered_with_the_nearest_name(group: str, kind: str) -> None:
+def test_a_typo_is_answered_with_the_nearest_name(group: str, kind: str) -> None:
     problem = refusal(group, kind + "x").problem
     assert f"'{kind}x'" in problem
     assert f"did you mean '{kind}'?" in problem
@@ -74,7 +74,7 @@ def test_a_relative_file_is_looked_for_in_the_given_folder(tmp_path: Path, monke
     assert str(tmp_path / "mine.py") in refusal("agent", "mine.py:A", folder=tmp_path).problem
 
 
-def test_a_file_may_import_what_lies_beside_it_and_leaves_the_path_alone(tmp_path: Path) -> None:
+def test_a_file_may_import_its_neighbours_and_keeps_the_path(tmp_path: Path) -> None:
     (tmp_path / "gain_of_test_registry.py").write_text("K = 3\n")
     (tmp_path / "mine.py").write_text("from gain_of_test_registry import K\nclass A:\n    act = 1\n    k = K\n")
     path = list(sys.path)
@@ -88,10 +88,10 @@ def test_files_of_one_name_in_two_folders_do_not_mix(tmp_path: Path) -> None:
         (tmp_path / name / "mine.py").write_text(f"class A:\n    act = 1\n    k = '{name}'\n")
     one, two = (registry.find("agent", "mine.py:A", folder=tmp_path / name) for name in ("one", "two"))
     assert (one.k, two.k) == ("one", "two")
-    assert sys.modules[one.__module__].A is one  # so that its classes can be pickled and its annotations resolved
+    assert sys.modules[one.__module__].A is one  # needed for pickling and for resolving annotations
 
 
-def test_a_file_is_read_afresh(tmp_path: Path) -> None:
+def test_a_file_is_read_again(tmp_path: Path) -> None:
     file = tmp_path / "mine.py"
     file.write_text("class A:\n    act = 1\n    k = 1\n")
     assert registry.find("agent", "mine.py:A", folder=tmp_path).k == 1
@@ -108,7 +108,7 @@ def test_a_file_that_fails_is_reported_with_its_line(tmp_path: Path) -> None:
     assert "(helper_of_test_registry.py line 4)" in refusal("agent", "calls.py:A", tmp_path).problem
     syntax = refusal("agent", "syntax.py:A", tmp_path).problem
     assert "(syntax.py, line 2)" in syntax
-    assert "registry.py" not in syntax  # no line of ours
+    assert "registry.py" not in syntax  # no line of the platform's code
 
 
 def test_an_attribute_error_inside_a_file_is_not_taken_for_a_missing_class(tmp_path: Path) -> None:
@@ -121,7 +121,7 @@ def test_a_file_that_misses_another_file_is_not_taken_for_a_missing_file(tmp_pat
     assert "fails.py line 1" in refusal("agent", "fails.py:A", tmp_path).problem
 
 
-def test_a_folder_or_package_called_agents_is_in_nobodys_way(tmp_path: Path) -> None:
+def test_another_package_called_agents_does_no_harm(tmp_path: Path) -> None:
     """Other distributions install an ``agents`` too, and a notebook's folder comes first on its path."""
     (tmp_path / "agents").mkdir()
     (tmp_path / "agents" / "__init__.py").write_text("OTHER = True\n")
@@ -132,7 +132,7 @@ def test_a_folder_or_package_called_agents_is_in_nobodys_way(tmp_path: Path) -> 
 
 @pytest.mark.parametrize("part", ["cosim", "physics", "netsim", "agents", "hardware", "scenarios"])
 def test_no_package_can_be_imported_under_a_second_name(part: str) -> None:
-    """The folders of a checkout lie on the path of programs that are started in it."""
+    """A program started in a checkout has the checkout's folders on its path."""
     code = f"import sys; sys.path.insert(0, {str(ROOT)!r}); import {part}"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=500, check=False)
     assert f"ImportError: this is vcmvsp.{part}: import it by that name" in done.stderr

@@ -1,4 +1,4 @@
-"""From a TOML table to a checked call: what is accepted, what is refused and in which words, and where defaults come from."""
+"""From a TOML table to a checked call: values accepted, values refused with their messages, and sources of defaults."""
 
 import math
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from vcmvsp.cosim.types import Count, Name, NonNegative, Positive, Probability
 
 
 class Rain:
-    """What a scenario could configure."""
+    """A target with all types of parameters."""
 
     def __init__(
         self,
@@ -32,7 +32,7 @@ class Rain:
 
 
 class Lines(Source):
-    """Says which key it was asked for."""
+    """A source whose line is the requested key."""
 
     def of(self, key: str) -> str:
         return f"<{key}>"
@@ -44,7 +44,7 @@ def refusal(values: dict[str, Any], target: Any = Rain, **options: Any) -> Scena
     return caught.value
 
 
-def test_values_are_converted_and_defaults_are_the_signatures() -> None:
+def test_values_are_converted_and_defaults_are_in_the_signature() -> None:
     assert binding.call(Rain, {"db_per_km": 2}).content == (2.0, 0, None, False, (), "wet")
     full = {"db_per_km": 2.5, "seed": 3, "size": 1.0, "heavy": True, "places": [[1, 2], [3.5, 4]], "season": "dry"}
     assert binding.call(Rain, full).content == (2.5, 3, 1.0, True, ((1.0, 2.0), (3.5, 4.0)), "dry")
@@ -76,10 +76,10 @@ def test_values_are_converted_and_defaults_are_the_signatures() -> None:
         ({"db_per_km": 1, "places": list(range(500))}, "places", ["..."]),
     ],
 )
-def test_a_refusal_says_where_what_and_what_is_allowed(values: dict[str, Any], key: str, words: list[str]) -> None:
+def test_a_refusal_names_the_key_the_value_and_allowed_ones(values: dict[str, Any], key: str, words: list[str]) -> None:
     error = refusal(values)
     assert error.key == f"radio.rain.{key}"
-    assert error.source in (f"<radio.rain.{key}>", "<radio.rain>")  # a missing key has no line; its table has
+    assert error.source in (f"<radio.rain.{key}>", "<radio.rain>")  # a missing key has no line, its table has one
     assert str(error) == f"{error.source}: {error.key}: {error.problem}"
     assert all(word in error.problem for word in words), error.problem
     assert len(error.problem) < 250
@@ -102,7 +102,7 @@ class Drop(msgspec.Struct, forbid_unknown_fields=True):
         (3, "drops[1]", "must be a table, not 3"),
     ],
 )
-def test_a_refusal_inside_a_list_of_tables_says_in_which(drop: Any, key: str, words: str) -> None:
+def test_a_refusal_inside_a_list_of_tables_names_the_item(drop: Any, key: str, words: str) -> None:
     def shower(drops: tuple[Drop, ...]) -> None: ...
 
     error = refusal({"drops": [{"size_mm": 1.0}, drop]}, shower)
@@ -110,7 +110,7 @@ def test_a_refusal_inside_a_list_of_tables_says_in_which(drop: Any, key: str, wo
     assert words in error.problem
 
 
-def test_what_the_program_gives_is_no_key() -> None:
+def test_arguments_of_the_program_are_no_keys() -> None:
     assert binding.call(Rain, {}, arguments={"db_per_km": "anything"}).content == ("anything", 0, None, False, (), "wet")
     assert "unknown key 'db_per_km'" in refusal({"db_per_km": 1}, arguments={"db_per_km": 2}).problem
 
@@ -135,7 +135,7 @@ def test_a_value_error_of_the_target_names_the_table_or_the_one_key_that_it_ment
     assert (error.key, error.problem) == (key, problem)
 
 
-def test_where_an_error_was_raised_is_no_mention_of_a_parameter() -> None:
+def test_the_place_of_an_error_is_no_mention_of_a_parameter() -> None:
     def storm(line: int) -> None:
         raise TypeError("this is beyond all scales")
 
@@ -194,7 +194,7 @@ def test_classes_structs_and_functions_are_called_alike(target: Any) -> None:
     assert binding.complete(target, {"probability": 0}) == {"probability": 0.0, "name": "x"}
 
 
-def test_what_has_no_annotation_takes_anything_finite() -> None:
+def test_without_annotation_any_finite_value_is_accepted() -> None:
     def free(a, b=3):  # type: ignore[no-untyped-def]  # as somebody's own agent may be written
         return a, b
 
@@ -247,7 +247,7 @@ def test_a_completed_table_means_the_same_and_is_complete(values: dict[str, Any]
     assert binding.complete(Rain, full) == full
 
 
-def test_complete_leaves_out_what_is_not_for_toml() -> None:
+def test_complete_omits_values_without_toml_form() -> None:
     def odd(a: int = 1, b: float | None = None, c: Any = object(), d: dict[str, Any] = {"x": None, "y": 2}) -> None: ...  # noqa: B006, B008
 
     assert binding.complete(odd, {}) == {"a": 1, "d": {"y": 2}}
@@ -290,7 +290,7 @@ def test_annotations_in_words(annotation: Any, words: str) -> None:
         ([2**63, 2**64], 2**64),
     ],
 )
-def test_where_a_number_is_unfit(value: Any, bad: float | None) -> None:
+def test_unfit_numbers(value: Any, bad: float | None) -> None:
     assert binding.unfit_number(value) == bad
 
 
@@ -303,21 +303,21 @@ def test_suggestions_are_near_and_lists_are_sorted() -> None:
 
 
 class Base:
-    """Takes one."""
+    """One parameter."""
 
     def __init__(self, *, one: Positive = 1.0) -> None:
         self.one = one
 
 
 class Derived(Base):
-    """Takes two, and hands on the rest."""
+    """Own parameter ``two``; the rest goes to the base class."""
 
     def __init__(self, two: int, **more: Any) -> None:
         super().__init__(**more)
         self.two = two
 
 
-def test_a_class_that_hands_on_the_rest_takes_what_its_base_takes() -> None:
+def test_forwarded_keywords_are_parameters_of_the_base() -> None:
     assert list(binding.parameters(Derived)) == ["two", "one"]
     made = binding.call(Derived, {"two": 2, "one": 3.0})
     assert (made.two, made.one) == (2, 3.0)
@@ -328,7 +328,7 @@ def test_a_class_that_hands_on_the_rest_takes_what_its_base_takes() -> None:
 
 
 class Near(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="near"):
-    """One of two tables."""
+    """One of two kinds of table."""
 
     distance: Positive = 1.0
 
@@ -338,7 +338,7 @@ class Near(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="k
 
 
 class Far(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="far"):
-    """The other one."""
+    """The other kind."""
 
     height: float = 0.0
 
@@ -361,7 +361,7 @@ def test_a_table_of_one_of_several_kinds(value: dict[str, Any], problem: str) ->
 
 
 class Nested(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A table in which there is another one."""
+    """A table with an inner table."""
 
     near: Near | None = None
     steps: tuple[tuple[float, Literal["up", "down"]], ...] = ()
@@ -377,15 +377,15 @@ class Nested(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         ({"steps": [["x", "up"]]}, "at.steps[0][0]: must be a number, not 'x'"),
     ],
 )
-def test_what_is_wrong_inside_is_said_of_the_innermost_table(value: dict[str, Any], problem: str) -> None:
+def test_inner_errors_name_the_innermost_table(value: dict[str, Any], problem: str) -> None:
     with pytest.raises(ScenarioError) as caught:
         binding.convert(value, Nested, key="at")
     assert str(caught.value).startswith(problem)
 
 
-def test_a_table_of_another_kind_loses_what_only_the_former_had() -> None:
+def test_a_table_of_another_kind_loses_keys_of_the_former() -> None:
     value = {"kind": "near", "height": 3.0, "distance": 2.0}
     assert binding.fitted(value, Near | Far | None, ()) == {"kind": "near", "distance": 2.0}
-    assert binding.fitted(value, Near | Far | None, ("kind", "height")) == value  # it was asked for, and is refused
+    assert binding.fitted(value, Near | Far | None, ("kind", "height")) == value  # requested explicitly: kept, to be refused
     assert binding.fitted({"kind": "fat", "height": 3.0}, Near | Far, ()) == {"kind": "fat", "height": 3.0}
     assert binding.fitted("near", Near | Far, ()) == "near"

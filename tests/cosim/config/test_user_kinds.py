@@ -1,4 +1,4 @@
-"""Kinds of one's own, and what users get wrong around worlds, sensors and commands: one line that names it, exit code 2."""
+"""User-defined kinds, and user errors in worlds, sensors and commands: one line that names the cause, exit code 2."""
 
 import json
 from pathlib import Path
@@ -55,7 +55,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_a_class_of_ones_own_is_shown_with_its_comments(folder: Path) -> None:
+def test_a_user_class_is_shown_with_its_comments(folder: Path) -> None:
     outcome = vcmvsp_command("show", "sensor", "own.py:Sonar")
     assert (outcome.code, outcome.err) == (0, "")
     assert "Tells how high it is." in outcome.out
@@ -77,13 +77,13 @@ def test_a_class_of_ones_own_is_shown_with_its_comments(folder: Path) -> None:
         (("drive", "s.toml", "--vehicle", "a", "--command", "v=1e300"), "must be NAME=NUMBER"),
     ],
 )
-def test_it_is_refused_in_one_line(folder: Path, arguments: tuple[str, ...], words: str) -> None:
+def test_errors_are_in_one_line(folder: Path, arguments: tuple[str, ...], words: str) -> None:
     outcome = vcmvsp_command(*arguments)
     assert (outcome.code, outcome.err.count("\n")) == (2, 1), outcome.err
     assert words in outcome.err
 
 
-def test_a_way_point_must_have_a_speed_and_is_not_reached_before_it_is(folder: Path) -> None:
+def test_a_way_point_needs_a_speed_and_has_an_arrival_time(folder: Path) -> None:
     (folder / "u.toml").write_text("name='u'\nduration_s=1.0\n[[vehicle]]\nname='u'\nkind='point'\nposition=[0,0,5]\n")
     assert vcmvsp_command("drive", "u.toml", "--vehicle", "u", "--command", "x=1,y=0,z=5,speed=0").code == 2
     far, near = (
@@ -95,10 +95,10 @@ def test_a_way_point_must_have_a_speed_and_is_not_reached_before_it_is(folder: P
         for x in (100, 1)
     )
     assert far["arrival_s"] is None
-    assert near["arrival_s"] == pytest.approx(0.9, abs=0.06)  # 0.1 m before it
+    assert near["arrival_s"] == pytest.approx(0.9, abs=0.06)  # arrival: within 0.1 m
 
 
-def test_one_key_of_a_sensor_that_all_share_is_set_for_one(folder: Path) -> None:
+def test_a_key_of_a_shared_sensor_is_set_for_one(folder: Path) -> None:
     (folder / "s.toml").write_text(CAR + "\n[[vehicle]]\nname = 'b'\nposition = [3.0, 0.0, 0.0]\n")
     resolved = json.loads(vcmvsp_command("show", "s.toml", "--json", "--set", "vehicle.b.sensors.scan.beams=64").out)
     assert [each["sensors"]["scan"]["beams"] for each in resolved["vehicle"]] == [32, 64]
@@ -116,7 +116,7 @@ def test_two_files_of_one_name_are_both_kept(folder: Path) -> None:
     assert ("own-2.py:Sonar" in first, first == again) == (True, True)
 
 
-def test_physics_of_ones_own_needs_to_know_nothing_of_obstacles(folder: Path) -> None:
+def test_user_physics_need_not_support_obstacles(folder: Path) -> None:
     (folder / "still.py").write_text(
         "from vcmvsp.cosim.federate import Event, Needed, Slot, Step\n"
         "from vcmvsp.cosim.types import VehicleState\n"

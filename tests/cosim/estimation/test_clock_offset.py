@@ -1,4 +1,4 @@
-"""Foreign clocks: bounds of the error as they are promised, order, jumps; delays drawn at random, drift constant."""
+"""Foreign clocks: promised error bounds, order, jumps; delays are random, the drift is constant."""
 
 import math
 
@@ -12,17 +12,17 @@ pytestmark = pytest.mark.slow
 
 MS = 10**6
 SECOND = 10**9
-delays = st.floats(0.0, 0.9)  # s, beyond the least
+delays = st.floats(0.0, 0.9)  # s, beyond the least delay
 gaps = st.floats(1e-3, 3.0)  # s between messages
 
 
 def stamp(now_ns: int, offset_ns: int, ppm: float) -> int:
-    """What a clock says that was ``offset_ns`` behind ours at 0 and drifts: it gains ppm microseconds a second."""
-    return now_ns - offset_ns + round(ppm * 1e-6 * now_ns)  # whole numbers: floats of 1e18 are 128 apart
+    """Reading, ns, of a clock that is ``offset_ns`` behind ours at 0 and gains ``ppm`` microseconds a second."""
+    return now_ns - offset_ns + round(ppm * 1e-6 * now_ns)  # integers: floats of 1e18 are 128 apart
 
 
 def traffic(messages: list[tuple[float, float]], least: float) -> list[tuple[int, int, int]]:
-    """(true time, arrival, extra delay), ns; a link keeps the order."""
+    """Rows (true time, arrival, extra delay), ns; the link keeps the order."""
     now, arrived, rows = 10 * SECOND, 0, []
     for gap, extra in messages:
         now += round(gap * SECOND)
@@ -48,7 +48,7 @@ def test_the_error_is_at_most_the_least_extra_delay_and_drift(
         local = clock.heard(stamp(now, offset, ppm), arrived)
         before.append((arrived, extra))
         bounds = [extra + 2e-4 * (arrived - at) for at, extra in before if at >= arrived - 30 * SECOND]
-        # what the offset itself changed by while the message was on its way counts, too
+        # plus the drift of the offset while the message was under way
         slack = 1e-4 * (arrived - now) + 2
         assert -slack <= local - now <= min(bounds) + slack
         assert local <= arrived - round(least * SECOND)
@@ -63,8 +63,8 @@ def test_the_error_is_at_most_the_least_extra_delay_and_drift(
     after=st.lists(st.tuples(st.floats(0.05, 0.2), st.floats(0.0, 0.2)), min_size=AGREE, max_size=20),
     jump=st.floats(1.5, 1e6) | st.floats(-1e6, -1.5),
 )
-@example(before=[(0.125, 0.0)], after=[(0.125, 0.0), (0.1875, 0.0), (0.1875, 0.0)], jump=-1.5)  # it soon reaches itself
-def test_a_jump_is_told_once_and_times_are_right_again(
+@example(before=[(0.125, 0.0)], after=[(0.125, 0.0), (0.1875, 0.0), (0.1875, 0.0)], jump=-1.5)  # soon makes up for the jump
+def test_a_jump_is_counted_once_and_corrected(
     before: list[tuple[float, float]], after: list[tuple[float, float]], jump: float
 ) -> None:
     clock = ForeignClock(drift_ppm=0.0)
@@ -72,7 +72,7 @@ def test_a_jump_is_told_once_and_times_are_right_again(
     for number, (now, arrived, _) in enumerate(rows):
         jumped = number >= len(before)
         local = clock.heard(now + (round(jump * SECOND) if jumped else 0), arrived)
-        assert local <= arrived  # also before the jump is believed
+        assert local <= arrived  # also before the jump is accepted
         if number >= len(before) + AGREE - 1:
             assert clock.jumps == 1
             assert 0 <= local - now <= 0.2 * SECOND
@@ -90,8 +90,8 @@ def test_one_wild_stamp_changes_nothing() -> None:
     assert clock.jumps == 0
 
 
-def test_a_queue_that_is_worked_off_is_no_jump() -> None:
-    """Two seconds of messages come all at once; they are as old as they are."""
+def test_an_emptied_queue_is_no_jump() -> None:
+    """Two seconds of messages arrive at once; their times remain exact."""
     clock = ForeignClock(drift_ppm=0.0)
     for tick in range(10):
         clock.heard(tick * 100 * MS, tick * 100 * MS)
@@ -100,7 +100,7 @@ def test_a_queue_that_is_worked_off_is_no_jump() -> None:
     assert clock.jumps == 0
 
 
-def test_the_window_forgets() -> None:
+def test_the_window_drops_old_data() -> None:
     clock = ForeignClock(window_s=2.0, drift_ppm=0.0)
     clock.heard(0, 0)
     assert clock.heard(SECOND, SECOND + 300 * MS) == SECOND  # slower from now on
@@ -116,7 +116,7 @@ def test_the_window_forgets() -> None:
     ppm=st.floats(-100.0, 100.0),
     later=st.floats(0.0, 100.0),
 )
-def test_an_exchange_errs_by_no_more_than_it_says(
+def test_the_error_of_an_exchange_is_within_its_bound(
     trips: list[tuple[float, ...]], offset: int, ppm: float, later: float
 ) -> None:
     exchange, now = EchoClock(drift_ppm=100.0), 0
@@ -135,20 +135,20 @@ def test_an_exchange_errs_by_no_more_than_it_says(
     assert best.error_ns <= 0.5 * shortest * SECOND + 1e-4 * (at + 3 * SECOND) + MS
 
 
-def test_equal_ways_give_the_offset_exactly() -> None:
+def test_equal_delays_give_the_exact_offset() -> None:
     exchange = EchoClock()
     assert exchange.best(0) is None
-    exchange.add(100, 5100, 5200, 300)  # 50 each way, 100 there
+    exchange.add(100, 5100, 5200, 300)  # 50 each way, 100 at the other end
     best = exchange.best(300)
     assert best is not None
     assert best.offset_ns == 100 + 50 - 5100
     assert best.error_ns <= 53
 
 
-def test_an_exchange_that_contradicts_starts_anew() -> None:
+def test_a_contradiction_restarts_an_exchange() -> None:
     exchange = EchoClock(drift_ppm=0.0)
     exchange.add(0, SECOND, SECOND, 10 * MS)
-    exchange.add(SECOND, 2 * SECOND, 2 * SECOND, SECOND + 100 * MS)  # longer, and no contradiction
+    exchange.add(SECOND, 2 * SECOND, 2 * SECOND, SECOND + 100 * MS)  # longer, but consistent
     best = exchange.best(2 * SECOND)
     assert exchange.jumps == 0
     assert best is not None
@@ -160,7 +160,7 @@ def test_an_exchange_that_contradicts_starts_anew() -> None:
     assert best.offset_ns == -11 * SECOND + 100 * MS
 
 
-def test_answers_before_their_questions_are_refused() -> None:
+def test_answers_before_their_requests_are_refused() -> None:
     exchange = EchoClock()
     exchange.add(10, 5, 4, 20)
     exchange.add(10, 5, 50, 20)

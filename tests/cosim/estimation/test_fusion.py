@@ -1,4 +1,4 @@
-"""The fusion of odometry and positions: consistency over seeds, closed forms, late and wrong positions, restarts."""
+"""Fusion of odometry and positions: consistency over seeds, closed forms, late and wrong positions, restarts."""
 
 import math
 from collections import deque
@@ -31,7 +31,7 @@ EXACT = OdometryNoise(distance=0.0, turn=0.0, veer=0.0, time_m=0.0, time_rad=0.0
 
 
 class World:
-    """A robot that drives as the filter supposes: odometry at 10 Hz with its noise, positions at 5 Hz with sigma."""
+    """A robot that moves as in the filter's model: odometry at 10 Hz with its noise, positions at 5 Hz with ``sigma_m``."""
 
     def __init__(self, seed: int, sigma_m: float = 0.15, noise: OdometryNoise | None = None) -> None:
         self.rng = np.random.default_rng(seed)
@@ -41,7 +41,7 @@ class World:
         self.time_ns = 0
 
     def go(self, v: float, w: float) -> tuple[float, float]:
-        """Move for 100 ms; what odometry says of it."""
+        """Move for 100 ms; distance, m, and turn, rad, of odometry."""
         said = OdometryMotion(0.1 * v, 0.1 * w, 0.1)
         self.truth, _, added = moved(self.truth, said, self.noise)
         values, vectors = np.linalg.eigh(added)
@@ -54,7 +54,7 @@ class World:
         return x, y
 
     def drive(self, fusion: Fusion, seconds: float, v: float = 0.4, fixes: bool = True) -> Iterator[Verdict | None]:
-        """Wind along; a verdict where a position was told."""
+        """Drive a winding path; for each step the verdict on its position, None without one."""
         if self.time_ns == 0:
             fusion.odometry(0, 0.0, 0.0)
         for step in range(round(seconds * 10)):
@@ -84,13 +84,13 @@ def _nees(world: World, pose: FusedPose) -> float:
 
 
 def _bounds(degrees: int, runs: int) -> tuple[float, float]:
-    """The mean of ``runs`` chi-square variables lies here with probability 0.999 [Bar-Shalom, Li, Kirubarajan 2001, 5.4]."""
+    """Interval of the mean of ``runs`` chi-square variables, probability 0.999 [Bar-Shalom, Li, Kirubarajan 2001, 5.4]."""
     low, high = chi2.ppf([0.0005, 0.9995], degrees * runs) / runs
     return float(low), float(high)
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_errors_are_as_large_as_the_covariance_says(known: bool) -> None:
+def test_errors_agree_with_the_covariance(known: bool) -> None:
     runs, nees, nis = 40, [], []
     for seed in range(runs):
         world = World(seed)
@@ -108,8 +108,8 @@ def test_errors_are_as_large_as_the_covariance_says(known: bool) -> None:
 
 
 def test_heading_comes_from_motion() -> None:
-    # sigma 0.15 m at 5 Hz, 0.4 m/s: the filter begins after 0.84 m; the heading is then good to 0.18 rad, and after 10 m to
-    # 0.04 rad (200 seeds)
+    # sigma 0.15 m at 5 Hz, 0.4 m/s: the filter starts after 0.84 m; the heading's error is then 0.18 rad, and after 10 m 0.04
+    # rad (200 seeds)
     begun: list[float] = []
     errors = []
     for seed in range(10):
@@ -122,7 +122,7 @@ def test_heading_comes_from_motion() -> None:
     assert math.sqrt(np.mean(np.square(errors))) < 0.06
 
 
-def test_until_it_has_moved_the_heading_is_unknown_and_says_so() -> None:
+def test_without_motion_the_heading_is_reported_unknown() -> None:
     world, fusion = World(1), Fusion()
     assert fusion.estimate(0) is None
     world.go_on(fusion, 10.0, v=0.0)
@@ -130,14 +130,14 @@ def test_until_it_has_moved_the_heading_is_unknown_and_says_so() -> None:
     assert not pose.heading_known
     assert pose.covariance[2, 2] == pytest.approx(math.pi**2 / 3)  # uniform on the circle
     assert 0.15**2 <= pose.covariance[0, 0] < 1.5 * 0.15**2
-    # Driving off blindly, it may be anywhere on a circle about the last position
+    # Without positions, the robot may be anywhere on a circle about the last one
     world.go_on(fusion, 5.0, fixes=False)
     pose = _pose(fusion, world.time_ns)
     assert np.trace(pose.covariance[:2, :2]) > 1.5**2
 
 
 def test_a_straight_line_with_a_known_heading_is_a_weighted_mean() -> None:
-    # Without odometry noise the start is the only unknown: each position minus the way so far measures it.
+    # Without odometry noise the start is the only unknown: each position minus the distance driven measures it.
     rng = np.random.default_rng(5)
     fusion = Fusion(noise=EXACT, start=(0.0, 0.0, 0.0), start_sigma_m=1.0, start_sigma_rad=1e-9)
     fusion.odometry(0, 0.0, 0.0)
@@ -227,7 +227,7 @@ def _log(seed: int) -> tuple[list[tuple[int, float, float]], list[tuple[int, flo
     return told, seen
 
 
-def test_positions_that_come_late_count_as_if_they_had_come_in_time() -> None:
+def test_late_positions_count_as_timely_ones() -> None:
     told, seen = _log(3)
     poses = []
     for delay_ns in (0, 300 * MS, 1500 * MS):
@@ -249,7 +249,7 @@ def test_positions_that_come_late_count_as_if_they_had_come_in_time() -> None:
 @given(st.randoms(use_true_random=False))
 def test_the_order_of_arrival_does_not_matter(random: object) -> None:
     told, seen = _log(4)
-    seen = [each for t, x, y in seen[:10] for each in ((t, x, y), (t, x + 0.1, y))]  # two at a time
+    seen = [each for t, x, y in seen[:10] for each in ((t, x, y), (t, x + 0.1, y))]  # two positions at each time
     shuffled = list(seen)
     random.shuffle(shuffled)  # type: ignore[attr-defined]
     one, other = Fusion(start=(3.0, -2.0, 0.0), start_sigma_rad=2.0), Fusion(start=(3.0, -2.0, 0.0), start_sigma_rad=2.0)
@@ -262,8 +262,8 @@ def test_the_order_of_arrival_does_not_matter(random: object) -> None:
     assert (a.x, a.y, a.heading, a.gated) == (b.x, b.y, b.heading, b.gated)
 
 
-def test_lateness_that_is_not_told_costs_the_way_driven_meanwhile() -> None:
-    # What the source time is good for: 0.3 s at 0.4 m/s are 0.12 m behind
+def test_unreported_lateness_costs_the_distance_driven() -> None:
+    # Benefit of the source time: without it, 0.3 s at 0.4 m/s are 0.12 m of lag
     lags = []
     for tells in (True, False):
         lag = []
@@ -290,7 +290,7 @@ def _after(world: World) -> tuple[int, float, float]:
     return world.time_ns, distance, turn
 
 
-def test_what_is_older_than_the_log_is_refused() -> None:
+def test_positions_older_than_the_log_are_refused() -> None:
     fusion = Fusion(start=(0.0, 0.0, 0.0), history_s=1.0)
     for step in range(50):
         fusion.odometry(step * 100 * MS, 0.0, 0.0)
@@ -306,7 +306,7 @@ def test_a_true_jump_restarts_it() -> None:
     for seed in range(10):
         world, fusion = World(seed), Fusion()
         world.go_on(fusion, 10.0)
-        world.truth[:3] += 4.0, -3.0, 1.5  # somebody carried it
+        world.truth[:3] += 4.0, -3.0, 1.5  # the robot was carried
         verdicts = [each.outcome for each in world.drive(fusion, 2.0) if each]
         assert verdicts[:5] == ["gated"] * 4 + ["restarted"]
         pose = _pose(fusion, world.time_ns)
@@ -333,7 +333,7 @@ def test_wrong_positions_that_disagree_restart_nothing() -> None:
 def test_gated_positions_are_consecutive_or_restart_nothing() -> None:
     world, fusion = World(2), Fusion()
     world.go_on(fusion, 10.0)
-    for step in range(40):  # a reflection that is always the same, between good ones
+    for step in range(40):  # a constant reflection between correct positions
         fusion.odometry(*_after(world))
         x, y = world.see()
         outcome = fusion.fix(world.time_ns, x + 3.0 * (step % 4 > 0), y, 0.15).outcome
@@ -344,7 +344,7 @@ def test_an_outlier_before_the_heading_is_known_is_left_out() -> None:
     for seed in range(10):
         world, fusion = World(seed), Fusion()
         fusion.odometry(0, 0.0, 0.0)
-        for step in range(19):  # 18 good ones and one: without it they tell the heading well enough
+        for step in range(19):  # 18 correct positions and an outlier; without it the heading is known well enough
             fusion.odometry(*_after(world))
             x, y = world.see()
             fusion.fix(world.time_ns, x + 3.0 * (step == 6), y, 0.15)
@@ -364,7 +364,7 @@ def test_the_log_stays_short_when_positions_stop() -> None:
 
 
 def test_scale_and_veer_are_learnt() -> None:
-    # A robot whose odometry says 5 % too little and whose wheels differ; 100 m of bends
+    # Odometry 5 % too small, unequal wheels; 100 m of bends
     errors = []
     for seed in range(2):
         world = World(seed, noise=OdometryNoise(distance=0.005, veer=0.002, turn=0.01))
@@ -386,29 +386,29 @@ def test_silence_of_odometry() -> None:
     assert late.x == pytest.approx(1.5)
     assert late.v == 0.0
     assert late.covariance[0, 0] > _pose(fusion, 2 * S).covariance[0, 0] > _pose(fusion, S).covariance[0, 0]
-    fusion.fix(2 * S, 1.5, 0.0, 100.0)  # a position meanwhile does not spoil what odometry tells afterwards
+    fusion.fix(2 * S, 1.5, 0.0, 100.0)  # a position meanwhile does not spoil later odometry
     fusion.odometry(5 * S, 4.0, 0.0)
     assert _pose(fusion, 5 * S).x == pytest.approx(5.0, abs=1e-3)
     assert _pose(fusion, 5 * S).covariance[0, 0] < late.covariance[0, 0]
 
 
-def test_before_odometry_has_told_anything_the_robot_stands() -> None:
+def test_before_any_odometry_the_robot_stands() -> None:
     fusion = Fusion(start=(0.0, 0.0, 0.0), history_s=10.0)
     fusion.fix(0, 0.0, 0.0, 1e6)
     fusion.odometry(S, 0.0, 0.0)
     fusion.odometry(2 * S, 1.0, 0.0)
-    fusion.fix(S // 2, 0.0, 0.0, 1e6)  # late, and of before
+    fusion.fix(S // 2, 0.0, 0.0, 1e6)  # late, from before the first odometry
     assert [_pose(fusion, t * S // 2).x for t in range(5)] == pytest.approx([0.0, 0.0, 0.0, 0.5, 1.0], abs=1e-6)
 
 
-def test_motion_told_twice_at_one_time_is_not_lost() -> None:
+def test_two_motions_at_one_time_both_count() -> None:
     fusion = Fusion(start=(0.0, 0.0, 0.0))
     for time_ns in (0, S, S, S - 1, 2 * S):
         fusion.odometry(time_ns, 0.5, 0.0)
     assert _pose(fusion, 2 * S).x == pytest.approx(2.0)
 
 
-def test_numbers_that_are_none_are_refused() -> None:
+def test_invalid_numbers_are_refused() -> None:
     fusion = Fusion()
     with pytest.raises(ValueError, match="finite"):
         fusion.odometry(0, math.nan, 0.0)
@@ -419,7 +419,8 @@ def test_numbers_that_are_none_are_refused() -> None:
 
 
 def test_the_noise_of_a_motion() -> None:
-    # Turning on the spot only the heading errs; straight on, also the length, and the place sideways by half the way
+    # Turning on the spot, only the heading errs; straight ahead, also the distance, and the position sideways by the heading's
+    # error times half the distance
     noise = OdometryNoise(distance=0.02, turn=0.03, veer=0.01, time_m=0.0, time_rad=0.0)
     _, _, spin = moved(np.zeros(SIZE), OdometryMotion(0.0, -2.0, 1.0), noise)
     assert spin[2, 2] == pytest.approx(0.03**2 * 2.0)
@@ -442,14 +443,14 @@ def test_the_jacobian_is_the_derivative(mean: list[float], distance: float, turn
 
 
 @given(small, small, st.integers(2, 9))
-def test_a_motion_in_parts_is_the_motion(distance: float, turn: float, parts: int) -> None:
+def test_parts_of_a_motion_add_up(distance: float, turn: float, parts: int) -> None:
     whole, _, added = moved(np.zeros(SIZE), OdometryMotion(distance, turn, 1.0), OdometryNoise())
     mean, covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
     for _ in range(parts):
         mean, each, more = moved(mean, OdometryMotion(distance / parts, turn / parts, 1.0 / parts), OdometryNoise())
         covariance = grown(covariance, each, more)
     assert mean == pytest.approx(whole, abs=1e-12)
-    # The variances add up; that of the place differs by where on the way the heading's noise is taken to act
+    # The variances add up; that of the position depends on where along the motion the heading's noise is assumed to act
     assert covariance[2, 2] == pytest.approx(added[2, 2], rel=1e-9)
     assert covariance[:2, :2] == pytest.approx(added[:2, :2], abs=0.35 * added[2, 2] * distance**2 + 1e-5)
 
@@ -476,7 +477,7 @@ def test_the_covariance_stays_symmetric_and_positive(
             assert nis >= 0.0
             gain, covariance = corrected(covariance, inverse, entry)
             mean = mean + gain @ difference
-            assert (np.diag(covariance) <= before * (1 + 1e-9) + 1e-12).all()  # to know more never harms
+            assert (np.diag(covariance) <= before * (1 + 1e-9) + 1e-12).all()  # a measurement never increases a variance
         assert np.array_equal(covariance, covariance.T)
         values = np.linalg.eigvalsh(covariance)
         assert values[0] >= -1e-12 * max(values[-1], 1.0)

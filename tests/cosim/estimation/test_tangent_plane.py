@@ -1,4 +1,4 @@
-"""The tangent plane: points that are known, the curvature of the ellipsoid, and the way back."""
+"""Tangent plane: known points, the curvature of the ellipsoid, and the inverse."""
 
 import math
 
@@ -31,7 +31,7 @@ def test_axes_of_the_earth(place: tuple[float, float, float], earth: tuple[float
 
 
 def test_matterhorn_seen_from_zermatt() -> None:
-    # The example of MATLAB's geodetic2enu: WGS 84, five digits
+    # Example of MATLAB's geodetic2enu: WGS 84, five digits
     east, north, up = TangentPlane(46.017, 7.750, 1673.0).enu(45.976, 7.658, 4531.0)
     assert (east, north, up) == pytest.approx((-7134.8, -4556.3, 2852.4), abs=0.05)
 

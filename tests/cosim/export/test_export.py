@@ -1,4 +1,4 @@
-"""``vcmvsp export``: tables, a film and a layout of a recording; bad input, overwriting, and recordings that were cut."""
+"""``vcmvsp export``: tables, film and layout of a recording; bad input, overwriting, and truncated recordings."""
 
 import csv
 import json
@@ -17,7 +17,7 @@ import pytest
 import vcmvsp
 from tests.support.cosim import export_runs
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.export_runs import recorded
+from tests.support.cosim.export_runs import topic_messages
 from tests.support.cosim.full_disk import room_for
 from tests.support.cosim.studies import two
 from vcmvsp.cosim.clock import SECOND_NS
@@ -45,7 +45,7 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return export(export_runs.run_of("lab-patrol"), csv=tmp_path_factory.mktemp("csv") / "lab")[0]
 
 
-def test_states_and_radio_are_those_of_the_runs_own_tables(tables: Path) -> None:
+def test_states_and_radio_equal_the_runs_own_tables(tables: Path) -> None:
     run = load(export_runs.run_of("lab-patrol"))
     listed = rows(tables / "states.csv")
     assert [(round(float(row["time_s"]) * SECOND_NS), row["vehicle"]) for row in listed] == [
@@ -63,7 +63,7 @@ def test_states_and_radio_are_those_of_the_runs_own_tables(tables: Path) -> None
     assert len(frames) > 3
 
 
-def test_the_radio_of_a_run_with_programs_and_routes_is_its_own_table_with_all_its_frames(tmp_path: Path) -> None:
+def test_the_radio_table_of_a_run_has_frames_of_programs_and_routes(tmp_path: Path) -> None:
     vehicles = ("car-1", "car-2")
     facts = RunFacts(scenario="cart", seed=1, end_ns=0, vehicles=vehicles)
     with (export_runs.run_of("a crossing cart") / "run.mcap").open("rb") as stream:
@@ -72,7 +72,7 @@ def test_the_radio_of_a_run_with_programs_and_routes_is_its_own_table_with_all_i
     table = radio_table([*reports, *of_programs], facts)
     table = table.append_column("origin", pa.array(["car-2"] * table.num_rows))
     table = table.append_column("origin_sent_ns", pa.array([1_500_000_000] * table.num_rows))
-    folder = export_runs.cut("a crossing cart", tmp_path / "run", 1.0)
+    folder = export_runs.truncated_copy("a crossing cart", tmp_path / "run", 1.0)
     write_table(table, folder / "radio.parquet")
     said: list[str] = []
     export(folder, csv=tmp_path / "csv", tell=said.append)
@@ -83,7 +83,7 @@ def test_the_radio_of_a_run_with_programs_and_routes_is_its_own_table_with_all_i
 
 
 @pytest.mark.parametrize("rows_at_once", [1, 7, 10**6])
-def test_the_radio_is_the_same_in_parts_of_any_size_and_out_of_the_recording_alone(
+def test_the_radio_is_equal_in_parts_of_any_size_and_from_the_recording(
     rows_at_once: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = export_runs.run_of("a crossing cart")
@@ -91,14 +91,14 @@ def test_the_radio_is_the_same_in_parts_of_any_size_and_out_of_the_recording_alo
     for module in (schema, csv_files):
         monkeypatch.setattr(module, "PART_ROWS", rows_at_once)
     export(run, csv=tmp_path / "parts")
-    export(export_runs.cut("a crossing cart", tmp_path / "cut", 1.0), csv=tmp_path / "recorded")
-    whole, parts, recorded = ((tmp_path / name / "radio.csv").read_bytes() for name in ("whole", "parts", "recorded"))
-    assert whole == parts == recorded
+    export(export_runs.truncated_copy("a crossing cart", tmp_path / "cut", 1.0), csv=tmp_path / "rebuilt")
+    whole, parts, rebuilt = ((tmp_path / name / "radio.csv").read_bytes() for name in ("whole", "parts", "rebuilt"))
+    assert whole == parts == rebuilt
 
 
 def test_each_sensor_of_numbers_has_its_table_with_units(tables: Path) -> None:
     assert {path.stem for path in tables.iterdir()} == {"states", "radio", "commands", "bumper", "odometer", "odometry"}
-    wheels, said = rows(tables / "odometer.csv"), recorded("lab-patrol", "ugv3/odometer")
+    wheels, said = rows(tables / "odometer.csv"), topic_messages("lab-patrol", "ugv3/odometer")
     mine = [row for row in wheels if row["vehicle"] == "ugv3"]
     assert list(mine[0]) == ["time_s", "vehicle", "x_m", "y_m", "yaw_rad", "v_m_s", "w_rad_s"]
     assert [[float(row["x_m"]), float(row["v_m_s"])] for row in mine] == [[each["pose"][0], each["v"]] for _, each in said]
@@ -107,9 +107,9 @@ def test_each_sensor_of_numbers_has_its_table_with_units(tables: Path) -> None:
         assert all(name.endswith(("_m", "_rad", "_s", "_s2")) or name in csv_files.TURN for name in columns)
 
 
-def test_notes_have_a_column_for_each_name_and_an_empty_cell_where_it_was_not_noted(tmp_path: Path) -> None:
+def test_notes_have_a_column_for_each_name_and_empty_cells(tmp_path: Path) -> None:
     export(export_runs.run_of("a crossing cart"), csv=tmp_path / "tables")
-    noted, said = rows(tmp_path / "tables/notes.csv"), recorded("a crossing cart", "car-2/note")
+    noted, said = rows(tmp_path / "tables/notes.csv"), topic_messages("a crossing cart", "car-2/note")
     assert len(noted) == len(said) > 5
     for row, (_, each) in zip(noted, said, strict=True):
         assert {name: value for name, value in row.items() if value and name not in ("time_s", "vehicle")} == {
@@ -117,7 +117,7 @@ def test_notes_have_a_column_for_each_name_and_an_empty_cell_where_it_was_not_no
         }
 
 
-def test_what_there_was_not_is_an_empty_cell(tmp_path: Path) -> None:
+def test_missing_values_are_empty_cells(tmp_path: Path) -> None:
     export(export_runs.run_of("a tag and late sensors"), csv=tmp_path / "tables")
     for row in rows(tmp_path / "tables/fix.csv"):
         assert (row["yaw_rad"], row["sigma_rad"], row["sigma_m"]) == ("", "", "0.15")
@@ -137,19 +137,19 @@ def test_a_frame_that_is_under_way_at_the_end_is_not_shown_as_lost(tmp_path: Pat
     assert run_plots._lost_s(radio, "car2", "car1").size == 0
 
 
-def test_a_sensor_that_is_called_like_a_table_does_not_write_into_it() -> None:
+def test_a_sensor_named_like_a_table_has_a_table_of_its_own() -> None:
     assert csv_files._place("car1/state") == ("car1", "states")
     assert csv_files._place("car1/states") == ("car1", "states_sensor")
     assert csv_files._place("car1/radio") == ("car1", "radio_sensor")
 
 
 def film_of(folder: Path, **more: Any) -> video._Film:
-    """The film of a team that drives ahead, 14 m unless told otherwise."""
+    """Film of a team that drives straight ahead, by default 14 m."""
     vcmvsp.run(two(**{"duration_s": 80.0, "radio": {"loss": {"probability": 0.5}}, **more}), out=folder)
     return video._Film(recorded_run.Source(folder, lambda _: None))
 
 
-def test_the_film_goes_along_with_a_team_that_is_small_in_its_world(tmp_path: Path) -> None:
+def test_the_film_follows_a_team_in_a_large_world(tmp_path: Path) -> None:
     film = film_of(tmp_path / "far")
     assert len(film._middles) == film.count
     for number in range(0, film.count, 40):
@@ -186,9 +186,9 @@ def test_the_film_shows_walls_vehicles_and_lost_frames(tmp_path: Path) -> None:
     film.release()
     assert len(pictures) == 41  # 2 s at 20 pictures a second, both ends
     assert told[-1] == ("mp4", 1.0)
-    assert np.abs(pictures[0] - pictures[-1]).max() > 100  # they move
+    assert np.abs(pictures[0] - pictures[-1]).max() > 100  # vehicles move
     red = [((picture[..., 2] - picture[..., 1] > 60) & (picture[..., 2] - picture[..., 0] > 60)).sum() for picture in pictures]
-    lost = [time_ns for time_ns, each in recorded("a crossing cart", "radio/frame") if -1 in each["received_ns"]]
+    lost = [time_ns for time_ns, each in topic_messages("a crossing cart", "radio/frame") if -1 in each["received_ns"]]
     ages_s = [min((0.05 * k - at / SECOND_NS for at in lost if at <= 0.05 * k * SECOND_NS), default=9.0) for k in range(41)]
     fresh = [count for count, age_s in zip(red, ages_s, strict=True) if age_s < 0.2]
     assert len(fresh) > 5
@@ -196,7 +196,7 @@ def test_the_film_shows_walls_vehicles_and_lost_frames(tmp_path: Path) -> None:
     assert max([count for count, age_s in zip(red, ages_s, strict=True) if age_s > 0.5], default=0) == 0
 
 
-def test_a_layout_names_topics_that_there_are_and_numbers_that_they_have(tmp_path: Path) -> None:
+def test_a_layout_names_existing_topics_and_numbers(tmp_path: Path) -> None:
     for name in ("lab-patrol", "recon-team", "a crossing cart"):
         export(export_runs.run_of(name), layout=tmp_path / f"{name}.json")
         layout = json.loads((tmp_path / f"{name}.json").read_text())
@@ -240,7 +240,7 @@ def leaves(node: Any) -> list[str]:
         (("--csv", "--layout", "--out", "full/layout.json"), "full/layout.json/csv: "),
     ],
 )
-def test_what_cannot_be_written_is_said_before_anything_is(
+def test_unwritable_outputs_are_refused_before_any_is_written(
     arguments: tuple[str, ...], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -262,7 +262,7 @@ def test_what_cannot_be_written_is_said_before_anything_is(
         ("csv", "full/a.json", True, "full/a.json: is a file, not a folder"),
     ],
 )
-def test_a_file_is_no_folder_nor_a_folder_a_file(name: str, path: str, force: bool, words: str, tmp_path: Path) -> None:
+def test_files_and_folders_are_distinguished(name: str, path: str, force: bool, words: str, tmp_path: Path) -> None:
     (tmp_path / "full").mkdir()
     (tmp_path / "full/a.json").write_text("mine")
     with pytest.raises(UsageError, match=words):
@@ -285,7 +285,7 @@ def test_a_folder_without_a_recording_is_named(tmp_path: Path) -> None:
 
 
 def test_the_recording_itself_is_never_overwritten(tmp_path: Path) -> None:
-    folder = export_runs.cut("lab-patrol", tmp_path / "run", 1.0)
+    folder = export_runs.truncated_copy("lab-patrol", tmp_path / "run", 1.0)
     before = (folder / "run.mcap").read_bytes()
     with pytest.raises(UsageError, match="is the recording itself"):
         export(folder, layout=folder / "run.mcap", force=True)
@@ -294,7 +294,7 @@ def test_the_recording_itself_is_never_overwritten(tmp_path: Path) -> None:
     assert (folder / "run.mcap").read_bytes() == before
 
 
-def test_with_force_old_files_give_way_and_others_stay(tmp_path: Path) -> None:
+def test_force_replaces_old_files_and_keeps_others(tmp_path: Path) -> None:
     (tmp_path / "csv").mkdir()
     (tmp_path / "csv/states.csv").write_text("old")
     (tmp_path / "csv/mine.txt").write_text("mine")
@@ -308,7 +308,7 @@ def test_with_force_old_files_give_way_and_others_stay(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("room", [0, 100])
 @pytest.mark.parametrize("output", ["mp4", "csv", "layout", "rosbag2"])
-def test_of_an_export_to_a_full_disk_nothing_stays(output: str, room: int, tmp_path: Path) -> None:
+def test_an_export_to_a_full_disk_leaves_nothing(output: str, room: int, tmp_path: Path) -> None:
     folder, out = export_runs.run_of("recon-team"), tmp_path / "out"
     with room_for(room):
         outcome = vcmvsp_command("export", str(folder), f"--{output}", "--out", str(out), "--quiet")
@@ -317,7 +317,7 @@ def test_of_an_export_to_a_full_disk_nothing_stays(output: str, room: int, tmp_p
     assert list(out.iterdir()) == []
 
 
-def test_what_was_there_before_an_export_to_a_full_disk_stays(tmp_path: Path) -> None:
+def test_an_export_to_a_full_disk_keeps_older_files(tmp_path: Path) -> None:
     (tmp_path / "run.mp4").write_bytes(b"an older film")
     folder = export_runs.run_of("a crossing cart")
     with room_for(1000), pytest.raises(UsageError, match=r"run\.mp4: cannot be written"):
@@ -327,23 +327,23 @@ def test_what_was_there_before_an_export_to_a_full_disk_stays(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("part", [0.4, 0.7, 0.999])
-def test_of_a_run_that_was_killed_all_is_exported_that_is_there(part: float, tmp_path: Path) -> None:
-    folder, out = export_runs.cut("lab-patrol", tmp_path / "killed", part), tmp_path / "out"
+def test_a_killed_run_is_exported_as_far_as_recorded(part: float, tmp_path: Path) -> None:
+    folder, out = export_runs.truncated_copy("lab-patrol", tmp_path / "killed", part), tmp_path / "out"
     outputs = {name: out / called for name, called in NAMES.items()}
     outcome = vcmvsp_command("export", str(folder), *(f"--{name}" for name in outputs), "--out", str(out))
     assert (outcome.code, outcome.out.split()) == (0, [str(path) for path in outputs.values()])
     left = rows(out / "csv/states.csv")
-    whole = recorded("lab-patrol", "ugv1/state")
+    whole = topic_messages("lab-patrol", "ugv1/state")
     assert 0 < len(left) // 3 <= len(whole)
-    if part < 0.9:  # else it is the index that is missing, and no message
+    if part < 0.9:  # else only the index is missing, no message
         assert outcome.err.count("is damaged (it is truncated): the export ends at ") == 1
     assert outcome.err.count("no radio.parquet here: radio.csv lacks frames of programs, and routes") == 1
     assert left[3]["x_m"] == str(whole[1][1]["position"][0])
     assert all(path.exists() for path in outputs.values())
 
 
-def test_of_a_run_that_was_killed_while_it_wrote_the_radio_what_was_recorded_of_it_is_exported(tmp_path: Path) -> None:
-    folder = export_runs.cut("a crossing cart", tmp_path / "killed", 1.0)
+def test_a_damaged_radio_table_is_replaced_by_the_recording(tmp_path: Path) -> None:
+    folder = export_runs.truncated_copy("a crossing cart", tmp_path / "killed", 1.0)
     whole = (export_runs.run_of("a crossing cart") / "radio.parquet").read_bytes()
     (folder / "radio.parquet").write_bytes(whole[: len(whole) // 2])
     told: list[str] = []
@@ -351,20 +351,20 @@ def test_of_a_run_that_was_killed_while_it_wrote_the_radio_what_was_recorded_of_
     assert [line for line in told if "radio.parquet cannot be read: radio.csv lacks frames of programs" in line]
     export(export_runs.run_of("a crossing cart"), csv=tmp_path / "whole")
     for row, known in zip(rows(tmp_path / "csv/radio.csv"), rows(tmp_path / "whole/radio.csv"), strict=True):
-        assert row == known or row["outcome"] == "under way"  # at the end of what was recorded
+        assert row == known or row["outcome"] == "under way"  # at the end of the recording
 
 
 @pytest.mark.parametrize("part", [0.2, 0.5])
-def test_of_a_run_that_goes_on_all_is_exported_that_was_there_at_first(
+def test_a_growing_recording_is_exported_as_it_was_at_first(
     part: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    folder = export_runs.cut("recon-team", tmp_path / "run", part)
+    folder = export_runs.truncated_copy("recon-team", tmp_path / "run", part)
     export(folder, csv=tmp_path / "then")
     headers = csv_files._headers
 
     def read(source: Source) -> Any:
         found = headers(source)
-        export_runs.cut("recon-team", folder, 1.0)
+        export_runs.truncated_copy("recon-team", folder, 1.0)
         return found
 
     monkeypatch.setattr(csv_files, "_headers", read)
@@ -394,7 +394,7 @@ def drawn(**triangle: object) -> dict[str, object]:
     return {"entities": [entity], "deletions": []}
 
 
-def test_numbers_that_json_cannot_say_are_read_as_nan() -> None:
+def test_null_in_json_is_read_as_nan() -> None:
     values = Values()
     lost = json.dumps({**STATE, "position": [None, 1.0, 0.0]}).encode()
     position = values.of(Recorded("car1/state", "vcmvsp.VehicleState", 0, lost)).position
@@ -421,7 +421,7 @@ def test_numbers_that_json_cannot_say_are_read_as_nan() -> None:
         ),
     ],
 )
-def test_what_is_no_message_is_named(schema: str, whole: dict[str, Any], changes: list[dict[str, Any]]) -> None:
+def test_invalid_messages_are_named(schema: str, whole: dict[str, Any], changes: list[dict[str, Any]]) -> None:
     values = Values()
     values.of(Recorded("car1/x", schema, 0, json.dumps(whole).encode()))
     for each in changes:

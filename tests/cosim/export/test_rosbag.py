@@ -1,4 +1,4 @@
-"""An exported bag says to others' readers what the recording says."""
+"""An exported bag, read by independent readers, has the content of the recording."""
 
 import json
 import os
@@ -15,7 +15,7 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from tests.support.cosim import export_runs
-from tests.support.cosim.export_runs import recorded
+from tests.support.cosim.export_runs import topic_messages
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.export.formats import export
 from vcmvsp.cosim.export.rosbag import write_bag
@@ -37,7 +37,7 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 def read(bag: Path) -> dict[str, list[tuple[int, Any]]]:
-    """By topic: time and message."""
+    """Times, ns, and messages by topic."""
     found: dict[str, list[tuple[int, Any]]] = {}
     with AnyReader([bag]) as reader:
         for connection, time_ns, data in reader.messages():
@@ -49,9 +49,9 @@ def ns(stamp: Any) -> int:
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
-def test_poses_and_transforms_are_the_true_ones_and_twists_those_of_the_body(bags: dict[str, Path]) -> None:
+def test_poses_and_transforms_are_true_and_twists_in_body_axes(bags: dict[str, Path]) -> None:
     bag = read(bags["lab-patrol"])
-    expected = recorded("lab-patrol", "ugv2/state")
+    expected = topic_messages("lab-patrol", "ugv2/state")
     assert [time_ns for time_ns, _ in bag["/ugv2/state"]] == [time_ns for time_ns, _ in expected]
     for number, (time_ns, state) in enumerate(expected):
         odometry, transforms = bag["/ugv2/state"][number][1], bag["/tf"][number][1].transforms
@@ -71,17 +71,19 @@ def test_poses_and_transforms_are_the_true_ones_and_twists_those_of_the_body(bag
 
 def test_readings_arrive_as_they_were_recorded(bags: dict[str, Path]) -> None:
     bag = read(bags["lab-patrol"])
-    (time_ns, scan), (_, said) = bag["/ugv1/scan"][3], recorded("lab-patrol", "ugv1/scan")[3]
+    (time_ns, scan), (_, said) = bag["/ugv1/scan"][3], topic_messages("lab-patrol", "ugv1/scan")[3]
     ranges = [np.inf if each is None else each for each in said["ranges"]]
     np.testing.assert_array_equal(scan.ranges, np.array(ranges, np.float32))
     assert (ns(scan.header.stamp), scan.header.frame_id, scan.angle_min) == (time_ns, "ugv1", np.float32(said["start_angle"]))
     assert scan.angle_min + (len(ranges) - 1) * scan.angle_increment == pytest.approx(said["end_angle"])
     assert np.isfinite(scan.range_max)
     assert scan.range_max >= np.max(scan.ranges[np.isfinite(scan.ranges)])
-    for (_, command), (_, said) in zip(bag["/ugv1/command"], recorded("lab-patrol", "ugv1/command"), strict=True):
+    for (_, command), (_, said) in zip(bag["/ugv1/command"], topic_messages("lab-patrol", "ugv1/command"), strict=True):
         assert (command.twist.linear.x, command.twist.angular.z) == (said["linear"][0], said["yaw_rate"])
     for topic in ("ugv3/bumper", "radio/frame", "ugv3/send"):
-        assert [json.loads(message.data) for _, message in bag[f"/{topic}"]] == [m for _, m in recorded("lab-patrol", topic)]
+        assert [json.loads(message.data) for _, message in bag[f"/{topic}"]] == [
+            m for _, m in topic_messages("lab-patrol", topic)
+        ]
     ((_, line),) = bag["/rosout"]
     assert (line.level, line.msg) == (20, "the run is complete")
 
@@ -100,28 +102,28 @@ def test_pictures_are_the_same_pixels_and_come_with_their_cameras(bags: dict[str
         assert (info.width, info.height) == (image.width, image.height)
         assert info.k[0] == info.k[4] > 100.0
     assert bytes(bag["/uav1/sightings/picture/compressed"][0][1].data[:3]) == b"\xff\xd8\xff"
-    (_, grid), (_, said) = bag["/uav1/map"][0], recorded("recon-team", "uav1/map")[0]
+    (_, grid), (_, said) = bag["/uav1/map"][0], topic_messages("recon-team", "uav1/map")[0]
     assert (grid.info.width, len(grid.data)) == (said["column_count"], grid.info.width * grid.info.height)
     assert 0 <= grid.data.min() <= grid.data.max() <= 100
 
 
-def test_readings_are_stamped_with_when_they_were_measured(bags: dict[str, Path]) -> None:
+def test_readings_are_stamped_with_their_time_of_measurement(bags: dict[str, Path]) -> None:
     bag = read(bags["a tag and late sensors"])
     for topic in ("/car/scan", "/car/path", "/car/camera/image_raw", "/car/camera/camera_info"):
         assert len(bag[topic]) > 5
         late = {time_ns - ns(message.header.stamp) for time_ns, message in bag[topic] if ns(message.header.stamp) > 50_000_000}
         assert late == {50_000_000}, topic
-    assert len(bag["/car/state/path"]) == 1  # of another type than the sensor of that name
+    assert len(bag["/car/state/path"]) == 1  # its type differs from that of the sensor of this name
 
 
-def test_a_heading_that_was_not_told_is_not_sure_to_be_east(bags: dict[str, Path]) -> None:
+def test_an_unknown_heading_has_a_large_variance(bags: dict[str, Path]) -> None:
     bag = read(bags["a tag and late sensors"])
     for _, fix in bag["/car/fix"]:
         assert fix.pose.covariance[[0, 7]] == pytest.approx(0.15**2)
         assert fix.pose.covariance[35] > 3.0
 
 
-def test_the_scene_has_walls_bodies_and_what_moves(bags: dict[str, Path]) -> None:
+def test_the_scene_has_walls_bodies_and_obstacles(bags: dict[str, Path]) -> None:
     bag = read(bags["a crossing cart"])
     ((_, solids),) = bag["/world/solids"]
     wall, cart, name = solids.markers
@@ -129,12 +131,12 @@ def test_the_scene_has_walls_bodies_and_what_moves(bags: dict[str, Path]) -> Non
     assert (cart.type, cart.header.frame_id, cart.frame_locked) == (1, "obstacle/cart", True)
     assert (name.type, name.text) == (9, "cart")
     before, *drawn = bag["/world/scene"][-1][1].markers
-    assert before.action == 3  # DELETEALL: a place that is given up does not stay in the picture
+    assert before.action == 3  # DELETEALL: removes a place that the vehicle has given up
     bodies = Counter(marker.ns for marker in drawn)
     assert bodies == {"car-1": 3, "car-2": 3, "car-2/place": 2}
     frames = {each.child_frame_id for _, message in bag["/tf"] for each in message.transforms}
     assert frames == {"car-1", "car-2", "obstacle/cart"}
-    assert {"/car_1/state", "/car_2/command"} < set(bag)  # ROS knows no hyphens
+    assert {"/car_1/state", "/car_2/command"} < set(bag)  # ROS names have no hyphens
 
 
 @pytest.mark.parametrize("name", RUNS)
@@ -171,7 +173,7 @@ def test_rerun_understands_pictures_cameras_maps_and_transforms(bags: dict[str, 
     assert [each for each in (*known, "EncodedImage:blob") if each not in found] == []
 
 
-def test_names_that_would_be_one_in_ros_are_refused(tmp_path: Path) -> None:
+def test_names_equal_in_ros_are_refused(tmp_path: Path) -> None:
     assert (ros_name("car-1/state"), ros_name("/tf"), ros_name("2nd/scan")) == ("/car_1/state", "/tf", "/_2nd/scan")
     twin = _Twins(export_runs.run_of("a crossing cart"))
     with pytest.raises(UsageError, match=r"car-1/state/path and car_1/state/path would both become .* /car_1/state/path"):
@@ -185,7 +187,7 @@ def test_a_bag_of_too_many_topics_is_refused(tmp_path: Path, monkeypatch: pytest
 
 
 class _Twins(recorded_run.Source):
-    """A recording of two vehicles that differ in a hyphen alone."""
+    """A recording of two vehicles whose names differ only in a hyphen."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder, lambda _: None)

@@ -1,4 +1,4 @@
-"""Hosts that somebody starts by hand: who is let in, what the resolved scenario says of them, and how they and the run end."""
+"""Manually started hosts: admission, their entries in the resolved scenario, and the end of hosts and run."""
 
 import contextlib
 import os
@@ -13,7 +13,7 @@ import pytest
 
 import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.run_processes import Stage, ended, ended_with, wait_for
+from tests.support.cosim.run_processes import Stage, exit_of, output_at_exit, wait_for
 from tests.support.cosim.teams import FOLLOWER, team
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.transport.zenoh_session import threads
@@ -33,7 +33,7 @@ class Still(Agent):
 
 
 class ByHand(Stage):
-    """A scenario whose car2 is hosted by hand, and the processes that play in it."""
+    """A scenario with car2 on a manually started host, and its processes."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
@@ -62,10 +62,10 @@ def stage(tmp_path: Path) -> Iterator[ByHand]:
         yield made
 
 
-def test_a_host_may_bring_parameters_and_the_result_says_so(stage: ByHand) -> None:
+def test_parameters_of_a_host_are_in_the_result(stage: ByHand) -> None:
     run, host = stage.run(), stage.host("vcmvsp.agents.formation.followers.leader_follower:LeaderFollower", "--set", "k2=0.25")
-    assert ended(run)[0] == 0
-    code, said = ended(host)
+    assert exit_of(run)[0] == 0
+    code, said = exit_of(host)
     assert (code, said.splitlines()[-1]) == (0, "the run is over")
     agent = stage.resolved_agent()
     assert (agent["kind"], agent["k1"], agent["k2"]) == ("leader_follower", 0.7, 0.25)
@@ -74,24 +74,24 @@ def test_a_host_may_bring_parameters_and_the_result_says_so(stage: ByHand) -> No
     assert '"car2": "zenoh"' in (stage.out / "about.json").read_text()
 
 
-def test_a_host_may_bring_another_class_and_the_result_says_so(stage: ByHand) -> None:
+def test_another_class_of_a_host_is_in_the_result(stage: ByHand) -> None:
     run, host = stage.run(), stage.host("still.py:Still", "--set", "patience=3.0")
-    assert (ended(run)[0], ended(host)[0]) == (0, 0)
+    assert (exit_of(run)[0], exit_of(host)[0]) == (0, 0)
     agent = stage.resolved_agent()
     assert (agent["kind"], agent["leader"], agent["patience"]) == ("still.py:Still", "car1", 3.0)
     assert "k1" not in agent
-    assert (stage.out / "still.py").read_text() == STILL  # so that the resolved scenario runs from where it is
+    assert (stage.out / "still.py").read_text() == STILL  # the resolved scenario runs from its own folder
     moved = vcmvsp.run(str(stage.out / "scenario.toml")).states.to_pandas().query("vehicle == 'car2'")
     assert set(moved.x) == {-1.0}
 
 
-def test_who_does_not_belong_is_refused(stage: ByHand) -> None:
+def test_unknown_hosts_are_refused(stage: ByHand) -> None:
     run = stage.run()
-    said = ended_with(2, stage.host(vehicle="car3"))
+    said = output_at_exit(2, stage.host(vehicle="car3"))
     assert "unknown vehicle 'car3'" in said
-    said = ended_with(2, stage.host("leader_folower"))
+    said = output_at_exit(2, stage.host("leader_folower"))
     assert "did you mean 'leader_follower'" in said
-    assert (ended(stage.host())[0], ended(run)[0]) == (0, 0)  # the run waits on for a host that it can use
+    assert (exit_of(stage.host())[0], exit_of(run)[0]) == (0, 0)  # the run waits on for a valid host
 
 
 def test_a_host_that_leaves_before_the_run_begins_can_be_replaced(stage: ByHand) -> None:
@@ -100,14 +100,14 @@ def test_a_host_that_leaves_before_the_run_begins_can_be_replaced(stage: ByHand)
     time.sleep(2.0)
     early.kill()
     leader = stage.host(vehicle="car1")
-    time.sleep(1.0)  # all would be there but for the one that has gone, which the run may not have given up yet
+    time.sleep(1.0)  # complete but for the host that has left, which the run may not have detected yet
     later = stage.host()
-    ends = [ended(each) for each in (run, later, leader)]
+    ends = [exit_of(each) for each in (run, later, leader)]
     assert [code for code, _ in ends] == [0, 0, 0], ends
 
 
-def test_a_run_that_nobody_joins_ends(stage: ByHand) -> None:
-    said = ended_with(3, stage.run(patience=0.5))
+def test_a_run_without_hosts_ends(stage: ByHand) -> None:
+    said = output_at_exit(3, stage.run(patience=0.5))
     assert f"vcmvsp agent leader_follower --vehicle car2 --connect {stage.endpoint}" in said
     assert "agent host of vehicle car2: did not join within 0.5 s (agents.join_timeout_s)" in said
     assert not stage.out.exists()
@@ -118,7 +118,7 @@ def test_a_host_that_is_killed_ends_the_run(stage: ByHand) -> None:
     wait_for(stage.out / "run.mcap")
     time.sleep(0.5)
     host.kill()
-    code, said = ended(run)  # long before the hour that the run was to last
+    code, said = exit_of(run)  # long before the end of the run, one hour
     assert code == 3
     assert "agent leader_follower of vehicle car2: did not answer within the deadline of 2 s: it left the run" in said
     assert (stage.out / "states.parquet").exists()
@@ -128,14 +128,12 @@ def test_a_run_that_is_killed_ends_the_host(stage: ByHand) -> None:
     run, host = stage.run("--realtime", duration=3600.0, deadline=2.0), stage.host()
     wait_for(stage.out / "run.mcap")
     run.kill()
-    said = ended_with(3, host)
+    said = output_at_exit(3, host)
     assert "the run: is gone" in said
 
 
 @pytest.mark.parametrize("users", [None, "(tx: (worker_threads: 2))"])
-def test_how_a_session_shares_its_work_is_not_for_children_and_the_user_s_own_choice_wins(
-    users: str | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_thread_settings_are_temporary_and_the_users_win(users: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("ZENOH_RUNTIME", raising=False)
     if users:
         monkeypatch.setenv("ZENOH_RUNTIME", users)

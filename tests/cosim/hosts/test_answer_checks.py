@@ -1,4 +1,4 @@
-"""What a host says is compared with what it was asked: all that an honest host says passes, whatever else it says does not."""
+"""Answers of a host are compared with the requests: all answers of an honest host pass, all others are refused."""
 
 import math
 import struct
@@ -46,8 +46,8 @@ PLAIN = st.recursive(
 )
 
 
-class Free(Agent):
-    """Does whatever an agent may do, as a list says: (command, follows, notes, messages) for each tick."""
+class ScriptedAgent(Agent):
+    """Executes a script: (command, follows, notes, messages) for each tick."""
 
     def __init__(self, script: Any) -> None:
         self._script = iter(script)
@@ -91,9 +91,9 @@ def spec(vehicle: str, **more: Any) -> AgentSpec:
 
 @settings(max_examples=50)
 @given(st.lists(TURN, max_size=4), st.sampled_from([0.0, 0.03]))
-def test_whatever_an_honest_host_says_passes(script: list[Any], latency_s: float) -> None:
+def test_all_answers_of_an_honest_host_pass(script: list[Any], latency_s: float) -> None:
     specs = [spec("car2", latency_s=latency_s)]
-    host = AgentHost("host", specs, {"car2": Free(script)})
+    host = AgentHost("host", specs, {"car2": ScriptedAgent(script)})
     protocol.check_built(protocol.Built(host.agents, host.reads, host.latest), specs)
     host.start(RunInfo(scenario="a", seed=1, duration_ns=10**9, vehicles=("car1", "car2", "car3")))
     for k in range(len(script)):
@@ -180,7 +180,7 @@ REFUSED: list[tuple[str, int, Any, str]] = [
 
 
 @pytest.mark.parametrize(("key", "time_ns", "value", "cause"), REFUSED, ids=[cause for *_, cause in REFUSED])
-def test_what_no_host_may_say_is_refused(key: str, time_ns: int, value: Any, cause: str) -> None:
+def test_forbidden_events_are_refused(key: str, time_ns: int, value: Any, cause: str) -> None:
     good = Event("car3/command", 250, Velocity())
     with pytest.raises(ValueError, match=cause.replace("(0", r"\(0")):
         protocol.check_events([good, Event(key, time_ns, value)], OWN, NAMES)
@@ -198,8 +198,8 @@ def test_one_command_a_turn_and_any_number_of_messages() -> None:
 
 
 @given(st.dictionaries(st.text(max_size=4), PLAIN, max_size=3))
-def test_what_passes_can_be_recorded_and_sent_on(body: dict[str, Any]) -> None:
-    """As JSON from the depth of the kernel, and as MessagePack to the next host."""
+def test_valid_events_can_be_recorded_and_sent_on(body: dict[str, Any]) -> None:
+    """As JSON, for the recording, and as MessagePack, for the next host."""
     event = Event("car2/send", 100, message(body=body))
     protocol.check_events([event], OWN, NAMES)
     msgspec.json.encode(event.value)
@@ -211,7 +211,7 @@ def specs() -> list[AgentSpec]:
 
 
 def answer(**changes: Any) -> protocol.Built:
-    """What an honest host says to `specs`; ``changes`` are those of the first agent's, and ``reads`` and ``latest``."""
+    """Answer of an honest host to `specs`; ``changes`` apply to the first agent, or to agents, reads and latest."""
     whole = {name: changes.pop(name) for name in ("agents", "reads", "latest") if name in changes}
     first: dict[str, Any] = {
         "vehicle": "car2",
@@ -236,7 +236,7 @@ def answer(**changes: Any) -> protocol.Built:
     return protocol.Built(tuple(said["agents"]), tuple(said["reads"]), tuple(said["latest"]))
 
 
-def test_what_was_asked_for_is_taken_in_any_order() -> None:
+def test_requested_agents_are_accepted_in_any_order() -> None:
     honest = answer()
     protocol.check_built(honest, specs())
     protocol.check_built(protocol.Built(honest.agents[::-1], honest.reads[::-1], honest.latest[:2]), specs())
@@ -289,7 +289,7 @@ BUILT: list[tuple[dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("changes", "cause"), BUILT, ids=[f"{number} {cause}" for number, (_, cause) in enumerate(BUILT)])
-def test_what_was_not_asked_for_is_refused(changes: dict[str, Any], cause: str) -> None:
+def test_unrequested_answers_are_refused(changes: dict[str, Any], cause: str) -> None:
     with pytest.raises(ValueError, match=cause):
         protocol.check_built(answer(**changes), specs())
 
@@ -305,7 +305,7 @@ def test_a_period_of_the_scenario_binds_and_a_period_of_the_class_does_not() -> 
 @given(
     st.text(alphabet=st.characters() | st.sampled_from("\x1b\x9b\x9d[]m;0\n\r\x07\\\u202e"), max_size=60), st.integers(3, 40)
 )
-def test_what_is_shown_is_printable_short_and_on_one_line(text: str, limit: int) -> None:
+def test_plain_text_is_printable_short_and_on_one_line(text: str, limit: int) -> None:
     shown = plain(text, limit)
     assert len(shown) <= limit
     assert not any(unicodedata.category(each)[0] == "C" or each in "\u2028\u2029" for each in shown)
@@ -328,7 +328,7 @@ def test_what_is_shown_is_printable_short_and_on_one_line(text: str, limit: int)
         ("\x1b", " "),
     ],
 )
-def test_terminals_are_not_told_anything(text: str, shown: str) -> None:
+def test_terminal_control_is_removed(text: str, shown: str) -> None:
     assert plain(text) == shown
 
 
@@ -349,8 +349,8 @@ def test_a_failure_blames_its_own_vehicles_alone() -> None:
 
 
 @pytest.mark.parametrize("opening", [b"\x91", b"\x81\xa1a", b"\x81"])
-@pytest.mark.parametrize("levels", [10**5, 10**6] + [2000] * (sys.version_info < (3, 12)))  # later versions read 2000
-def test_what_is_nested_too_deeply_is_an_error_like_any_other(opening: bytes, levels: int) -> None:
+@pytest.mark.parametrize("levels", [10**5, 10**6] + [2000] * (sys.version_info < (3, 12)))  # later Python versions decode 2000
+def test_too_deep_nesting_is_a_value_error(opening: bytes, levels: int) -> None:
     anything: Decoder[Any] = Decoder(Any)
     with pytest.raises(ValueError, match=r"nested too deeply|malformed"):
         anything.decode(opening * levels + b"\xc0")
@@ -361,14 +361,14 @@ def test_what_is_nested_too_deeply_is_an_error_like_any_other(opening: bytes, le
 )
 @pytest.mark.parametrize("size", [2**24, 2**31 - 1, 2**32 - 1])
 def test_a_size_beyond_the_message_is_an_error_before_memory_is_taken(head: bytes, size: int) -> None:
-    """Once by itself, and a thousand times inside itself, with enough behind it to be believed each time."""
+    """Once alone, and nested 900 times, each time with enough bytes behind it to be plausible."""
     for decoder in (protocol.answers, protocol.hellos, Decoder[Any](Any), Decoder[Any](tuple[str, ...])):
         for data in (head + struct.pack(">I", size), (head + struct.pack(">I", 2**20)) * 900 + b"\0" * 2**20):
             with pytest.raises(ValueError, match=r".+"):
                 decoder.decode(data)
 
 
-def test_what_a_decoder_says_shows_nothing_that_a_terminal_would_obey() -> None:
+def test_decoder_errors_contain_no_terminal_control() -> None:
     for word in ("\x1b[2J", "\u202e", "x" * 10**6):
         with pytest.raises(msgspec.ValidationError, match=r"Invalid value") as caught:
             protocol.answers.decode(msgspec.msgpack.encode({"type": word}))
@@ -376,7 +376,7 @@ def test_what_a_decoder_says_shows_nothing_that_a_terminal_would_obey() -> None:
         assert len(str(caught.value)) <= 300
 
 
-def test_a_greeting_shows_nothing_that_a_terminal_would_obey() -> None:
+def test_greetings_contain_no_terminal_control() -> None:
     honest = protocol.Hello("a1", protocol.PROTOCOL, ("car2",), kind="still.py:Still", folder="/home/pi")
     protocol.check_greeting(honest)
     for bad in ("\x1b[2J", "car2\n", "x" * 5000):

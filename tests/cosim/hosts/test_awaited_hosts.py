@@ -1,4 +1,4 @@
-"""What a user is told who waits for hosts, and the socket without a name by which hosts of this machine reach a run."""
+"""Messages to users during the wait for hosts; the unnamed socket for hosts on the same machine."""
 
 import contextlib
 import socket
@@ -24,14 +24,14 @@ from vcmvsp.cosim.security import authority, certificates
 pytestmark = [pytest.mark.processes, pytest.mark.sockets]
 
 
-class Nobody:
-    """Where nobody knocks."""
+class EmptyHub:
+    """A hub without join requests."""
 
     def next_hello(self, timeout_s: float) -> None:
         return None
 
 
-def test_who_does_not_come_is_named_while_it_is_awaited(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_host_is_named_during_the_wait(monkeypatch: pytest.MonkeyPatch) -> None:
     now, said = [100.0], list[str]()
 
     def later() -> float:
@@ -40,12 +40,12 @@ def test_who_does_not_come_is_named_while_it_is_awaited(monkeypatch: pytest.Monk
 
     monkeypatch.setattr("vcmvsp.cosim.hosts.listener.time.monotonic", later)
     with pytest.raises(AgentError, match="did not join within 60 s"):
-        list(listener.knocking(Nobody(), 60.0, lambda: ["car2", "car3"], said.append))  # type: ignore[arg-type]
+        list(listener.knocking(EmptyHub(), 60.0, lambda: ["car2", "car3"], said.append))  # type: ignore[arg-type]
     assert set(said) == {"still waiting for the host of car2, car3"}
     assert len(said) >= 3
 
 
-def test_who_does_not_build_its_agents_is_named_and_who_does_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_a_host_slow_to_build_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     told, said = threading.Event(), list[str]()
 
     def tell(text: str) -> None:
@@ -53,14 +53,14 @@ def test_who_does_not_build_its_agents_is_named_and_who_does_is_not(monkeypatch:
         told.set()
 
     with listener.telling_of(["car1"], tell):
-        pass  # at once
+        pass  # ends at once
     monkeypatch.setattr(listener, "SAY_S", 0.0)
     with listener.telling_of(["car2"], tell):
         assert told.wait(60.0)
     assert said == ["still waiting for the host of car2"]
 
 
-def test_a_run_that_listens_and_waits_for_no_host_says_so() -> None:
+def test_a_run_that_listens_without_hosts_reports_it() -> None:
     said: list[str] = []
     vcmvsp.run(two(duration_s=0.1), listen="tcp://127.0.0.1:0", tell=said.append, mcap=False)
     (line,) = [each for each in said if "waits for no host" in each]
@@ -68,7 +68,7 @@ def test_a_run_that_listens_and_waits_for_no_host_says_so() -> None:
     assert "--agents zenoh" in line
 
 
-def test_the_file_that_is_named_is_that_of_the_machine(tmp_path: Path) -> None:
+def test_the_named_keys_file_is_the_machines(tmp_path: Path) -> None:
     authority.init(tmp_path / "keys")
     authority.issue(tmp_path / "keys", "laptop", ["car3", "car4"])
     keys = certificates.load(tmp_path / "keys")
@@ -82,7 +82,7 @@ def test_the_command_for_another_machine_has_its_file_and_the_agents_class(tmp_p
     assert "--vehicle car3 --vehicle car4 --connect tls/HOST:PORT --keys laptop.keys [MODULE_OR_FILE:Class]" in made.out
 
 
-def test_a_file_that_is_not_there_is_said_with_its_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_file_is_named_with_its_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("platform.node", lambda: "robot-7")
     wrong = two()
     wrong["vehicle"][1]["agent"] = {"kind": "nowhere.py:Agent"}
@@ -100,7 +100,7 @@ LISTENS = "0A"
 
 
 def open_files() -> list[str]:
-    """What the file descriptors of this process stand for."""
+    """Targets of the open file descriptors of this process."""
     links = []
     for link in Path("/proc/self/fd").iterdir():
         with contextlib.suppress(OSError):
@@ -109,7 +109,7 @@ def open_files() -> list[str]:
 
 
 def listening() -> set[str]:
-    """The TCP sockets at which this process listens."""
+    """The TCP sockets on which this process listens."""
     lines = [line.split() for table in ("tcp", "tcp6") for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]]
     return {f"socket:[{fields[9]}]" for fields in lines if fields[3] == LISTENS} & set(open_files())
 
@@ -125,7 +125,7 @@ def test_a_run_in_processes_listens_at_no_port_and_its_socket_has_no_name(
         assert list(tmp_path.iterdir()) == []
 
 
-def test_a_hub_for_children_needs_no_short_path_and_gives_its_files_back(
+def test_a_hub_for_children_needs_no_short_path_and_closes_its_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stack: contextlib.ExitStack
 ) -> None:
     long = tmp_path / ("x" * 100) / ("y" * 100)  # a socket's path has at most 107 bytes

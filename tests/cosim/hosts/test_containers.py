@@ -1,4 +1,4 @@
-"""Containers, as far as a machine without any can tell: what they are told is understood, and together it works."""
+"""Container files, without containers: their command lines are valid, and run together as processes."""
 
 import json
 import re
@@ -13,7 +13,7 @@ import yaml
 
 import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.run_processes import Stage, ended
+from tests.support.cosim.run_processes import Stage, exit_of
 from tests.support.paths import ROOT
 from vcmvsp.cosim.cli import app
 from vcmvsp.cosim.hosts import ssh_hosts
@@ -40,7 +40,7 @@ STEPS = [line for line in COMMANDS if " keys " in line and "launch" not in line]
 
 
 def parsed(words: list[str]) -> dict[str, Any]:
-    """What our command line makes of these words; those that it does not know are an error."""
+    """Parameters that the command line parses from these words; unknown options are an error."""
     command = app.command()
     words = words[1:] if words[0] == "vcmvsp" else words
     while hasattr(command, "commands"):
@@ -49,11 +49,11 @@ def parsed(words: list[str]) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("words", [*SERVICES.values(), *ARGUMENTS.values(), *map(shlex.split, COMMANDS)], ids=" ".join)
-def test_every_command_line_is_one_of_ours(words: list[str]) -> None:
+def test_every_command_line_is_valid(words: list[str]) -> None:
     assert parsed([str(each) for each in words])
 
 
-def test_files_of_hosts_are_as_they_are_read(tmp_path: Path) -> None:
+def test_hosts_files_in_the_readme_are_valid(tmp_path: Path) -> None:
     first, second = re.findall(r"```toml\n(.*?)```", README, re.DOTALL)
     for text, names in ((first, ["laptop", "seven", "car4"]), (second, ["far-example-org"])):
         (tmp_path / "hosts.toml").write_text(text)
@@ -62,7 +62,7 @@ def test_files_of_hosts_are_as_they_are_read(tmp_path: Path) -> None:
     assert said == {*ssh_hosts.HostTable.__struct_fields__}
 
 
-def test_words_that_are_none_of_ours_would_be_seen() -> None:
+def test_unknown_options_are_detected() -> None:
     with pytest.raises(Exception, match="No such option: --conect"):
         parsed(["agent", "--vehicle", "car1", "--conect", "tls/run:7447"])
 
@@ -76,11 +76,11 @@ def test_the_hosts_run_all_agents_and_find_the_run(commands: dict[str, list[str]
     (endpoint,) = {host["connect"] for host in hosts}
     name, port = re.fullmatch(r"tls/([a-z-]+):(\d+)", endpoint).groups()  # type: ignore[union-attr]
     assert run["listen"] == f"tls/0.0.0.0:{port}"
-    assert f"vcmvsp keys init keys --name {name}\n" in README  # a certificate for the name that they dial
+    assert f"vcmvsp keys init keys --name {name}\n" in README  # a certificate for the name that hosts dial
     assert name in (COMPOSE["services"] if commands is SERVICES else [each["metadata"]["name"] for each in MANIFESTS])
 
 
-def test_kubernetes_leads_the_name_to_the_run_and_the_secrets_to_where_they_are_read() -> None:
+def test_kubernetes_resolves_the_run_and_mounts_secrets_at_their_paths() -> None:
     service = next(each for each in MANIFESTS if each["kind"] == "Service")
     run = JOBS["vcmvsp-run"]
     assert service["spec"]["selector"].items() <= run["metadata"]["labels"].items()
@@ -121,10 +121,10 @@ def stage(tmp_path: Path) -> Iterator[Stage]:
 
 
 @pytest.mark.parametrize("commands", [SERVICES, ARGUMENTS], ids=["compose", "kubernetes"])
-def test_the_same_words_run_as_processes_of_this_machine(
+def test_the_command_lines_run_as_local_processes(
     stage: Stage, commands: dict[str, list[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Hosts first; a container's folders are folders here, its name for the run is this machine."""
+    """Hosts start first; the folders of containers are folders here, the run's name is localhost."""
     monkeypatch.chdir(stage.folder)
     dialled = next(
         re.findall(r"tls/([a-z-]+):", word)[0]
@@ -142,17 +142,17 @@ def test_the_same_words_run_as_processes_of_this_machine(
         return str(stage.folder / word[1:]) if re.match(r"/(keys|results)", word) else word
 
     if commands is ARGUMENTS:
-        (stage.folder / "keys" / "ca.key").unlink()  # which is not in the cluster
+        (stage.folder / "keys" / "ca.key").unlink()  # not present in the cluster
     started = {name: stage.start(*map(here, words)) for name, words in reversed(commands.items()) if words[0] == "agent"}
     name, words = next((name, words) for name, words in commands.items() if words[0] == "run")
     started[name] = stage.start(*map(here, words), "--set", "duration_s=2.0")
-    outcomes = {name: ended(process) for name, process in started.items()}
+    outcomes = {name: exit_of(process) for name, process in started.items()}
     assert {code for code, _ in outcomes.values()} == {0}, outcomes
     alone = vcmvsp.run("formation-circle", set={"duration_s": 2.0}, mcap=False)
     assert json.loads((stage.folder / "results" / "circle" / "metrics.json").read_text()) == alone.metrics
 
 
-def test_the_image_has_what_the_wheel_is_made_of() -> None:
+def test_the_image_has_the_sources_of_the_wheel() -> None:
     copied = set(re.findall(r"^COPY (?!--)(.*) \S+$", (DEPLOY / "Containerfile").read_text(), re.MULTILINE))
     sources = {name for each in copied for name in each.split()}
     wheel = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]

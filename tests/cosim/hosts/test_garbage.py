@@ -1,4 +1,4 @@
-"""Whatever is thrown at the door of a run that listens to the network, its hosts play on: the same digest."""
+"""Garbage sent to the port of a run does not disturb its hosts: same digest."""
 
 import contextlib
 import json
@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import vcmvsp
-from tests.support.cosim.run_processes import Stage, ended, wait_for
+from tests.support.cosim.run_processes import Stage, exit_of, wait_for
 from tests.support.cosim.teams import FOLLOWER, team
 from vcmvsp.cosim.hosts import protocol as wire
 from vcmvsp.cosim.hosts.hub import Hub
@@ -39,16 +39,16 @@ SPARE_JOINS = 64  # join requests that may wait, in addition to one for each exp
 
 
 def garbage(draw: random.Random, number: int, endpoint: tuple[str, int]) -> socket.socket:
-    """One connection: silent, of noise, of noise in a frame of Zenoh's or in a record of TLS, or left after a true greeting."""
+    """One connection: silent, random bytes, random bytes in a Zenoh frame or in a TLS record, or only a valid TLS greeting."""
     connection = socket.create_connection(endpoint, timeout=10.0)
     kind = number % 5
     if kind == 1:
         connection.sendall(draw.randbytes(draw.choice([1, 300, 70_000])))
-    elif kind == 2:  # a Zenoh frame's length, and noise
+    elif kind == 2:  # length of a Zenoh frame, and random bytes
         connection.sendall(draw.choice([b"\xff\xff", b"\x20\x00", b"\x00\x00"]) + draw.randbytes(40))
-    elif kind == 3:  # the head of a TLS record, and noise or nothing
+    elif kind == 3:  # head of a TLS record, and random bytes or nothing
         connection.sendall(b"\x16\x03\x01\x02\x00\x01" + draw.randbytes(draw.choice([0, 100, 511])))
-    elif kind == 4:  # a true greeting of TLS, whose answer is not waited for
+    elif kind == 4:  # a valid TLS greeting, whose answer is not read
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
         context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
         incoming, outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
@@ -76,23 +76,23 @@ def test_a_run_survives_three_hundred_connections_of_garbage(protocol: str, tmp_
         wait_for(stage.out / "run.mcap")
         draw, connections = random.Random(1), list[socket.socket]()
         for number in range(CONNECTIONS):
-            with contextlib.suppress(OSError):  # the run may have hung up already
+            with contextlib.suppress(OSError):  # the run may have closed it already
                 connections.append(garbage(draw, number, ("127.0.0.1", stage.port)))
             if number % 3 == 0:
                 connections.pop(draw.randrange(len(connections))).close()
             time.sleep(0.005)
-        assert run.poll() is None  # all of it came while they played
+        assert run.poll() is None  # all of it arrived during the run
         (tmp_path / "thrown").touch()
-        code, said = ended(run)
+        code, said = exit_of(run)
         for connection in connections:
             connection.close()
         assert code == 0, said
-        assert [ended(host)[0] for host in hosts] == [0, 0]
+        assert [exit_of(host)[0] for host in hosts] == [0, 0]
         digest = json.loads((stage.out / "metrics.json").read_text())["digest"]
     assert digest == vcmvsp.run(tmp_path / "garbage.toml", agents="inprocess", mcap=False).metrics["digest"]
 
 
-def test_all_expected_hosts_may_ask_at_once_and_a_flood_of_others_is_refused() -> None:
+def test_all_expected_hosts_may_join_at_once_and_a_flood_is_refused() -> None:
     expected = 100
     hub = Hub(hosts=expected)
     asked = expected + 2 * SPARE_JOINS
@@ -112,10 +112,10 @@ def test_all_expected_hosts_may_ask_at_once_and_a_flood_of_others_is_refused() -
         hub.close()
 
 
-def test_nonsense_for_a_greeting_is_answered_and_the_next_host_is_heard() -> None:
-    """Where certificates are not asked for, anybody on this machine may say anything at the door."""
+def test_an_invalid_greeting_is_refused_and_the_next_host_accepted() -> None:
+    """Without certificates, any program on this machine can send anything to the port."""
     draw, honest = random.Random(2), wire.encode(wire.Hello("a" * 32, wire.PROTOCOL, ("car2",)))
-    other = wire.encode(wire.Hello("../b/*", wire.PROTOCOL, ("car2",)))  # a name that would be another key
+    other = wire.encode(wire.Hello("../b/*", wire.PROTOCOL, ("car2",)))  # its name would form another key
     hub = Hub()
     try:
         client = {"mode": "client", "listen": {"endpoints": []}, "connect": {"endpoints": [hub.endpoint]}}

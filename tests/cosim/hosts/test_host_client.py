@@ -1,4 +1,4 @@
-"""A host as it joins a run, answers its questions, and leaves: any answer may be lost, and must be given again then."""
+"""Host client: joining, answering, leaving; any answer may be lost and must then be repeated."""
 
 import contextlib
 import itertools
@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.cosim.run_processes import Wire
+from tests.support.cosim.run_processes import Forwarder
 from tests.support.cosim.secure_hub import PATIENCE_S, lasting_links, until
 from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.hosts import host_client, protocol
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.sockets
 
 
 class Desk:
-    """Answers; ``at_end`` is called before it does so for the last time."""
+    """Answers questions; ``at_end`` is called before the last answer."""
 
     failure = None
 
@@ -40,11 +40,11 @@ class Desk:
         return b"to " + bytes(question)
 
     def close(self) -> None:
-        """Nothing."""
+        """Nothing to close."""
 
 
-class Asked:
-    """A question as it comes in."""
+class Question:
+    """A question as received."""
 
     def __init__(self, number: int, oldest: int, content: bytes = b"") -> None:
         self.payload = self
@@ -54,14 +54,14 @@ class Asked:
         return self._data
 
 
-def answered(
-    *asked: Asked | bool,
+def host_answers(
+    *asked: Question | bool,
     patience_s: float = PATIENCE_S,
     hubs: str = "a",
     desk: Desk | None = None,
     said: list[bytes] | None = None,
 ) -> tuple[list[bytes], list[Any]]:
-    """What a host says to this, and what it has not read when it leaves; ``hubs``: those that it finds, look by look."""
+    """Answers of a host, and questions that it has not read when it leaves; ``hubs``: identity of its hub at each look."""
     said, inbox = [] if said is None else said, queue.SimpleQueue[Any]()
     for each in asked:
         inbox.put(each)
@@ -72,41 +72,41 @@ def answered(
     return said, [inbox.get() for _ in range(inbox.qsize())]
 
 
-def test_the_last_answer_is_given_again_until_the_run_waits_for_none_any_more() -> None:
-    end, unread = Asked(2, 2, b"end"), Asked(3, 3, b"more")
-    said, left = answered(Asked(1, 1, b"act"), end, end, end, Asked(protocol.FAREWELL, 3), unread)
+def test_the_last_answer_is_repeated_until_the_farewell() -> None:
+    end, unread = Question(2, 2, b"end"), Question(3, 3, b"more")
+    said, left = host_answers(Question(1, 1, b"act"), end, end, end, Question(protocol.FAREWELL, 3), unread)
     assert said == [protocol.number.pack(1) + b"to act", *[protocol.number.pack(2) + b"to end"] * 3]
     assert left == [unread]
 
 
-def test_a_farewell_to_who_has_not_been_told_of_the_end_says_nothing() -> None:
-    said, left = answered(Asked(protocol.FAREWELL, 2), Asked(1, 1, b"end"), Asked(protocol.FAREWELL, 2))
+def test_a_farewell_before_the_end_is_ignored() -> None:
+    said, left = host_answers(Question(protocol.FAREWELL, 2), Question(1, 1, b"end"), Question(protocol.FAREWELL, 2))
     assert (said, left) == ([protocol.number.pack(1) + b"to end"], [])
 
 
-def test_who_hears_no_more_of_its_run_leaves() -> None:
-    assert answered(Asked(1, 1, b"end"), patience_s=0.01) == ([protocol.number.pack(1) + b"to end"], [])
+def test_without_further_messages_a_host_leaves() -> None:
+    assert host_answers(Question(1, 1, b"end"), patience_s=0.01) == ([protocol.number.pack(1) + b"to end"], [])
 
 
-def test_who_has_answered_to_the_end_of_a_run_does_not_mind_that_another_one_listens_there_now() -> None:
-    said, left = answered(Asked(1, 1, b"end"), False, True, patience_s=0.01, hubs="ab")
+def test_after_the_last_answer_another_run_at_its_address_is_no_error() -> None:
+    said, left = host_answers(Question(1, 1, b"end"), False, True, patience_s=0.01, hubs="ab")
     assert (said, left) == ([protocol.number.pack(1) + b"to end"], [])
 
 
-def test_an_answer_that_is_lost_with_the_link_at_the_end_comes_when_the_link_is_back(
+def test_a_last_answer_lost_with_the_link_is_repeated_after_it(
     monkeypatch: pytest.MonkeyPatch, stack: contextlib.ExitStack
 ) -> None:
     lasting_links(monkeypatch)
     hub = Hub(patience_s=PATIENCE_S)
     stack.callback(hub.close)
-    between = Wire(int(hub.endpoint.rpartition(":")[2]))
+    between = Forwarder(int(hub.endpoint.rpartition(":")[2]))
     stack.callback(between.close)
     cutting = threading.Thread(target=between.reset, args=(0.5,))
 
     def cut() -> None:
         cutting.start()
         until(lambda: hub.gone)
-        time.sleep(0.1)  # for the host's own side to notice
+        time.sleep(0.1)  # until the host's own side detects it
 
     def host() -> None:
         def hello(own: str) -> protocol.Hello:
@@ -131,8 +131,8 @@ def test_an_answer_that_is_lost_with_the_link_at_the_end_comes_when_the_link_is_
     assert ends == ["the run is over"]
 
 
-def test_a_run_that_listens_but_has_not_opened_its_door_yet_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its machine may be held up for a second or two just then."""
+def test_a_host_waits_for_a_run_that_does_not_answer_yet(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The run's machine may be busy for a second or two at that time."""
     now_s = [0.0]
 
     def sleep(seconds: float) -> None:
@@ -150,15 +150,15 @@ def test_a_run_that_listens_but_has_not_opened_its_door_yet_is_waited_for(monkey
 
 
 @given(st.lists(st.tuples(st.integers(1, 12), st.integers(0, 3)), max_size=60))
-def test_whatever_is_asked_again_and_in_whatever_order_each_question_is_worked_on_once_and_in_turn(
+def test_each_question_is_processed_once_and_in_order_despite_repeats(
     script: list[tuple[int, int]],
 ) -> None:
-    """One that is asked too early gets no answer, upon which the run asks again; one that is asked again, the same answer."""
+    """A question that arrives too early gets no answer, and the run repeats it; a repeated question gets the same answer."""
     desk, said = Desk(), list[bytes]()
     asked = [(number, max(1, number - back)) for number, back in script]
-    questions = [Asked(number, oldest, b"%d" % number) for number, oldest in asked]
+    questions = [Question(number, oldest, b"%d" % number) for number, oldest in asked]
     with pytest.raises(FederateError, match="is gone"):
-        answered(*questions, False, patience_s=0.001, desk=desk, said=said)
+        host_answers(*questions, False, patience_s=0.001, desk=desk, said=said)
     worked = desk.worked
     assert worked == [b"%d" % number for number in range(1, len(worked) + 1)]
     expected, done, kept = list[bytes](), 0, set[int]()

@@ -1,4 +1,4 @@
-"""A host of agents runs what its own command line names: no run can have it execute anything else."""
+"""A host of agents executes only what its own command line names; other code named by the run is refused."""
 
 import json
 import shlex
@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import vcmvsp
-from tests.support.cosim.run_processes import Stage, ended, ended_with
+from tests.support.cosim.run_processes import Stage, exit_of, output_at_exit
 from tests.support.cosim.teams import ELSEWHERE, FOLLOWER, LEADER, team
 
 pytestmark = [pytest.mark.processes, pytest.mark.sockets]
@@ -35,7 +35,7 @@ class Straight(Agent):
 
 
 class Place(Stage):
-    """A run in one folder, its host in another; files of the run leave a canary when they are imported."""
+    """A run in one folder, its host in another; the run's files create a canary file when a host imports them."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
@@ -50,15 +50,15 @@ class Place(Stage):
         self.run = self.start("run", "far.toml", "--listen", f"tcp/127.0.0.1:{self.port}", "--out", "out", *sets)
 
     def host(self, *words: str) -> tuple[int, str]:
-        """Exit code of a host in the other folder, and what it said."""
+        """Exit code and output of a host in the other folder."""
         self.folder, home = self.away, self.folder
         try:
-            return ended(self.start("agent", *words, "--vehicle", "car2", "--connect", f"tcp/127.0.0.1:{self.port}"))
+            return exit_of(self.start("agent", *words, "--vehicle", "car2", "--connect", f"tcp/127.0.0.1:{self.port}"))
         finally:
             self.folder = home
 
     def printed(self) -> list[str]:
-        """The words of the command that the run prints for its host."""
+        """Words of the command that the run prints for its host."""
         assert self.run.stderr is not None
         line = next(line for line in self.run.stderr if line.startswith("vcmvsp agent"))
         return shlex.split(line)[2:]
@@ -77,13 +77,13 @@ def place(tmp_path: Path) -> Iterator[Place]:
 )
 def test_a_file_that_the_run_names_is_not_executed(place: Place, given: tuple[str, ...], setting: str) -> None:
     if given and "kind" in setting:
-        given = ("straight.py:Straight",)  # of a folder where there is none
+        given = ("straight.py:Straight",)  # the host's folder has no such file
     place.run_with(setting.format(place.folder))
     code, said = place.host(*given)
     assert code == 2 or "there is no file" in said or "--folder DIR" in said
     assert code != 0
-    place.run.send_signal(signal.SIGINT)  # which would wait for another host
-    assert ended(place.run)[0] != 0
+    place.run.send_signal(signal.SIGINT)  # it would wait for another host
+    assert exit_of(place.run)[0] != 0
     assert not place.canary.exists()
 
 
@@ -98,7 +98,7 @@ def test_a_module_that_the_run_names_is_not_imported(place: Place) -> None:
 
 
 def test_a_folder_of_the_host_is_searched_by_file_name(place: Place) -> None:
-    """The run says another folder, even an absolute one; the host's own copy is used, and named."""
+    """The run names another folder, even an absolute one; the host's own copy is used and reported."""
     mine = place.away / "own"
     mine.mkdir()
     (mine / "est.py").write_text(ESTIMATOR.format(canary=str(place.away / "used")))
@@ -108,12 +108,12 @@ def test_a_folder_of_the_host_is_searched_by_file_name(place: Place) -> None:
     assert f"Own comes from {mine / 'est.py'}" in said
     assert (place.away / "used").exists()
     assert not place.canary.exists()
-    assert ended(place.run)[0] == 0
+    assert exit_of(place.run)[0] == 0
 
 
 @pytest.mark.parametrize("setting", ["agents.estimator=est.py:Own", "vehicle.car2.agent.kind=straight.py:Straight"])
 def test_the_printed_command_works_as_it_is(place: Place, setting: str) -> None:
-    """On the same machine, from any folder, and with the bytes of one process."""
+    """On the same machine, from any folder, with the bytes of one process."""
     if "kind" in setting:
         text = (
             (place.folder / "far.toml").read_text().replace('kind = "leader_follower", leader = "car1"', 'kind = "trajectory"')
@@ -124,7 +124,7 @@ def test_the_printed_command_works_as_it_is(place: Place, setting: str) -> None:
     place.folder, home = place.away, place.folder
     host = place.start("agent", *words)
     place.folder = home
-    assert [ended(host)[0], ended(place.run)[0]] == [0, 0]
+    assert [exit_of(host)[0], exit_of(place.run)[0]] == [0, 0]
     key, _, value = setting.partition("=")
     expected = vcmvsp.run(place.folder / "far.toml", set={key: value}, agents="inprocess", mcap=False).metrics["digest"]
     assert json.loads((place.out / "metrics.json").read_text())["digest"] == expected
@@ -141,7 +141,7 @@ class Straight(Agent):
 
 
 def test_other_source_code_than_the_runs_own_is_named_and_recorded(place: Place) -> None:
-    """At once, in about.json, in the report and by a replay, which runs this machine's code; imported files count."""
+    """On stderr at once, in about.json, in the report and by a replay, which runs this machine's code; imported files count."""
     text = (
         (place.folder / "far.toml")
         .read_text()
@@ -154,14 +154,14 @@ def test_other_source_code_than_the_runs_own_is_named_and_recorded(place: Place)
     place.run_with()
     code, said = place.host("straight.py:Straight")
     assert code == 0, said
-    said = ended_with(0, place.run)
+    said = output_at_exit(0, place.run)
     why = "helper.py differs"
     assert f"the code at the host of car2 differs from this machine's: {why}" in said
     about = json.loads((place.out / "about.json").read_text())
     assert about["unrepeatable"] == [f"the host of car2 ran different code: {why}"]
     assert why in (place.out / "report.html").read_text()
     (place.out / "helper.py").write_text(HELPER.format(speed=0.3))
-    said = ended_with(1, place.start("replay", "out", "--agents", "inprocess"))
+    said = output_at_exit(1, place.start("replay", "out", "--agents", "inprocess"))
     assert f"differs from out: the host of car2 ran different code: {why}" in said
 
 
@@ -170,7 +170,7 @@ def test_the_same_source_code_is_not_remarked(place: Place) -> None:
     place.run_with("vehicle.car2.agent.estimator=est.py:Own")
     code, said = place.host("--folder", ".")
     assert code == 0, said
-    code, said = ended(place.run)
+    code, said = exit_of(place.run)
     assert (code, "other code" in said) == (0, False)
-    said = ended_with(0, place.start("replay", "out", "--agents", "inprocess"))
+    said = output_at_exit(0, place.start("replay", "out", "--agents", "inprocess"))
     assert "same digest as out" in said

@@ -1,4 +1,4 @@
-"""Hosts that answer nonsense: the run ends with one error that names them, in time, with its recording readable."""
+"""Hosts that answer nonsense: the run ends in time, with one error that names them and a readable recording."""
 
 import copy
 import io
@@ -61,7 +61,7 @@ ODD: list[Any] = [
 
 
 def honest_answers() -> list[bytes]:
-    """What a host says from beginning to end, and every other kind of answer there is."""
+    """Answers of a host from beginning to end, and both kinds of failure."""
     desk = Desk(AgentHost)
     later = [msgspec.structs.replace(event, time_ns=10**8) for event in INBOX]
     questions = [
@@ -81,7 +81,7 @@ def honest_answers() -> list[bytes]:
 
 
 HONEST = honest_answers()
-STEPPED = b"\x82\xa4type\xa7Stepped\xa6events"  # a list is to follow
+STEPPED = b"\x82\xa4type\xa7Stepped\xa6events"  # a list follows
 
 
 def deep(levels: int) -> bytes:
@@ -89,14 +89,14 @@ def deep(levels: int) -> bytes:
 
 
 def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    """Where there is something to be changed in lists and mappings."""
+    """Paths of all items in nested lists and mappings."""
     for key in value if isinstance(value, dict) else range(len(value)) if isinstance(value, list) else ():
         yield (*path, key)
         yield from places(value[key], (*path, key))
 
 
 def misshapen(draw: random.Random, honest: Sequence[bytes]) -> bytes:
-    """An honest answer with some of its parts replaced, left out, doubled, or under another name."""
+    """An honest answer with some parts replaced, removed, repeated or renamed."""
     value = msgspec.msgpack.decode(draw.choice(honest))
     for _ in range(draw.choice([1, 1, 2, 5])):
         path = draw.choice(list(places(value)) or [()])
@@ -143,7 +143,7 @@ def nested(draw: random.Random, honest: Sequence[bytes]) -> bytes:
 
 
 def oversized(draw: random.Random, honest: Sequence[bytes]) -> bytes:
-    """A list, a mapping, a text, ... that says that it is larger than all that follows."""
+    """A list, mapping, text, bytes or extension whose declared size exceeds the bytes behind it."""
     head, size = bytes([draw.choice([0xC6, 0xC9, 0xDB, 0xDD, 0xDF])]), draw.choice([2**20, 2**31 - 1, 2**32 - 1])
     return draw.choice([b"", STEPPED]) + (head + size.to_bytes(4, "big")) * draw.choice([1, 100])
 
@@ -162,11 +162,11 @@ NONSENSE: dict[Callable[[random.Random, Sequence[bytes]], bytes], int] = {
     oversized: 200,
     out_of_turn: 200,
 }
-"""What a host answers, and how often."""
+"""Kinds of nonsense, and numbers of examples."""
 
 
 def ask(turn: int, nonsense: bytes) -> list[Event]:
-    """Have a host answer honestly for so many turns, and then with nonsense."""
+    """Events of a host that sends ``nonsense`` as answer number ``turn``; all other answers are honest."""
     answers = iter([*HONEST[:turn], nonsense, *HONEST[turn + 1 : 5]])
     crew = remote_host.Crew(MemoryLink(lambda _: next(answers)), [SPEC], deadline_s=2.0, build_s=2.0)
     host = RemoteHost("agents", [crew], [crew.build()])
@@ -177,7 +177,7 @@ def ask(turn: int, nonsense: bytes) -> list[Event]:
 
 
 def assert_clean(error: VcmvspError) -> None:
-    """It names its vehicles, or comes as one in the scenario, and shows nothing that a terminal would obey."""
+    """The error names its vehicles or is one of the scenario, and contains no terminal control characters."""
     said = str(error)
     assert isinstance(error, ScenarioError) or "car2" in said or "car1" in said
     assert said.replace("\n", "").isprintable()
@@ -194,7 +194,7 @@ def test_nonsense_ends_in_an_error_that_names_the_host(kind: Callable[[random.Ra
         except ERRORS as error:
             assert_clean(error)
             failed += 1
-        else:  # it may have been changed into another answer that makes sense
+        else:  # the change may have given another valid answer
             assert {event.key.partition("/")[0] for event in events} <= {"car2"}
             protocol.encode(events)
     assert failed > 0.4 * NONSENSE[kind]
@@ -205,7 +205,7 @@ def test_nonsense_ends_in_an_error_that_names_the_host(kind: Callable[[random.Ra
     st.binary(max_size=200) | st.builds(lambda a, b: a[: len(a) // 2] + b, st.sampled_from(HONEST), st.binary()),
 )
 @example(2, STEPPED + b"\xdd\xff\xff\xff\xff")
-def test_so_does_what_hypothesis_thinks_of(turn: int, nonsense: bytes) -> None:
+def test_random_nonsense_ends_in_a_clean_error(turn: int, nonsense: bytes) -> None:
     try:
         ask(turn, nonsense)
     except ERRORS as error:
@@ -213,7 +213,7 @@ def test_so_does_what_hypothesis_thinks_of(turn: int, nonsense: bytes) -> None:
 
 
 def test_nonsense_takes_no_memory_beyond_its_own_size() -> None:
-    """An object of Python for each byte at most: an empty mapping has 64 bytes, and its place in a list 8."""
+    """At most one Python object per byte: an empty mapping has 64 bytes, its place in a list 8."""
     size = 2**20
     for filler in (b"\x80", b"\x90", b"\xc0", b"\x01", b"\x91" * 500 + b"\xc0"):
         body = b"\xdd" + size.to_bytes(4, "big") + (filler * size)[:size]
@@ -233,7 +233,7 @@ def test_nonsense_takes_no_memory_beyond_its_own_size() -> None:
 
 
 class Hostile(MemoryLink):
-    """Answers honestly until it is told what else to say, and when."""
+    """Answers honestly, except for ``nonsense`` as answer number ``turn``."""
 
     turn, nonsense = -1, b""
 
@@ -249,13 +249,13 @@ class Hostile(MemoryLink):
 
 def run(**more: Any) -> vcmvsp.Result:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # of numbers beyond all sense, which are an agent's to command
+        warnings.simplefilter("ignore", RuntimeWarning)  # of huge numbers, which are valid in commands
         return vcmvsp.run(SCENARIO, **more)
 
 
 @pytest.fixture
 def said() -> Iterator[list[bytes]]:
-    """What the host of an honest run says; from then on hosts are `Hostile`."""
+    """Answers of the host in an honest run; from then on hosts are `Hostile`."""
     heard: list[bytes] = []
 
     class Listening(MemoryLink):
@@ -281,7 +281,7 @@ def test_a_run_with_a_hostile_host_ends_with_its_error_and_a_readable_recording(
         except ERRORS as error:
             assert_clean(error)
             result = error.result
-        if result is None:  # it had not begun
+        if result is None:  # the run had not begun
             assert Hostile.turn <= 2
             continue
         begun += 1
@@ -294,7 +294,7 @@ def test_a_run_with_a_hostile_host_ends_with_its_error_and_a_readable_recording(
 
 
 @pytest.mark.parametrize("on_lost", ["hold", "remove"])
-def test_a_run_that_can_do_without_its_hosts_goes_on_whatever_they_say(on_lost: str, said: list[bytes]) -> None:
+def test_a_run_with_optional_hosts_continues_despite_nonsense(on_lost: str, said: list[bytes]) -> None:
     draw, lost = random.Random(on_lost), 0
     for _ in range(26):
         kind = draw.choice(list(NONSENSE))
@@ -325,8 +325,8 @@ def test_nonsense_in_a_greeting_is_a_value_error() -> None:
         protocol.encode(hello)
 
 
-def test_a_host_answers_nonsense_with_why_it_ends() -> None:
-    """And ends: a run that asks such things is none."""
+def test_a_host_answers_nonsense_with_its_error() -> None:
+    """The host then ends: no real run sends such questions."""
     draw, failed = random.Random(4), 0
     asked = [
         protocol.Build((SPEC,)),

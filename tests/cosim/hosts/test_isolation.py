@@ -1,4 +1,4 @@
-"""Runs that could get in each other's way, and agents that could get in the platform's way: none of them does."""
+"""Isolation of runs from each other, and of the platform from its agents."""
 
 import copy
 import subprocess
@@ -29,10 +29,10 @@ def alone(kind: str = "trajectory", **more: Any) -> dict[str, Any]:
     return {"name": "alone", "duration_s": 1.0, "physics": {"kind": "kinematic"}, "vehicle": [first, second]}
 
 
-class Doing(Agent):
-    """Does something at half a second, and drives on."""
+class OneAction(Agent):
+    """Calls ``what`` at 0.5 s, and drives on."""
 
-    def __init__(self, what: Callable[["Doing", Radio], object]) -> None:
+    def __init__(self, what: Callable[["OneAction", Radio], object]) -> None:
         self.what = what
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
@@ -60,7 +60,7 @@ def test_the_current_folder_does_not_shadow_the_hosts_modules(tmp_path: Path) ->
     assert subprocess.run(command, cwd=tmp_path, check=False, timeout=500).returncode == 0
 
 
-def test_files_beside_two_agents_do_not_mix_and_are_read_afresh(tmp_path: Path) -> None:
+def test_files_beside_two_agents_do_not_mix_and_are_read_again(tmp_path: Path) -> None:
     scenario = alone()
     for vehicle, gain in zip(scenario["vehicle"], ("0.1", "0.4"), strict=True):
         folder = tmp_path / vehicle["name"]
@@ -81,7 +81,7 @@ def test_files_beside_two_agents_do_not_mix_and_are_read_afresh(tmp_path: Path) 
     assert moved() == [0.1, -0.25]
 
 
-BAD: dict[str, Callable[[Doing, Radio], object]] = {
+BAD: dict[str, Callable[[OneAction, Radio], object]] = {
     "keys that are no strings": lambda _, radio: radio.send({1: 2.0}),  # type: ignore[dict-item]
     "a value that cannot be written": lambda _, radio: radio.send(x=object()),
     "a number too large": lambda _, radio: radio.send(x=2**70),
@@ -95,9 +95,9 @@ BAD: dict[str, Callable[[Doing, Radio], object]] = {
 
 
 @pytest.mark.parametrize("what", BAD)
-def test_what_an_agent_does_wrong_names_it_and_keeps_the_recording(what: str) -> None:
+def test_an_error_of_an_agent_names_it_and_keeps_the_recording(what: str) -> None:
     with pytest.raises(AgentError, match="vehicle car1") as raised:
-        vcmvsp.run(alone(), agents={"car1": Doing(BAD[what])})
+        vcmvsp.run(alone(), agents={"car1": OneAction(BAD[what])})
     assert raised.value.result.states["time_ns"].to_numpy().max() == 500_000_000
 
 
@@ -129,9 +129,9 @@ def test_every_agent_is_closed_even_if_one_fails() -> None:
     assert closed == ["car1", "car2"]
 
 
-def test_the_digest_tells_runs_apart_that_differ_in_commands_or_messages_alone() -> None:
-    def digest(what: Callable[[Doing, Radio], object]) -> str:
-        return vcmvsp.run(alone(), agents={"car1": Doing(what)}).metrics["digest"]
+def test_the_digest_differs_if_only_commands_or_messages_differ() -> None:
+    def digest(what: Callable[[OneAction, Radio], object]) -> str:
+        return vcmvsp.run(alone(), agents={"car1": OneAction(what)}).metrics["digest"]
 
     digests = [digest(lambda _, radio, x=x: radio.send(x=x)) for x in (1.0, 2.0)]  # type: ignore[misc]
     assert len({*digests, digest(lambda _, __: None)}) == 3
@@ -185,7 +185,7 @@ def test_another_kind_can_be_set_as_it_is(settings: dict[str, Any], changed: dic
     assert resolved["radio"] == {**resolved["radio"], **changed}
 
 
-def test_another_agent_takes_what_it_knows_of_the_files_parameters() -> None:
+def test_another_agent_keeps_its_known_parameters_of_the_file() -> None:
     settings = {"duration_s": 0.5, "physics.kind": "kinematic", "vehicle.car2.agent.kind": "trajectory"}
     first = vcmvsp.run("formation-circle", set=settings, agents="inprocess")
     agent = tomllib.loads(first.scenario)["vehicle"][1]["agent"]
@@ -201,7 +201,7 @@ def test_a_wrong_parameter_beside_a_kind_that_is_set_is_still_refused() -> None:
 @pytest.mark.parametrize(
     "body", [{"x": 1.0}, {"x": 1.0, "way": [[0.0, 1.0]]}, {"x": 1.0, "more": {"y": 2.0}}, b"raw"], ids=repr
 )
-def test_an_agent_that_changes_what_it_has_heard_changes_nobody_elses(body: Any) -> None:
+def test_an_agent_that_changes_a_received_message_changes_no_others(body: Any) -> None:
     seen: list[Any] = []
 
     class Changing(Agent):

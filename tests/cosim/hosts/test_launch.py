@@ -1,4 +1,4 @@
-"""Hosts that are started elsewhere: what they get, what is said of those that fail, and that none outlives its run."""
+"""Hosts started on other machines: their inputs, messages about failures, and their end with the run."""
 
 import contextlib
 import io
@@ -21,8 +21,8 @@ from hypothesis import strategies as st
 
 import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.run_processes import VCMVSP, Stage, ended, ended_with, wait_for
-from tests.support.cosim.ssh_hosts import Machine, played, served
+from tests.support.cosim.run_processes import VCMVSP, Stage, exit_of, output_at_exit, wait_for
+from tests.support.cosim.ssh_hosts import Machine, scripted_ssh, ssh_server
 from tests.support.cosim.teams import FOLLOWER, LEADER, team
 from vcmvsp.cosim.errors import VcmvspError
 from vcmvsp.cosim.hosts import ssh_hosts
@@ -56,8 +56,8 @@ HERE = f"[{', '.join(json.dumps(each) for each in VCMVSP)}]"
 PYTHON = json.dumps(sys.executable)
 
 
-class Launching(Stage):
-    """A folder with a scenario, and a file of hosts that is written into it."""
+class LaunchStage(Stage):
+    """A folder with a scenario and a hosts file."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
@@ -69,7 +69,7 @@ class Launching(Stage):
 
     def launch(self, *more: str) -> subprocess.Popen[str]:
         arguments = ["launch", "far.toml", "--hosts", "hosts.toml", "--out", "out", *more]
-        if not {"--listen", "--keys"} & {*more}:  # with keys, the file says where hosts dial, and the run listens there
+        if not {"--listen", "--keys"} & {*more}:  # with keys, the hosts file contains the address at which the run listens
             arguments += ["--listen", f"tcp/127.0.0.1:{self.port}"]
         process = subprocess.Popen(
             [*VCMVSP, *arguments],
@@ -86,15 +86,15 @@ class Launching(Stage):
 
 
 @pytest.fixture
-def stage(tmp_path: Path) -> Iterator[Launching]:
-    with Launching(tmp_path) as made:
+def stage(tmp_path: Path) -> Iterator[LaunchStage]:
+    with LaunchStage(tmp_path) as made:
         yield made
 
 
 @pytest.fixture(params=["played", "sshd", "asyncssh"])
-def machine(request: pytest.FixtureRequest, stage: Launching) -> Iterator[Machine]:
+def machine(request: pytest.FixtureRequest, stage: LaunchStage) -> Iterator[Machine]:
     folder = stage.folder / "far"
-    made = played(folder) if request.param == "played" else served(request.param, folder, stage.another_port())
+    made = scripted_ssh(folder) if request.param == "played" else ssh_server(request.param, folder, stage.another_port())
     stage.environment = made.environment
     yield made
     if made.server:
@@ -102,12 +102,12 @@ def machine(request: pytest.FixtureRequest, stage: Launching) -> Iterator[Machin
         made.server.wait()
 
 
-def gone(pid_file: Path) -> bool:
-    """Whether the process ends whose number is in the file."""
+def process_ended(pid_file: Path) -> bool:
+    """Whether the process whose id is in the file ends within 30 s."""
     wait_for(pid_file)
     last = time.monotonic() + 30.0
     while time.monotonic() < last:
-        with contextlib.suppress(ValueError):  # it has not been written yet
+        with contextlib.suppress(ValueError):  # not written yet
             try:
                 os.kill(int(pid_file.read_text()), 0)
             except ProcessLookupError:
@@ -117,14 +117,14 @@ def gone(pid_file: Path) -> bool:
 
 
 def table(machine: Machine, **more: Any) -> str:
-    """A ``[[host]]`` on that machine."""
+    """A ``[[host]]`` table for ``machine``."""
     lines = [f"{name} = {toml_line(value)}" for name, value in {**more, "ssh_options": machine.options}.items()]
     return "\n".join(["[[host]]", f"ssh = {json.dumps(machine.ssh)}", *lines, ""])
 
 
-def test_hosts_of_this_machine_give_the_bytes_of_one_process(stage: Launching) -> None:
+def test_hosts_of_this_machine_give_the_bytes_of_one_process(stage: LaunchStage) -> None:
     stage.hosts('[[host]]\nvehicles = ["car2"]\n[[host]]\nname = "two"\nvehicles = ["car3"]\nset = { k1 = 0.7 }\n')
-    said = ended_with(0, stage.launch())
+    said = output_at_exit(0, stage.launch())
     assert "[two] joined; waiting for the run to begin" in said
     assert stage.log("two") == stage.log("car2") == "joined; waiting for the run to begin\nthe run is over\n"
     alone = vcmvsp.run(stage.folder / "far.toml", set={"vehicle.car3.agent.k1": 0.7}, agents="inprocess", mcap=False)
@@ -134,7 +134,9 @@ def test_hosts_of_this_machine_give_the_bytes_of_one_process(stage: Launching) -
     assert about["agents"] == {"car1": "inprocess", "car2": "zenoh", "car3": "zenoh"}
 
 
-def test_a_host_on_another_machine_gets_its_keys_its_class_and_its_values_unharmed(stage: Launching, machine: Machine) -> None:
+def test_a_host_on_another_machine_gets_its_keys_its_class_and_its_values_unharmed(
+    stage: LaunchStage, machine: Machine
+) -> None:
     there = stage.folder / "a b"
     there.mkdir()
     (there / "noted.py").write_text(NOTED)
@@ -155,30 +157,30 @@ def test_a_host_on_another_machine_gets_its_keys_its_class_and_its_values_unharm
         )
         + table(machine, name="near", vehicles=["car3"], command=command, copy=True)
     )
-    ended_with(0, stage.launch("--keys", "keys"))
+    output_at_exit(0, stage.launch("--keys", "keys"))
     log = stage.log("far").splitlines()
     assert "far.keys 0o600 0o700" in log
     assert f"in a b: {HOSTILE.splitlines()[0]}" in log
     assert not [*stage.folder.rglob("hacked")]
     assert tomllib.loads((stage.out / "scenario.toml").read_text())["vehicle"][1]["agent"]["word"] == HOSTILE
-    shutil.copy(there / "noted.py", stage.out)  # which the run's machine has never seen
+    shutil.copy(there / "noted.py", stage.out)  # the run's machine did not have it
     again = vcmvsp.run(stage.out / "scenario.toml", agents="inprocess", mcap=False)
     assert json.loads((stage.out / "metrics.json").read_text())["digest"] == again.metrics["digest"]
     if not machine.server:
-        assert [each.name for each in (stage.folder / "far").iterdir()] == ["ssh-was-told"]  # and no keys are left
+        assert [each.name for each in (stage.folder / "far").iterdir()] == ["ssh-was-told"]  # no keys are left
         told = (stage.folder / "far" / "ssh-was-told").read_text().splitlines()
         assert told[-3:] == ["--", machine.ssh, "sh"]
         assert "BatchMode=yes" in told
 
 
 @pytest.mark.parametrize("machine", ["sshd"], indirect=True)
-def test_a_tunnel_of_ssh_needs_neither_certificates_nor_an_open_port(stage: Launching, machine: Machine) -> None:
-    """The far end of the tunnel is another port here, where otherwise nobody listens."""
+def test_a_tunnel_of_ssh_needs_neither_certificates_nor_an_open_port(stage: LaunchStage, machine: Machine) -> None:
+    """The far end of the tunnel is another port of this machine, at which no other program listens."""
     far, near = f"127.0.0.1:{stage.another_port()}", f"127.0.0.1:{stage.port}"
     tunnel = (*machine.options, "-R", f"{far}:{near}", "-o", "ExitOnForwardFailure=yes")
     machine = machine._replace(options=tunnel)
     stage.hosts(table(machine, vehicles=["car2", "car3"], command=tuple(VCMVSP), connect=f"tcp/{far}"))
-    ended_with(0, stage.launch())
+    output_at_exit(0, stage.launch())
 
 
 @pytest.mark.parametrize(
@@ -187,12 +189,12 @@ def test_a_tunnel_of_ssh_needs_neither_certificates_nor_an_open_port(stage: Laun
         ("played", signal.SIGINT),
         ("played", signal.SIGTERM),
         ("played", signal.SIGKILL),
-        ("sshd", signal.SIGKILL),  # the other end sees no more than that the connection is gone
+        ("sshd", signal.SIGKILL),  # the other end only detects the closed connection
         ("asyncssh", signal.SIGTERM),
     ],
     indirect=["machine"],
 )
-def test_no_host_outlives_its_run(stage: Launching, machine: Machine, end: signal.Signals) -> None:
+def test_no_host_outlives_its_run(stage: LaunchStage, machine: Machine, end: signal.Signals) -> None:
     pid = stage.folder / "pid"
     command = ("sh", "-c", 'echo $$ >"$0"; exec "$@"', str(pid), *VCMVSP)
     assert vcmvsp_command("keys", "init", str(stage.folder / "keys")).code == 0
@@ -201,9 +203,9 @@ def test_no_host_outlives_its_run(stage: Launching, machine: Machine, end: signa
     launch = stage.launch("--keys", "keys", "--realtime", "--set", "duration_s=3600")
     wait_for(stage.out / "run.mcap")
     launch.send_signal(end)
-    code, _ = ended(launch)
+    code, _ = exit_of(launch)
     assert code == (-signal.SIGKILL if end == signal.SIGKILL else 130)
-    assert gone(pid)
+    assert process_ended(pid)
     if end != signal.SIGKILL:
         assert "joined" in stage.log("far")
     if not machine.server:
@@ -214,7 +216,7 @@ def test_no_host_outlives_its_run(stage: Launching, machine: Machine, end: signa
 
 
 @pytest.mark.parametrize("machine", ["sshd", "asyncssh"], indirect=True)
-def test_a_host_whose_connection_breaks_is_ended(stage: Launching, machine: Machine) -> None:
+def test_a_host_whose_connection_breaks_is_ended(stage: LaunchStage, machine: Machine) -> None:
     pid = stage.folder / "pid"
     command = ("sh", "-c", 'echo $$ >"$0"; exec "$@"', str(pid), *VCMVSP)
     connect = f"tcp/127.0.0.1:{stage.port}"
@@ -223,26 +225,26 @@ def test_a_host_whose_connection_breaks_is_ended(stage: Launching, machine: Mach
     wait_for(stage.out / "run.mcap")
     (client,) = (each for each in psutil.Process(launch.pid).children() if each.name() == "ssh")
     client.kill()
-    said = ended_with(3, launch)
+    said = output_at_exit(3, launch)
     assert "[far] was killed by SIGKILL" in said
-    assert gone(pid)
+    assert process_ended(pid)
 
 
-def test_a_host_that_does_not_listen_to_signals_is_ended_too(stage: Launching) -> None:
+def test_a_host_that_ignores_signals_is_ended_too(stage: LaunchStage) -> None:
     deaf = "import os, signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); "
     deaf += "print(os.getpid(), file=open('pid', 'w')); time.sleep(1e4)"
-    # Not a child of the shell that we started, but a grandchild: with setsid the whole group ends.
+    # A grandchild of the started shell: with setsid the whole group ends.
     inner = f"{sys.executable} -c {json.dumps(deaf)}" + ("; true" if shutil.which("setsid") else "")
     stage.hosts(f'[[host]]\nvehicles = ["car2", "car3"]\ncommand = ["sh", "-c", {json.dumps(inner)}]\n')
     launch = stage.launch()
     wait_for(stage.folder / "pid")
     launch.send_signal(signal.SIGINT)
-    assert ended(launch)[0] == 130
-    assert gone(stage.folder / "pid")
+    assert exit_of(launch)[0] == 130
+    assert process_ended(stage.folder / "pid")
 
 
-@pytest.mark.parametrize("machine", ["played"], indirect=True)  # ssh hands on the code that a command there ends with
-def test_a_host_that_cannot_start_ends_the_waiting_in_words(stage: Launching, machine: Machine) -> None:
+@pytest.mark.parametrize("machine", ["played"], indirect=True)  # ssh passes on the exit code of the command
+def test_a_host_that_cannot_start_ends_the_wait_with_its_cause(stage: LaunchStage, machine: Machine) -> None:
     connect = f'connect = "tcp/127.0.0.1:{stage.port}"\n'
     where = f"host far (ssh {machine.ssh})"
     for more, why in (
@@ -254,29 +256,29 @@ def test_a_host_that_cannot_start_ends_the_waiting_in_words(stage: Launching, ma
         ),
     ):
         stage.hosts(connect + table(machine, name="far", vehicles=["car2", "car3"], **more))
-        said = ended_with(3, stage.launch())
+        said = output_at_exit(3, stage.launch())
         assert why in said
         assert "agent host of vehicles car2, car3: host far" in said
         assert not stage.out.exists()
 
 
 @pytest.mark.needs("ssh")
-def test_a_machine_that_ssh_cannot_reach_ends_the_waiting(stage: Launching) -> None:
+def test_a_machine_that_ssh_cannot_reach_ends_the_wait(stage: LaunchStage) -> None:
     options = '["-F", "none", "-p", "1"]'
     connect = f'connect = "tcp/127.0.0.1:{stage.port}"\n'
     stage.hosts(f'{connect}[[host]]\nssh = "127.0.0.1"\nssh_options = {options}\nvehicles = ["car2", "car3"]\n')
-    said = ended_with(3, stage.launch())
+    said = output_at_exit(3, stage.launch())
     assert "host 127-0-0-1 (ssh 127.0.0.1): ssh cannot connect, or lost the connection (exit code 255): ssh: " in said
 
 
-def test_a_host_that_is_killed_later_is_named(stage: Launching) -> None:
+def test_a_host_that_is_killed_later_is_named(stage: LaunchStage) -> None:
     command = f'["sh", "-c", "echo $$ >pid; exec \\"$0\\" \\"$@\\"", {HERE[1:]}'
     stage.hosts(f'[[host]]\nname = "far"\nvehicles = ["car2", "car3"]\ncommand = {command}\n')
     launch = stage.launch("--realtime", "--set", "duration_s=3600")
     wait_for(stage.out / "run.mcap")
     time.sleep(0.5)
     os.kill(int((stage.folder / "pid").read_text()), signal.SIGKILL)
-    said = ended_with(3, launch)
+    said = output_at_exit(3, launch)
     assert "[far] ended with exit code 137" in said
     assert "joined" in stage.log("far")
 
@@ -333,7 +335,7 @@ def test_a_host_that_is_killed_later_is_named(stage: Launching) -> None:
         ),
     ],
 )
-def test_what_is_wrong_with_a_file_of_hosts_is_said_before_anything_starts(
+def test_errors_of_a_hosts_file_are_reported_before_the_start(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, more: tuple[str, ...], problem: str
 ) -> None:
     monkeypatch.setattr(ssh_hosts, "Far", None)
@@ -352,7 +354,7 @@ WORDS = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]
 
 
 def heard(shell: str, script: str) -> tuple[int | None, str]:
-    """How a script ends, and what it says."""
+    """Exit code and output of a script."""
     log = io.BytesIO()
     far = ssh_hosts.Far([shell, "sh"] if shell.endswith("busybox") else [shell], script, log, lambda _: None)
     assert far.wait(60.0)
@@ -368,7 +370,7 @@ def heard(shell: str, script: str) -> tuple[int | None, str]:
     folder=WORDS.filter(lambda each: each.strip() and each[0] != "~"),
     bundle=st.just("-----BEGIN\n$HOME `id`\n-----END\n"),
 )
-def test_words_reach_the_other_machine_as_they_are(shell: str, words: list[str], folder: str, bundle: str) -> None:
+def test_words_reach_the_other_machine_unchanged(shell: str, words: list[str], folder: str, bundle: str) -> None:
     show = "import json, sys; print(json.dumps([sys.argv[1:-2], open(sys.argv[-2]).read()])); sys.exit(7)"
     script = ssh_hosts.script([sys.executable, "-c", show, folder], words, last=["last"], bundle=bundle, name="far")
     script = script.replace(" -- last", " last")
@@ -389,7 +391,7 @@ def test_words_reach_the_other_machine_as_they_are(shell: str, words: list[str],
         ("", "''"),
     ],
 )
-def test_a_tilde_means_home_and_nothing_else_means_anything(given: str, word: str) -> None:
+def test_only_a_tilde_is_expanded(given: str, word: str) -> None:
     assert ssh_hosts.path(given) == word
 
 

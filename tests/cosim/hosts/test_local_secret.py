@@ -1,4 +1,4 @@
-"""A run without certificates is for the programs of one user: others can neither dial in, nor answer in a host's place."""
+"""A run without certificates is for programs of one user: other users can neither connect nor answer for a host."""
 
 import json
 import stat
@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from tests.support.cosim.run_processes import Stage, ended, ended_with, wait_for
+from tests.support.cosim.run_processes import Stage, exit_of, output_at_exit, wait_for
 from tests.support.cosim.teams import ELSEWHERE, LEADER, team
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.hosts import protocol
@@ -22,7 +22,7 @@ pytestmark = [pytest.mark.processes, pytest.mark.sockets]
 
 
 class Place(Stage):
-    """A run that listens without certificates, and sessions that dial it."""
+    """A run that listens without certificates, its host, and sessions that dial it."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
@@ -50,7 +50,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Place]:
         yield made
 
 
-def test_only_who_has_the_secret_can_dial_a_run_and_its_user_needs_no_option(place: Place) -> None:
+def test_only_the_secret_admits_to_a_run_and_its_user_needs_no_option(place: Place) -> None:
     run = place.run("--realtime", duration=20.0)
     host = place.host()
     wait_for(place.out / "run.mcap")
@@ -60,23 +60,23 @@ def test_only_who_has_the_secret_can_dial_a_run_and_its_user_needs_no_option(pla
     place.session(endpoints.found(place.endpoint)).close()  # type: ignore[no-untyped-call]
     assert dialling(place.endpoint, None, None) is not None
     run.kill()
-    ended(run)
-    ended(host)
+    exit_of(run)
+    exit_of(host)
 
 
-def test_a_host_does_not_join_a_stranger_that_listens_where_a_run_was(place: Place, tmp_path: Path) -> None:
-    """Without a run of its own user there it waits, and says so; with --insecure it is told to join whoever it is."""
+def test_a_host_does_not_join_a_run_without_a_secret(place: Place, tmp_path: Path) -> None:
+    """Without a run of its own user at this address, a host waits and reports it; with --insecure it joins any run."""
     run = place.run("--insecure")
     waiting = place.host()
     assert waiting.stderr is not None
     next(line for line in waiting.stderr if "no run of this user" in line)
     waiting.kill()
-    assert ended(place.host("--insecure"))[0] == 0
-    said = ended_with(0, run)
+    assert exit_of(place.host("--insecure"))[0] == 0
+    said = output_at_exit(0, run)
     assert "caution: anyone who can reach" in said
 
 
-def test_the_file_is_for_its_user_alone_and_goes_with_the_run(place: Place, tmp_path: Path) -> None:
+def test_the_file_is_private_and_removed_with_the_run(place: Place, tmp_path: Path) -> None:
     with endpoints.published(place.endpoint, "s3cret"):
         (file,) = (tmp_path / "runtime" / "vcmvsp").iterdir()
         assert stat.S_IMODE(file.stat().st_mode) == 0o600
@@ -107,9 +107,9 @@ with opened(own, dialling(sys.argv[1], None, None), "no") as session:
 
 
 def test_an_answer_of_another_session_is_dropped_counted_and_named(place: Place) -> None:
-    """Even of one that has the secret: the run's bytes are those without it."""
+    """Even if it has the secret; the run's bytes do not change."""
     first, host = place.run(duration=3.0), place.host()
-    assert [ended(each)[0] for each in (first, host)] == [0, 0]
+    assert [exit_of(each)[0] for each in (first, host)] == [0, 0]
     honest = json.loads((place.out / "metrics.json").read_text())["digest"]
     run = place.run("--realtime", "--force", duration=3.0)
     assert run.stderr is not None
@@ -118,9 +118,9 @@ def test_an_answer_of_another_session_is_dropped_counted_and_named(place: Place)
         assert forger.stdout is not None
         assert forger.stdout.readline() == "listening\n"
         host = place.host()
-        code, said = ended(run)
+        code, said = exit_of(run)
         forger.kill()
-    assert ended(host)[0] == 0
+    assert exit_of(host)[0] == 0
     assert code == 0
     assert "another session answers in place of the host of car1" in said
     about = json.loads((place.out / "about.json").read_text())
@@ -128,7 +128,7 @@ def test_an_answer_of_another_session_is_dropped_counted_and_named(place: Place)
     assert json.loads((place.out / "metrics.json").read_text())["digest"] == honest
 
 
-def test_a_seal_is_of_its_key_and_its_answer() -> None:
+def test_a_seal_fits_only_its_key_and_answer() -> None:
     sealed = protocol.sealed(b"k" * protocol.SEAL, b"answer")
     assert protocol.is_sealed(b"k" * protocol.SEAL, sealed)
     assert not protocol.is_sealed(b"l" * protocol.SEAL, sealed)

@@ -1,4 +1,4 @@
-"""Agents that fail, and hosts that are lost, in runs that go on without them: what their vehicles do, what is said of it."""
+"""Failed agents and lost hosts in runs that continue without them: motion of their vehicles, and what is recorded."""
 
 import json
 import signal
@@ -17,7 +17,7 @@ from mcap.reader import make_reader
 
 import vcmvsp
 from tests.support.cosim.memory_links import behind_the_wire
-from tests.support.cosim.run_processes import Stage, ended, ended_with, said_by, wait_for
+from tests.support.cosim.run_processes import Stage, exit_of, output_at_exit, read_until, wait_for
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.hosts import protocol
 from vcmvsp.cosim.metrics.agents import agent_metrics
@@ -76,13 +76,13 @@ def scenario(tmp_path: Path) -> Path:
 
 
 def travelled(result: vcmvsp.Result, vehicle: str) -> float:
-    """m, along x."""
+    """Distance along x, m."""
     rows = result.states.to_pandas().query("vehicle == @vehicle")
     return float(rows.x.iloc[-1] - rows.x.iloc[0])
 
 
 def presences(folder: Path) -> list[tuple[str, float, dict[str, Any]]]:
-    """What the recording says of agents: topic, s, content."""
+    """Records of lost and returned agents: topic, time in s, content."""
     with (folder / "run.mcap").open("rb") as stream:
         return [
             (channel.topic, message.log_time / SECOND_NS, json.loads(message.data))
@@ -98,11 +98,11 @@ def presences(folder: Path) -> list[tuple[str, float, dict[str, Any]]]:
 def test_an_agent_that_fails_leaves_the_same_bytes_wherever_it_runs(
     how: str, policy: str, hold_s: float, latency_s: float, scenario: Path, tmp_path: Path
 ) -> None:
-    """Its last command counts for ``hold_s``, then its vehicle stands still; all others go on."""
+    """Its last command holds for ``hold_s``, then its vehicle stands still; other vehicles continue."""
     settings = {"agents.on_lost": policy, "agents.hold_s": hold_s, "agents.latency_s": latency_s, "vehicle.car2.agent.how": how}
     here = vcmvsp.run(scenario, set=settings, out=tmp_path / "here")
     held = min(hold_s if policy == "hold" else 0.0, 4.0)
-    # Commands of 0 to 0.9 s took effect a latency later; the one of 1 s failed; a hold ends at a tick.
+    # Commands of 0 to 0.9 s take effect a latency later; the one of 1 s failed; a hold ends at a tick.
     drives_s = min(1.0 + np.ceil(held / 0.1 - 1e-9) * 0.1, 5.0 - latency_s)
     assert travelled(here, "car2") == pytest.approx(0.5 * drives_s, abs=1e-9)
     assert travelled(here, "car3") == pytest.approx(0.5 * (5.0 - latency_s), abs=1e-9)
@@ -132,8 +132,8 @@ def test_an_agent_that_fails_leaves_the_same_bytes_wherever_it_runs(
 
 
 @pytest.mark.parametrize("policy", ["hold", "remove"])
-def test_a_host_that_is_killed_costs_the_run_its_vehicles_alone(policy: str, scenario: Path, tmp_path: Path) -> None:
-    """Not a bit of the result differs from that of an agent that raises at the same tick, but for the reason."""
+def test_a_killed_host_costs_the_run_only_its_vehicles(policy: str, scenario: Path, tmp_path: Path) -> None:
+    """Every bit of the result equals that of an agent that raises at the same tick, except for the reason."""
     settings = {"agents.on_lost": policy, "vehicle.car2.agent.how": "kill"}
     killed = vcmvsp.run(scenario, set=settings, agents="process", out=tmp_path / "killed")
     raised = vcmvsp.run(scenario, set={**settings, "vehicle.car2.agent.how": "raise"})
@@ -144,8 +144,8 @@ def test_a_host_that_is_killed_costs_the_run_its_vehicles_alone(policy: str, sce
     assert [each[2]["why"] for each in presences(tmp_path / "killed")] == ["was killed by SIGKILL"]
 
 
-def test_a_host_that_is_killed_takes_along_what_it_had_yet_to_say(scenario: Path, tmp_path: Path) -> None:
-    """With a latency it may be killed with answers on the way; all from the first that is missing are lost."""
+def test_a_killed_host_loses_its_pending_answers(scenario: Path, tmp_path: Path) -> None:
+    """With a latency, answers may be on the way when it is killed; all from the first missing one are lost."""
     settings = {"agents.on_lost": "remove", "agents.latency_s": 0.25, "vehicle.car2.agent.how": "kill"}
     killed = vcmvsp.run(scenario, set=settings, agents="process", out=tmp_path / "killed")
     ((_, at_s, said),) = presences(tmp_path / "killed")
@@ -164,12 +164,12 @@ def test_one_vehicle_that_must_not_be_lost_ends_the_run(scenario: Path) -> None:
 
 
 class ByHand(Stage):
-    """The scenario with car2 hosted by hand."""
+    """The scenario with car2 on a manually started host."""
 
     def __init__(self, folder: Path, scenario: Path) -> None:
         super().__init__(folder)
         self.endpoint, self._scenario = f"tcp/127.0.0.1:{self.port}", scenario
-        self.open_to: list[str] = []  # --insecure: to anybody
+        self.open_to: list[str] = []  # --insecure: to all users
 
     def run(self, *settings: str, seconds: float = 3600.0) -> subprocess.Popen[str]:
         elsewhere = ["vehicle.car2.agent.runs=zenoh", "agents.on_lost=hold", "agents.deadline_s=2.0"]
@@ -184,9 +184,9 @@ class ByHand(Stage):
         return self.start("agent", "--vehicle", "car2", "--connect", self.endpoint, "--folder", folder, *more, *self.open_to)
 
     def finish(self, run: subprocess.Popen[str]) -> tuple[str, dict[str, Any], list[tuple[str, float, dict[str, Any]]]]:
-        """End a run by Ctrl-C: what it said, its metrics, and what its recording says of agents."""
+        """End a run by Ctrl-C: its output, the metrics of car2, and the records of `presences`."""
         run.send_signal(signal.SIGINT)
-        said = ended_with(130, run)
+        said = output_at_exit(130, run)
         metrics: dict[str, Any] = json.loads((self.out / "metrics.json").read_text())
         return said, metrics["agents"]["car2"], presences(self.out)
 
@@ -201,11 +201,11 @@ def test_another_host_may_take_the_place_of_one_that_was_killed(stage: ByHand) -
     run, first = stage.run(), stage.host()
     wait_for(stage.out / "run.mcap")
     first.kill()
-    said_by(run, "car2 has lost its agent")
+    read_until(run, "car2 has lost its agent")
     second = stage.host()
-    said_by(run, "car2 has its agent again")
+    read_until(run, "car2 has its agent again")
     _, metrics, said = stage.finish(run)
-    assert ended(second)[0] == 0
+    assert exit_of(second)[0] == 0
     assert metrics["reconnects"] == 1
     assert (metrics["late"], metrics["missed"] > 0) == (0, True)
     assert [each[2]["state"] for each in said] == ["lost", "back"]
@@ -215,16 +215,16 @@ def test_another_host_may_take_the_place_of_one_that_was_killed(stage: ByHand) -
     assert metrics["missed"] == round(metrics["lost_s"] / 0.1)
 
 
-def test_a_host_that_hangs_goes_on_where_it_was(stage: ByHand) -> None:
-    """It is the same agent: it counts on. The answer that came too late does not count."""
+def test_a_host_that_hangs_continues_with_its_state(stage: ByHand) -> None:
+    """The agent keeps its state and continues to count. Its answer after the deadline does not count."""
     run = stage.run("vehicle.car2.agent.how=stop", f"vehicle.car2.agent.once={stage.folder / 'stopped'}")
     host = stage.host()
-    said_by(run, "car2 has lost its agent: did not answer within the deadline of 2 s")
+    read_until(run, "car2 has lost its agent: did not answer within the deadline of 2 s")
     host.send_signal(signal.SIGCONT)
-    said_by(run, "car2 has its agent again")
+    read_until(run, "car2 has its agent again")
     wait_for(stage.folder / "stopped and on")
     _, metrics, said = stage.finish(run)
-    assert ended(host)[0] == 0
+    assert exit_of(host)[0] == 0
     assert (metrics["late"], metrics["reconnects"]) == (1, 1)
     assert metrics["missed"] == round(metrics["lost_s"] / 0.1) >= 1
     assert [each[2]["state"] for each in said] == ["lost", "back"]
@@ -240,44 +240,44 @@ def test_a_host_that_hangs_goes_on_where_it_was(stage: ByHand) -> None:
 
 def test_a_host_may_come_late(stage: ByHand) -> None:
     run = stage.run("agents.join_timeout_s=0.1")
-    said_by(run, "the host of car2 did not join within 0.1 s (agents.join_timeout_s); the run starts without")
-    said_by(run, "car2 has lost its agent: it has no host yet")
-    code, said = ended(stage.host("--set", "at=7.0"))
+    read_until(run, "the host of car2 did not join within 0.1 s (agents.join_timeout_s); the run starts without")
+    read_until(run, "car2 has lost its agent: it has no host yet")
+    code, said = exit_of(stage.host("--set", "at=7.0"))
     assert (code, "accepts no other parameters: leave out --set" in said) == (2, True)
     late = stage.host()
-    said_by(run, "car2 has its agent again")
+    read_until(run, "car2 has its agent again")
     _, metrics, _ = stage.finish(run)
-    assert ended(late)[0] == 0
+    assert exit_of(late)[0] == 0
     assert metrics["reconnects"] == 1
     assert metrics["missed"] > 0
 
 
-def test_who_was_removed_does_not_come_back(stage: ByHand) -> None:
+def test_a_removed_agent_does_not_return(stage: ByHand) -> None:
     run = stage.run("agents.on_lost=remove")
     first = stage.host()
     wait_for(stage.out / "run.mcap")
     first.kill()
-    said_by(run, "car2 is without an agent for good")
-    said = ended_with(2, stage.host())
+    read_until(run, "car2 is without an agent for good")
+    said = output_at_exit(2, stage.host())
     assert "the run rejects this host: it has started, and no host is missing" in said
     _, metrics, events = stage.finish(run)
     assert metrics["reconnects"] == 0
     assert [each[2]["state"] for each in events] == ["removed"]
 
 
-def test_a_run_listens_for_nobody_whom_it_cannot_use(stage: ByHand) -> None:
-    """A second host for a vehicle, one of another version, and one that tries a run which has taken another's place."""
+def test_a_run_refuses_unusable_hosts(stage: ByHand) -> None:
+    """A second host for a vehicle, one of another version, and one whose run was replaced by another at the same address."""
     stage.open_to = ["--insecure"]
     run, first = stage.run(), stage.host()
     wait_for(stage.out / "run.mcap")
-    code, said = ended(stage.host())
+    code, said = exit_of(stage.host())
     assert (code, "it has started, and no host is missing" in said) == (2, True)
     run.kill()
-    ended(run)
+    exit_of(run)
     other = stage.start(
         "run", "formation-circle", "--listen", stage.endpoint, "--agents", "zenoh", "--insecure", "--out", "other"
     )
-    said = ended_with(3, first)
+    said = output_at_exit(3, first)
     assert "the run: is gone: another run listens there now; start this host again" in said
     older = (
         "import sys; from vcmvsp.cosim.hosts import protocol as wire; import vcmvsp.agents.host_process as serve\n"
@@ -288,15 +288,15 @@ def test_a_run_listens_for_nobody_whom_it_cannot_use(stage: ByHand) -> None:
     words = f"speaks protocol {protocol.PROTOCOL}, the host 1: use the same vcmvsp version"
     assert words in done.stderr
     other.send_signal(signal.SIGINT)
-    assert words in ended(other)[1]
+    assert words in exit_of(other)[1]
 
 
 tick_times = st.integers(0, 100)
 
 
 @given(st.lists(tick_times, unique=True, max_size=8).map(sorted), st.integers(1, 100), st.integers(1, 7))
-def test_what_was_missed_is_counted_to_the_tick(changes: list[int], end: int, per: int) -> None:
-    """Against a walk along the ticks, each of them missed or not."""
+def test_missed_ticks_are_counted_exactly(changes: list[int], end: int, per: int) -> None:
+    """Compared with a loop over all ticks."""
     train, second = Ticks(SECOND_NS, per), SECOND_NS
     news, there = list[tuple[str, Presence]](), True
     for change in changes:
@@ -314,47 +314,47 @@ def test_what_was_missed_is_counted_to_the_tick(changes: list[int], end: int, pe
     assert found["lost_s"] == sum(back - lost for lost, back in zip(gone[::2], gone[1::2], strict=True))
 
 
-def test_a_host_that_cannot_start_costs_the_run_its_vehicle_alone(stage: ByHand) -> None:
-    """Another one may come, with the same class from a folder of its own."""
+def test_a_host_that_cannot_start_costs_the_run_only_its_vehicle(stage: ByHand) -> None:
+    """Another host may join later, with the same class from its own folder."""
     run, bad = stage.run("agents.join_timeout_s=3.0"), stage.host("nobody.py:Nobody")
-    code, said = ended(bad)
+    code, said = exit_of(bad)
     assert (code, "nobody.py" in said) == (2, True)
-    said_by(run, "the run starts without")
-    said_by(run, "car2 has lost its agent")
+    read_until(run, "the run starts without")
+    read_until(run, "car2 has lost its agent")
     elsewhere = stage.folder / "elsewhere"
     elsewhere.mkdir()
     (elsewhere / "failing.py").write_text(AGENTS)
     stage.folder = elsewhere
     good = stage.start("agent", "failing.py:Failing", "--vehicle", "car2", "--connect", stage.endpoint)
-    said_by(run, "car2 has its agent again")
+    read_until(run, "car2 has its agent again")
     _, metrics, _ = stage.finish(run)
-    assert ended(good)[0] == 0
+    assert exit_of(good)[0] == 0
     assert metrics["reconnects"] == 1
 
 
 def test_a_host_that_was_stopped_while_its_run_ended_ends_too(stage: ByHand) -> None:
     run, host = stage.run("agents.join_timeout_s=3.0"), stage.host()
     wait_for(stage.out / "run.mcap")
-    said_by(host, "joined")  # maybe later than that
+    read_until(host, "joined")  # maybe after the start of the run
     host.send_signal(signal.SIGSTOP)
     stage.finish(run)
     time.sleep(1.0)
     host.send_signal(signal.SIGCONT)
-    code, said = ended(host)
-    # It may first read the farewell that was sent to it meanwhile, or first find that its link has gone.
+    code, said = exit_of(host)
+    # It may first read the farewell sent meanwhile, or first detect the closed link.
     assert (code, "is gone" in said) in {(0, False), (3, True)}
 
 
-def test_an_agent_that_failed_is_not_back_when_its_host_is(stage: ByHand) -> None:
-    """It failed; later its host hung for a while, and came back: the agent has not."""
+def test_a_failed_agent_does_not_return_with_its_host(stage: ByHand) -> None:
+    """Later its host hangs and returns; the agent does not."""
     more = ("vehicle.car2.agent.how=raise", "vehicle.car2.agent.at=0.3", "agents.deadline_s=1.5")
     run = stage.run(*more, seconds=4.0)
     host = stage.host()
-    said_by(run, "car2 has lost its agent: raised RuntimeError: lost my way")
+    read_until(run, "car2 has lost its agent: raised RuntimeError: lost my way")
     host.send_signal(signal.SIGSTOP)
     time.sleep(2.5)
     host.send_signal(signal.SIGCONT)
-    assert [ended(each)[0] for each in (run, host)] == [0, 0]
+    assert [exit_of(each)[0] for each in (run, host)] == [0, 0]
     metrics = json.loads((stage.out / "metrics.json").read_text())["agents"]["car2"]
     assert [each[2]["state"] for each in presences(stage.out)] == ["lost"]
     assert metrics["reconnects"] == 0

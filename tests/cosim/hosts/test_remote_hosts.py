@@ -1,4 +1,4 @@
-"""Hosts on other machines: with certificates, through a network that breaks, they give the bytes that one process gives."""
+"""Hosts on other machines: with certificates, over an interrupted network, the same bytes as in one process."""
 
 import json
 import re
@@ -13,20 +13,20 @@ import pytest
 
 import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.run_processes import Stage, Wire, ended, ended_with, wait_for
+from tests.support.cosim.run_processes import Forwarder, Stage, exit_of, output_at_exit, wait_for
 from tests.support.cosim.teams import ELSEWHERE, FOLLOWER, HERE, LEADER, team
 
 pytestmark = [pytest.mark.processes, pytest.mark.sockets]
 
 
 def far(duration_s: float) -> str:
-    """The scenario of a leader here and two followers elsewhere."""
+    """The scenario of a leader in the run and two followers on remote hosts."""
     agents = LEADER + HERE, FOLLOWER + ELSEWHERE, FOLLOWER + ELSEWHERE
     return team("far", *agents, duration_s=duration_s, loss=0.3, deadline_s=20.0, join_timeout_s=60.0)
 
 
 class Place(Stage):
-    """A folder with keys and a scenario, and the processes that are started there."""
+    """A folder with keys and a scenario, and its processes."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
@@ -66,16 +66,16 @@ def test_two_machines_with_certificates_give_the_bytes_of_one_process(place: Pla
     one, two = place.keys("car2", as_="one"), place.keys("car3", as_="two")
     run = place.run(5.0)
     hosts = [place.host("car2", one, place.port), place.host("car3", two, place.port)]
-    assert ended(run)[0] == 0
-    assert [ended(host)[0] for host in hosts] == [0, 0]
+    assert exit_of(run)[0] == 0
+    assert [exit_of(host)[0] for host in hosts] == [0, 0]
     assert place.digest() == place.reference()
 
 
-def test_a_certificate_speaks_for_its_own_vehicles_alone(place: Place) -> None:
-    """Refused on the host's side by its own file; past that, by the run, which says so too."""
+def test_a_certificate_is_valid_only_for_its_vehicles(place: Place) -> None:
+    """Refused by the host itself because of its file; if this is circumvented, by the run, which reports it."""
     mine, theirs = place.keys("car2", as_="one"), place.keys("car3", as_="two")
     run = place.run(5.0)
-    said = ended_with(2, place.host("car3", mine, place.port))
+    said = output_at_exit(2, place.host("car3", mine, place.port))
     assert "one.keys: is for car2, not for car3" in said
     forged = (
         "import sys; from vcmvsp.agents import host_process as serve; from vcmvsp.cosim.security import certificates\n"
@@ -89,42 +89,42 @@ def test_a_certificate_speaks_for_its_own_vehicles_alone(place: Place) -> None:
     refusal = "the certificate of 'one' is for car2, not for car3"
     assert f"the run rejects this host: {refusal}" in liar.stderr
     hosts = [place.host("car2", mine, place.port), place.host("car3", theirs, place.port)]
-    said = ended_with(0, run)
+    said = output_at_exit(0, run)
     assert f"rejected a host with the certificate of one: {refusal}" in said
-    assert [ended(host)[0] for host in hosts] == [0, 0]
+    assert [exit_of(host)[0] for host in hosts] == [0, 0]
 
 
-def silent(wire: Wire) -> None:
+def silent(wire: Forwarder) -> None:
     wire.freeze(3.0)
 
 
-def broken(wire: Wire) -> None:
+def broken(wire: Forwarder) -> None:
     wire.reset(3.0)
 
 
 @pytest.mark.parametrize(("cut", "latency_s"), [(silent, 0.0), (broken, 0.0), (broken, 0.45)])
 def test_a_cut_that_heals_within_the_deadline_loses_nothing(
-    cut: Callable[[Wire], None], latency_s: float, place: Place
+    cut: Callable[[Forwarder], None], latency_s: float, place: Place
 ) -> None:
-    """With a latency several questions are open when the link breaks, and some of them may come out of order behind it."""
+    """With a latency, several questions are open when the link breaks, and some may arrive out of order afterwards."""
     both = place.keys("car2", "car3", as_="both")
-    wire = Wire(place.port)
+    wire = Forwarder(place.port)
     run = place.run(5.0, "--realtime", "--set", f"agents.latency_s={latency_s}")
     hosts = [place.host("car2", both, wire.port), place.host("car3", both, place.port)]
     wait_for(place.out / "run.mcap")
     time.sleep(1.0)
     cutting = threading.Thread(target=cut, args=(wire,))
     cutting.start()
-    ends = [ended(each) for each in (run, *hosts)]
+    ends = [exit_of(each) for each in (run, *hosts)]
     cutting.join()
     assert [code for code, _ in ends] == [0, 0, 0], ends
     wire.close()
     assert place.digest() == place.reference(latency_s)
     late = json.loads((place.out / "about.json").read_text())["lateness"]
-    assert late["max_s"] > 1.5  # the cut was felt
+    assert late["max_s"] > 1.5  # the cut had an effect
 
 
-def test_beyond_this_machine_certificates_are_a_must(place: Place) -> None:
+def test_remote_hosts_need_certificates(place: Place) -> None:
     (place.folder / "far.toml").write_text(far(1.0))
     run = ("run", str(place.folder / "far.toml"), "--out", str(place.out))
     code, _, said = vcmvsp_command(*run, "--listen", f"tcp/0.0.0.0:{place.port}")

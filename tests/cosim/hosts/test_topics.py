@@ -1,4 +1,4 @@
-"""What a run shows on its hub: all of it, to those who may hear it, without a trace in the run."""
+"""Topics that a run publishes on its hub: all values, for observers only, without effect on the run."""
 
 import base64
 import contextlib
@@ -63,7 +63,7 @@ MESSAGE = Message(sender="car1", body={"x": 1.5, "plan": [1, 2], "raw": b"\x00\x
 FRAME = FrameReport(
     frame=7,
     sender="car1",
-    sent_ns=2**53 + 1,  # which is no float
+    sent_ns=2**53 + 1,  # not exact as a float
     size_bytes=40,
     receivers=("car2", "car3"),
     distance_m=np.array([1.0, 2.5]),
@@ -88,8 +88,8 @@ VALUES: dict[str, Any] = {
 }
 
 
-class Ear:
-    """Somebody who listens, and notes the type, time and value of all that comes."""
+class Subscriber:
+    """A subscriber that records key, type, time and value of all samples."""
 
     def __init__(self, session: zenoh.Session, expression: str = key_names.TOPICS) -> None:
         self.heard: list[tuple[str, str, int, Any]] = []
@@ -129,10 +129,10 @@ def client(endpoint: str, secure: dict[str, Any] | None = None) -> zenoh.Session
     return opened({"mode": "client", "listen": {"endpoints": []}, "connect": connect}, secure or {}, "")
 
 
-def show(topics: Topics, key: str, value: Any, ear: Ear, until_heard: str = "") -> Any:
-    """Have the run give an event again and again until it is heard, or what comes with it under another key.
+def show(topics: Topics, key: str, value: Any, ear: Subscriber, until_heard: str = "") -> Any:
+    """Publish an event repeatedly until it, or ``until_heard``, is received; the received value.
 
-    A listener is known to the hub only after a moment, and what it is told may be dropped.
+    A subscription takes effect only after a moment, and samples may be dropped.
     """
 
     def heard() -> bool:
@@ -147,16 +147,16 @@ def show(topics: Topics, key: str, value: Any, ear: Ear, until_heard: str = "") 
 
 
 @pytest.mark.parametrize("tag", VALUES)
-def test_a_value_is_the_json_that_the_recording_has(hub: Hub, topics: Topics, stack: contextlib.ExitStack, tag: str) -> None:
-    ear = Ear(stack.enter_context(client(hub.endpoint)))
+def test_a_value_is_the_recorded_json(hub: Hub, topics: Topics, stack: contextlib.ExitStack, tag: str) -> None:
+    ear = Subscriber(stack.enter_context(client(hub.endpoint)))
     said = show(topics, "car2/thing", VALUES[tag], ear)
     assert said == json.loads(msgspec.json.encode(VALUES[tag], enc_hook=messages.to_json))
     assert said["type"] == tag
     assert ear.heard[0][:3] == ("car2/thing", f"application/json;{tag}", 12)
 
 
-def test_each_reception_comes_under_its_receivers_key(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
-    ear = Ear(stack.enter_context(client(hub.endpoint)))
+def test_each_reception_has_its_receivers_key(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
+    ear = Subscriber(stack.enter_context(client(hub.endpoint)))
     reception = Reception(message=MESSAGE, rssi_dbm=-60.0, sent_ns=1, received_ns=2)
     event = Event(RECEPTIONS, 1, receptions_at("car2", [reception], ("car1", "car2")))
 
@@ -169,13 +169,13 @@ def test_each_reception_comes_under_its_receivers_key(hub: Hub, topics: Topics, 
     assert {key for key in ear.values() if key != "car2/heard"} == set()
 
 
-def test_states_come_together_and_each_under_its_own_key(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
-    ear = Ear(stack.enter_context(client(hub.endpoint)))
+def test_states_have_a_common_key_and_one_each(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
+    ear = Subscriber(stack.enter_context(client(hub.endpoint)))
     rng = np.random.default_rng(1)
     names, columns = ("car1", "car2"), {"position": 3, "velocity": 3, "attitude": 4, "angular_velocity": 3}
     states = States(names=names, **{name: rng.normal(size=(2, width)) for name, width in columns.items()})
     show(topics, "world/states", states, ear)
-    show(topics, "world/states", states, ear, until_heard="car2/state")  # of all keys one may be known to be heard first
+    show(topics, "world/states", states, ear, until_heard="car2/state")  # one of the keys may be received before the others
     together = ear.values()["world/states"]
     assert together["names"] == list(names)
     for name in columns:
@@ -185,8 +185,8 @@ def test_states_come_together_and_each_under_its_own_key(hub: Hub, topics: Topic
     assert {said[1] for said in ear.heard if said[0] == "car2/state"} == {"application/json;state"}
 
 
-def test_pictures_and_scans_can_be_read_again(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
-    ear = Ear(stack.enter_context(client(hub.endpoint)))
+def test_pictures_and_scans_can_be_decoded(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
+    ear = Subscriber(stack.enter_context(client(hub.endpoint)))
     pixels = np.random.default_rng(1).integers(0, 255, (3, 5, 3), np.uint8)
     depth = np.array([[1.5, np.inf, 2.0, 3.0, 4.0]] * 3, np.float32)
     said = show(topics, "uav1/camera", Image(pixels=pixels, time_ns=4, focal_px=80.0, depth_m=depth), ear)
@@ -199,9 +199,9 @@ def test_pictures_and_scans_can_be_read_again(hub: Hub, topics: Topics, stack: c
     assert said["ranges"] == [0.5, None, None, float(np.float32(0.1))]
 
 
-def test_what_agents_show_can_be_read_again(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
-    """Cell by cell, as bytes: lists of numbers would be four times as long."""
-    ear = Ear(stack.enter_context(client(hub.endpoint)))
+def test_maps_mosaics_and_sightings_can_be_decoded(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
+    """Cells as bytes: lists of numbers would be four times as long."""
+    ear = Subscriber(stack.enter_context(client(hub.endpoint)))
     rng, place = np.random.default_rng(1), {"left": -3.0, "bottom": 4.5, "cell_m": 0.5}
     probability, seen = rng.integers(0, 255, (3, 5), np.uint8), rng.random((3, 5)) < 0.5
     pixels = rng.integers(0, 255, (3, 5, 3), np.uint8)
@@ -219,7 +219,7 @@ def test_what_agents_show_can_be_read_again(hub: Hub, topics: Topics, stack: con
     assert msgspec.convert(said["found"], tuple[Sighting, ...]) == (one,)
 
 
-def test_nothing_is_worked_out_for_nobody(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
+def test_without_subscribers_nothing_is_computed(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
     worked: list[str] = []
 
     def later(key: str) -> Any:
@@ -235,7 +235,7 @@ def test_nothing_is_worked_out_for_nobody(hub: Hub, topics: Topics, stack: conte
 
     session = stack.enter_context(client(hub.endpoint))
     on("car1/scan")
-    ear = Ear(session, "vcmvsp/topic/car1/*")
+    ear = Subscriber(session, "vcmvsp/topic/car1/*")
     until(lambda: on("car1/scan") or ear.heard)
     on("car2/scan")
     assert set(worked) == {"car1/scan"}
@@ -246,8 +246,8 @@ def test_nothing_is_worked_out_for_nobody(hub: Hub, topics: Topics, stack: conte
     assert worked == []
 
 
-def test_what_cannot_be_shown_is_said_and_ends_nothing(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
-    ear = Ear(stack.enter_context(client(hub.endpoint)))
+def test_invalid_values_are_errors_and_end_nothing(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
+    ear = Subscriber(stack.enter_context(client(hub.endpoint)))
 
     def fails() -> Reading:
         raise RuntimeError("the lens is dirty")
@@ -268,7 +268,7 @@ def ask(session: zenoh.Session, key: str, payload: bytes = b"") -> list[Any]:
     return [json.loads(each.ok.payload.to_string()) for each in session.get(key, payload=payload, timeout=5.0) if each.ok]
 
 
-def test_who_asks_is_told_what_run_this_is(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
+def test_a_query_returns_facts_of_the_run(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
     session = stack.enter_context(client(hub.endpoint))
     before = time.time_ns()
     (about,) = ask(session, key_names.about_key("anyone"))
@@ -285,9 +285,9 @@ def test_who_asks_is_told_what_run_this_is(hub: Hub, topics: Topics, stack: cont
     assert ask(session, key_names.about_key("anyone")) == []
 
 
-def test_a_question_may_be_answered_on_a_topic_too(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
+def test_a_query_may_be_answered_on_a_topic_too(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
     session = stack.enter_context(client(hub.endpoint))
-    ear = Ear(session, "vcmvsp/topic/echo/*")
+    ear = Subscriber(session, "vcmvsp/topic/echo/*")
     until(lambda: ask(session, key_names.about_key("me"), ECHO) and ear.heard)
     assert ear.heard[0] == ("echo/me", "application/json;echo", 0, {"type": "echo"})
 
@@ -306,7 +306,7 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Keys:
     return certificates.load(folder)
 
 
-def test_observers_hear_and_nobody_else_does(keys: Keys, stack: contextlib.ExitStack) -> None:
+def test_only_observers_receive_topics(keys: Keys, stack: contextlib.ExitStack) -> None:
     hub = Hub("tls/127.0.0.1:0", keys)
     stack.callback(hub.close)
     topics = Topics(hub.session, {"scenario": "here"}, keys)
@@ -317,7 +317,7 @@ def test_observers_hear_and_nobody_else_does(keys: Keys, stack: contextlib.ExitS
         name: stack.enter_context(client(hub.endpoint, access_control.machine_security(bundle)))
         for name, bundle in bundles.items()
     }
-    ears = {name: Ear(session) for name, session in sessions.items()}
+    ears = {name: Subscriber(session) for name, session in sessions.items()}
     show(topics, "car2/note", VALUES["note"], ears["anna"])
     show(topics, "car2/note", VALUES["note"], ears["ben"])
     roles = {"laptop": ("host", ["car2", "car3"]), "anna": ("observer", []), "ben": ("observer", []), "gone": None}
@@ -327,7 +327,7 @@ def test_observers_hear_and_nobody_else_does(keys: Keys, stack: contextlib.ExitS
         for other in {*names, "hub", "*"} - {name}:
             assert ask(session, key_names.about_key(other)) == []
         assert ask(session, key_names.about_key(name), b"x" * (access_control.MAX_JOIN + 1)) == []
-    mine = ears["anna"].subscriber  # what anna says stays with her
+    mine = ears["anna"].subscriber  # samples sent by anna reach no other observer
     mine.undeclare()  # type: ignore[no-untyped-call]
     sessions["anna"].put("vcmvsp/topic/car2/command", b"evil")
     sessions["anna"].declare_queryable(key_names.about_key("ben"), Callback(zenoh.Query.drop, indirect=False))
@@ -337,13 +337,13 @@ def test_observers_hear_and_nobody_else_does(keys: Keys, stack: contextlib.ExitS
     assert ears["laptop"].heard == ears["gone"].heard == []
 
 
-def test_observers_see_the_page_and_nobody_else_does(keys: Keys, stack: contextlib.ExitStack) -> None:
-    """Its scenery tells where targets are, which no agent may know."""
+def test_only_observers_receive_the_page(keys: Keys, stack: contextlib.ExitStack) -> None:
+    """The scenery contains the places of targets, which are hidden from agents."""
     hub = Hub("tls/127.0.0.1:0", keys)
     stack.callback(hub.close)
     page = PagePublisher(hub.session, b"the scenery")
     stack.callback(page.close)
-    assert not page.push()  # nobody looks
+    assert not page.push()  # no observer
     seen: dict[str, list[zenoh.Sample]] = {name: [] for name in ("laptop", "anna", "ben")}
     sessions = {}
     for name, updates in seen.items():
@@ -378,8 +378,8 @@ with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as session:
 """
 
 
-def test_an_observer_that_hangs_holds_nobody_up(stack: contextlib.ExitStack) -> None:
-    """It has promised to be silent for ten minutes; 40 MB of pictures would fill every buffer on the way to it."""
+def test_an_observer_that_hangs_blocks_no_others(stack: contextlib.ExitStack) -> None:
+    """Its link may be silent for ten minutes; 40 MB of pictures would fill every buffer on the way to it."""
     session = opened(
         {"mode": "router", "listen": {"endpoints": ["tcp/127.0.0.1:0"]}, "adminspace": {"enabled": True}}, QUEUES, ""
     )
@@ -392,7 +392,7 @@ def test_an_observer_that_hangs_holds_nobody_up(stack: contextlib.ExitStack) -> 
     try:
         assert hangs.stdout is not None
         assert hangs.stdout.readline() == "up\n"
-        ear = Ear(stack.enter_context(client(where["locators"][0])), "vcmvsp/topic/car1/note")
+        ear = Subscriber(stack.enter_context(client(where["locators"][0])), "vcmvsp/topic/car1/note")
         image = Image(pixels=np.zeros((480, 640, 3), np.uint8))
         topics.on(Event("uav1/camera", 1, image))
         until(lambda: topics._has_subscribers["uav1/camera"])
@@ -404,10 +404,10 @@ def test_an_observer_that_hangs_holds_nobody_up(stack: contextlib.ExitStack) -> 
             took_s.append(time.monotonic() - begin)
             for _ in range(100):
                 topics.on(Event("car1/note", number, VALUES["note"]))
-        assert topics._has_subscribers["uav1/camera"]  # the hub still takes it for a listener
-        assert max(took_s) < 5.0  # which blocking would take for one of them
+        assert topics._has_subscribers["uav1/camera"]  # still a subscriber for the hub
+        assert max(took_s) < 5.0  # with blocking, one of them would take this long
         assert statistics.median(took_s) < 5.0 / len(took_s)
-        show(topics, "car1/note", VALUES["note"], ear)  # while others hear
+        show(topics, "car1/note", VALUES["note"], ear)  # other observers receive
     finally:
         hangs.kill()
         hangs.communicate()

@@ -1,4 +1,4 @@
-"""``vcmvsp watch`` at real runs: it shows what the recording has, and leaves no trace in it."""
+"""``vcmvsp watch`` at real runs: it shows the recorded values and does not change the run."""
 
 import json
 import os
@@ -16,7 +16,7 @@ from mcap.reader import make_reader
 
 import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.run_processes import VCMVSP, Stage, ended, ended_with, said_by, wait_for
+from tests.support.cosim.run_processes import VCMVSP, Stage, exit_of, output_at_exit, read_until, wait_for
 from tests.support.cosim.teams import FOLLOWER, LEADER, team
 from tests.support.cosim.view_pages import browser
 from tests.support.paths import ROOT
@@ -30,8 +30,8 @@ SCENARIO = team("shown", LEADER, FOLLOWER, duration_s=2.0, loss=0.3, deadline_s=
 SAME = ("car1/command", "car2/command", "car1/send", "car2/note", "car2/odometry", "car1/state", "radio/frame")
 
 
-class Theatre(Stage):
-    """Runs that show themselves, and those who watch."""
+class WatchStage(Stage):
+    """Runs with published topics, and their observers."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
@@ -50,7 +50,7 @@ class Theatre(Stage):
         return process
 
     def waiting(self, *more: str) -> subprocess.Popen[str]:
-        """A run that begins when its host comes."""
+        """A run that begins when its host joins."""
         return self.run("--agents", "zenoh", "--realtime", *more)
 
     def host(self, *more: str) -> subprocess.Popen[str]:
@@ -66,110 +66,110 @@ class Theatre(Stage):
         return json.loads((self.out / "metrics.json").read_text())["digest"]
 
     def alone(self) -> str:
-        """The digest of the run when nobody watches."""
+        """Digest of the run without observers."""
         return vcmvsp.run(self.folder / "shown.toml", mcap=False).metrics["digest"]
 
 
 @pytest.fixture
-def theatre(tmp_path: Path) -> Iterator[Theatre]:
-    with Theatre(tmp_path) as made:
+def stage(tmp_path: Path) -> Iterator[WatchStage]:
+    with WatchStage(tmp_path) as made:
         yield made
 
 
-def test_two_observers_see_the_recording_and_change_no_bit(theatre: Theatre) -> None:
-    """Both wait for the run, which waits for its host; so they see it from its first event to its last."""
-    everything, one = theatre.watch("all", "--json"), theatre.watch("one", "--topic", "car2/note", "--topic", "car1/*")
-    said_by(everything, "waiting for a run at")
-    run = theatre.waiting()
+def test_two_observers_see_the_recording_and_change_no_bit(stage: WatchStage) -> None:
+    """Both wait for the run, which waits for its host: they receive it from its first event to its last."""
+    everything, one = stage.watch("all", "--json"), stage.watch("one", "--topic", "car2/note", "--topic", "car1/*")
+    read_until(everything, "waiting for a run at")
+    run = stage.waiting()
     for observer in (everything, one):
-        said_by(observer, "watching")
-    assert [ended(each)[0] for each in (run, theatre.host(), everything, one)] == [0, 0, 0, 0]
-    assert theatre.digest() == theatre.alone()
+        read_until(observer, "watching")
+    assert [exit_of(each)[0] for each in (run, stage.host(), everything, one)] == [0, 0, 0, 0]
+    assert stage.digest() == stage.alone()
     recorded: dict[str, list[Any]] = {topic: [] for topic in SAME}
-    with (theatre.out / "run.mcap").open("rb") as stream:
+    with (stage.out / "run.mcap").open("rb") as stream:
         for _, channel, message in make_reader(stream).iter_messages(topics=list(SAME)):
             recorded[channel.topic].append((message.log_time, json.loads(message.data)))
-    seen = theatre.seen("all")
+    seen = stage.seen("all")
     for topic in SAME:
         assert recorded[topic]
         shown = [(each["time_ns"], each["value"]) for each in seen if each["topic"] == topic]
-        if topic == "car1/state":  # shown as often as it is published, and recorded less often
+        if topic == "car1/state":  # shown as often as published, recorded less often
             assert [each for each in shown if each in recorded[topic]] == recorded[topic]
         else:
             assert shown == recorded[topic]
         assert all(each["type"] == each["value"]["type"] for each in seen)
-    lines = (theatre.folder / "one").read_text().splitlines()
+    lines = (stage.folder / "one").read_text().splitlines()
     topics = {re.split(r"\s+", each.strip())[2] for each in lines}
     assert topics == {"car2/note", *(f"car1/{what}" for what in ("state", "estimate", "odometry", "command", "send"))}
     assert any(re.fullmatch(r" +\d\.\d00 s  car1/command      v 0\.\d\d m/s  w -?\d\.\d\d rad/s", each) for each in lines)
 
 
-def test_who_comes_late_sees_the_rest(theatre: Theatre) -> None:
-    run = theatre.endless()
-    wait_for(theatre.out / "run.mcap")
-    rest = theatre.watch("rest", "--json", "--topic", "car1/command", "--topic", "car1/state")
-    said_by(rest, "watching")
-    some = theatre.watch("some", "--json", "--count", "5", "--topic", "car$*/note")
-    assert ended(some)[0] == 0
-    assert [each["topic"] for each in theatre.seen("some")] == ["car2/note"] * 5
+def test_a_late_observer_sees_the_rest(stage: WatchStage) -> None:
+    run = stage.endless()
+    wait_for(stage.out / "run.mcap")
+    rest = stage.watch("rest", "--json", "--topic", "car1/command", "--topic", "car1/state")
+    read_until(rest, "watching")
+    some = stage.watch("some", "--json", "--count", "5", "--topic", "car$*/note")
+    assert exit_of(some)[0] == 0
+    assert [each["topic"] for each in stage.seen("some")] == ["car2/note"] * 5
     run.send_signal(signal.SIGINT)
-    assert [ended(each)[0] for each in (run, rest)] == [130, 0]
-    times = [each["time_ns"] for each in theatre.seen("rest")]
+    assert [exit_of(each)[0] for each in (run, rest)] == [130, 0]
+    times = [each["time_ns"] for each in stage.seen("rest")]
     assert times == sorted(times)
-    assert 0 < times[0] <= theatre.seen("some")[0]["time_ns"] < theatre.seen("some")[-1]["time_ns"] <= times[-1]
+    assert 0 < times[0] <= stage.seen("some")[0]["time_ns"] < stage.seen("some")[-1]["time_ns"] <= times[-1]
 
 
-def test_an_observer_that_hangs_or_is_interrupted_ends_no_run(theatre: Theatre) -> None:
-    run = theatre.waiting()
-    hangs, leaves = theatre.watch("hangs", "--json"), theatre.watch("leaves", "--json")
+def test_an_observer_that_hangs_or_is_interrupted_ends_no_run(stage: WatchStage) -> None:
+    run = stage.waiting()
+    hangs, leaves = stage.watch("hangs", "--json"), stage.watch("leaves", "--json")
     for observer in (hangs, leaves):
-        said_by(observer, "watching")
+        read_until(observer, "watching")
     os.kill(hangs.pid, signal.SIGSTOP)
     leaves.send_signal(signal.SIGINT)
-    assert ended(leaves) == (130, "vcmvsp: interrupted\n")
-    assert [ended(each)[0] for each in (run, theatre.host())] == [0, 0]
-    assert theatre.digest() == theatre.alone()
+    assert exit_of(leaves) == (130, "vcmvsp: interrupted\n")
+    assert [exit_of(each)[0] for each in (run, stage.host())] == [0, 0]
+    assert stage.digest() == stage.alone()
     os.kill(hangs.pid, signal.SIGCONT)
-    said = ended_with(0, hangs)
+    said = output_at_exit(0, hangs)
     assert "the run has ended" in said
 
 
-def test_a_terminal_has_the_newest_twice_a_second(theatre: Theatre) -> None:
-    run = theatre.waiting()
+def test_a_terminal_shows_the_newest_twice_a_second(stage: WatchStage) -> None:
+    run = stage.waiting()
     ours, theirs = pty.openpty()
     process = subprocess.Popen(
-        [*VCMVSP, "watch", theatre.endpoint, "--topic", "car1/command"], stdout=theirs, stderr=subprocess.PIPE, text=True
+        [*VCMVSP, "watch", stage.endpoint, "--topic", "car1/command"], stdout=theirs, stderr=subprocess.PIPE, text=True
     )
-    theatre.processes.append(process)
+    stage.processes.append(process)
     os.close(theirs)
-    said_by(process, "watching")
-    host = theatre.host()
+    read_until(process, "watching")
+    host = stage.host()
     shown = b""
     try:
         while data := os.read(ours, 65536):
             shown += data
-    except OSError:  # it has left
+    except OSError:  # it has exited
         pass
     os.close(ours)
-    assert [ended(each)[0] for each in (process, run, host)] == [0, 0, 0]
+    assert [exit_of(each)[0] for each in (process, run, host)] == [0, 0, 0]
     times = [float(each.split()[0]) for each in shown.decode().splitlines()]
     assert times[-1] == 1.9
     assert len(times) < 15  # of 20 events
 
 
-def test_with_certificates_only_observers_watch(theatre: Theatre) -> None:
-    folder = theatre.folder / "keys"
+def test_with_certificates_only_observers_watch(stage: WatchStage) -> None:
+    folder = stage.folder / "keys"
     authority.init(folder)
     for name, vehicles in (("anna", ()), ("gone", ()), ("laptop", ("car1", "car2"))):
         authority.issue(folder, name, vehicles)
     authority.revoke(folder, "gone")
-    other = theatre.folder / "other"
+    other = stage.folder / "other"
     authority.init(other)
     authority.issue(other, "anna")
-    theatre.endpoint = f"tls/127.0.0.1:{theatre.port}"
-    run = theatre.waiting("--keys", "keys")
-    anna = theatre.watch("anna", "--keys", "keys/anna.keys", "--json")
-    said_by(anna, "watching")
+    stage.endpoint = f"tls/127.0.0.1:{stage.port}"
+    run = stage.waiting("--keys", "keys")
+    anna = stage.watch("anna", "--keys", "keys/anna.keys", "--json")
+    read_until(anna, "watching")
     refusals = {
         "keys/laptop.keys": "is for the host of car1, car2; to watch, use a file made by 'vcmvsp keys observer NAME'",
         "keys/gone.keys": "'gone' is unknown to this run: its certificate was revoked",
@@ -177,38 +177,38 @@ def test_with_certificates_only_observers_watch(theatre: Theatre) -> None:
         "keys/nobody.keys": "nobody.keys: cannot be read: No such file",
     }
     for file, words in refusals.items():
-        code, _, said = vcmvsp_command("watch", theatre.endpoint, "--keys", str(theatre.folder / file))
+        code, _, said = vcmvsp_command("watch", stage.endpoint, "--keys", str(stage.folder / file))
         assert (code, len(said.splitlines())) == (2, 1)
         assert words in said
-    code, _, said = vcmvsp_command("watch", theatre.endpoint)
+    code, _, said = vcmvsp_command("watch", stage.endpoint)
     assert code == 2
     assert "add --keys FILE (made on the run's machine with: vcmvsp keys observer NAME" in said
-    assert [ended(each)[0] for each in (run, theatre.host("--keys", "keys/laptop.keys"), anna)] == [0, 0, 0]
-    assert theatre.seen("anna")[-1]["time_ns"] == 2_000_000_000
+    assert [exit_of(each)[0] for each in (run, stage.host("--keys", "keys/laptop.keys"), anna)] == [0, 0, 0]
+    assert stage.seen("anna")[-1]["time_ns"] == 2_000_000_000
 
 
-def test_a_page_elsewhere_shows_the_run_without_controls_and_changes_no_bit(theatre: Theatre) -> None:
-    authority.init(theatre.folder / "keys")
-    authority.issue(theatre.folder / "keys", "anna")
-    authority.issue(theatre.folder / "keys", "laptop", ("car1", "car2"))
-    theatre.endpoint = f"tls/127.0.0.1:{theatre.port}"
+def test_a_page_elsewhere_shows_the_run_without_controls_and_changes_no_bit(stage: WatchStage) -> None:
+    authority.init(stage.folder / "keys")
+    authority.issue(stage.folder / "keys", "anna")
+    authority.issue(stage.folder / "keys", "laptop", ("car1", "car2"))
+    stage.endpoint = f"tls/127.0.0.1:{stage.port}"
     with browser() as chromium:
-        run = theatre.waiting("--keys", "keys", "--set", "duration_s=10")
-        observer = theatre.watch("page", "--keys", "keys/anna.keys", "--view", "--view-port", "0")
-        host = theatre.host("--keys", "keys/laptop.keys")
-        url = said_by(observer, "control station: ").split()[-1]
+        run = stage.waiting("--keys", "keys", "--set", "duration_s=10")
+        observer = stage.watch("page", "--keys", "keys/anna.keys", "--view", "--view-port", "0")
+        host = stage.host("--keys", "keys/laptop.keys")
+        url = read_until(observer, "control station: ").split()[-1]
         page = chromium.new_page()
         page.goto(url)
         page.locator("#over").get_by_text("the run is complete").wait_for(timeout=60_000)
         assert "car1, kinematic" in page.inner_text("body")
         for control in ("Stop all vehicles", "End the run", "Pause", "Inject outage"):
             assert page.get_by_text(control).count() == 0
-        assert [ended(each)[0] for each in (run, host, observer)] == [0, 0, 0]
-    alone = vcmvsp.run(theatre.folder / "shown.toml", set={"duration_s": 10.0}, mcap=False)
-    assert theatre.digest() == alone.metrics["digest"]
+        assert [exit_of(each)[0] for each in (run, host, observer)] == [0, 0, 0]
+    alone = vcmvsp.run(stage.folder / "shown.toml", set={"duration_s": 10.0}, mcap=False)
+    assert stage.digest() == alone.metrics["digest"]
 
 
-def test_a_page_leaves_no_lines_to_choose() -> None:
+def test_a_page_excludes_options_of_lines() -> None:
     code, _, said = vcmvsp_command("watch", "tcp/127.0.0.1:1", "--view", "--json")
     assert (code, said) == (2, "vcmvsp: --view shows the whole run on a page: leave out --topic, --json and --count\n")
 
@@ -251,12 +251,12 @@ WORDS = [
 
 
 @pytest.mark.parametrize(("kind", "value", "words"), WORDS)
-def test_words_for_people(kind: str, value: Any, words: str) -> None:
+def test_values_in_words(kind: str, value: Any, words: str) -> None:
     line = remote.line(TopicValue(12_300_000_000, "car2/x", kind, json.dumps(value).encode()))
     assert line == f"   12.300 s  car2/x            {words}\n"
 
 
-def test_what_is_no_json_is_shown_as_nothing() -> None:
+def test_invalid_json_is_shown_as_null() -> None:
     assert remote.line(TopicValue(0, "car2/x", "note", b"\xff{")) == "    0.000 s  car2/x            null\n"
     assert len(remote.words("x", "y" * 1000)) == remote.WIDTH
 
@@ -264,22 +264,22 @@ def test_what_is_no_json_is_shown_as_nothing() -> None:
 # --- without vcmvsp ---
 
 
-def test_the_readme_watches_a_run(theatre: Theatre) -> None:
-    """Its program knows nothing of this project but that page."""
+def test_the_readme_watches_a_run(stage: WatchStage) -> None:
+    """The program uses nothing of this project but that page."""
     readme = (ROOT / "cosim" / "hosts" / "README.md").read_text("utf-8")
     blocks = dict(re.findall(r"^```(json5|python)\n(.*?)^```", readme, re.DOTALL | re.MULTILINE))
-    theatre.endpoint = f"tls/127.0.0.1:{theatre.port}"
-    authority.init(theatre.folder / "keys")
-    authority.issue(theatre.folder / "keys", "anna", out=theatre.folder / "anna.keys")
-    (theatre.folder / "watch.json5").write_text(blocks["json5"].replace("tls/192.168.1.10:7447", theatre.endpoint))
-    (theatre.folder / "program.py").write_text(blocks["python"])
+    stage.endpoint = f"tls/127.0.0.1:{stage.port}"
+    authority.init(stage.folder / "keys")
+    authority.issue(stage.folder / "keys", "anna", out=stage.folder / "anna.keys")
+    (stage.folder / "watch.json5").write_text(blocks["json5"].replace("tls/192.168.1.10:7447", stage.endpoint))
+    (stage.folder / "program.py").write_text(blocks["python"])
     assert len(blocks["python"].splitlines()) <= 30
     assert "cosim" not in blocks["python"]
     program = subprocess.Popen(
-        [sys.executable, "-I", "program.py"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=theatre.folder
+        [sys.executable, "-I", "program.py"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=stage.folder
     )
-    theatre.processes.append(program)
-    run = theatre.endless("--keys", "keys")
+    stage.processes.append(program)
+    run = stage.endless("--keys", "keys")
     assert program.stdout is not None
     topics: dict[str, str] = {}
     for line in program.stdout:
@@ -289,6 +289,6 @@ def test_the_readme_watches_a_run(theatre: Theatre) -> None:
             break
     program.kill()
     run.send_signal(signal.SIGINT)
-    assert ended(run)[0] == 130
+    assert exit_of(run)[0] == 130
     kinds = {"state": "state", "estimate": "state", "odometry": "odometry", "command": "velocity", "send": "message"}
     assert topics == kinds

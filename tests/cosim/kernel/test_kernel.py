@@ -1,4 +1,4 @@
-"""The order of an instant, of events, and of remote answers: the contract of `cosim.federate`, as the kernel keeps it."""
+"""Kernel: order of instants, of events and of remote answers, as in the contract of `cosim.federate`."""
 
 import fcntl
 import gc
@@ -27,7 +27,7 @@ def note(key: str, when: int, value: float = 0.0) -> Event:
 
 
 class Script:
-    """A federate that does what a table says: at a time, give these events; it notes every step."""
+    """A federate with a table of events by time; it records every step."""
 
     def __init__(
         self,
@@ -59,7 +59,7 @@ class Script:
 
 
 class Remote(Script):
-    """The same from elsewhere: answers are kept until they are awaited."""
+    """A remote `Script`: keeps its answers until they are requested."""
 
     def __init__(self, *args: Any, lookahead_ns: int = 0, asked: list[str] | None = None, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
@@ -111,21 +111,21 @@ def test_within_a_slot_federates_step_by_name() -> None:
     assert [name for name, _, _ in log] == ["a", "b", "c"]
 
 
-def test_an_event_of_the_future_is_seen_when_its_time_has_come() -> None:
+def test_a_future_event_is_delivered_at_its_time() -> None:
     log: Log = []
     radio = Script("radio", Slot.RADIO, {0: [("car/heard", 10), ("car/heard", 15), ("car/heard", 20)]})
     run(radio, Script("agent", Slot.AGENT, {10: [], 14: [], 20: []}, reads=("car/heard",), log=log))
     assert [len(inbox) for _, _, inbox in log] == [1, 0, 2]
 
 
-def test_of_what_is_read_by_its_newest_only_the_newest_is_given() -> None:
+def test_of_latest_keys_only_the_newest_event_is_delivered() -> None:
     log: Log = []
     world = Script("world", Slot.WORLD, {when: [("car/scan", 0), ("car/heard", 0)] for when in (0, 10, 20, 30)})
     run(world, Script("agent", Slot.AGENT, {20: [], 25: [], 30: []}, reads=("car/heard",), latest=("*/scan",), log=log))
     assert [sorted(inbox) for _, _, inbox in log] == [["car/heard"] * 3 + ["car/scan"], [], ["car/heard", "car/scan"]]
 
 
-def test_an_event_of_the_future_wakes_at_its_own_time() -> None:
+def test_a_future_event_wakes_at_its_own_time() -> None:
     log: Log = []
     agent = Script("agent", Slot.AGENT, {10: [("car/command", 7)]})
     robot = Script("robot", Slot.WORLD, wakes=("*/command",), wake_slot=Slot.APPLY, log=log)
@@ -140,7 +140,7 @@ def test_a_wake_up_does_not_cancel_the_next_own_step() -> None:
     assert [when for _, when, _ in log] == [0, 20, 50]
 
 
-def test_the_end_belongs_to_the_world() -> None:
+def test_agents_do_not_step_at_the_end() -> None:
     log: Log = []
     federates = [Script(slot.name, slot, {99: [], 100: [], 101: []}, log=log) for slot in (Slot.WORLD, Slot.RADIO, Slot.AGENT)]
     run(*federates, duration=100)
@@ -232,7 +232,7 @@ def test_a_faulty_federate_is_named(federate: Callable[[], Script], words: str) 
     assert raised.value.federate == "faulty"
 
 
-def test_an_event_that_comes_too_late_for_whom_it_wakes_is_refused() -> None:
+def test_an_event_too_late_for_the_slot_that_it_wakes_is_refused() -> None:
     radio = Script("radio", Slot.RADIO, wakes=("car/command",), wake_slot=Slot.RADIO)
     with pytest.raises(FederateError, match="car/command, published in AGENT, is too late for RADIO"):
         run(Script("agent", Slot.AGENT, {0: [("car/command", 0)]}), radio)
@@ -247,7 +247,7 @@ def test_all_are_closed_even_if_one_fails() -> None:
     assert good.closed == 1
 
 
-def test_a_host_that_cannot_be_told_of_the_end_keeps_nobody_open() -> None:
+def test_a_failed_release_still_closes_all() -> None:
     remote, good = Remote("a", Slot.AGENT), Script("z", Slot.WORLD)
     remote.release = lambda: 1 / 0  # type: ignore[method-assign, assignment]
     kernel = Kernel(RunInfo(scenario="test", seed=0, duration_ns=1, vehicles=()), [good, remote])
@@ -285,11 +285,11 @@ def test_the_wall_clock_waits_for_every_instant_and_notes_lateness() -> None:
     )
     kernel.start()
     kernel.run(lambda _: None)
-    assert kernel.late_ns == [0, 0, 250, 0]  # 1100 is due at 550 on the wall, and the step before it took until 800
+    assert kernel.late_ns == [0, 0, 250, 0]  # 1100 is due at wall time 550; the step before took until 800
     assert wall[0] >= 1000
 
 
-def test_lateness_is_that_of_ticks_alone_also_where_another_instant_slips_or_takes_an_answer() -> None:
+def test_lateness_counts_at_ticks_only_despite_slips_and_answers_between() -> None:
     wall = [0]
 
     def sleep(seconds: float) -> None:
@@ -312,12 +312,12 @@ def test_lateness_is_that_of_ticks_alone_also_where_another_instant_slips_or_tak
     )
     kernel.start()
     kernel.run(lambda _: None)
-    assert clock.slipped_ns == 400  # at 1100, which is no tick
-    assert kernel.late_ns == [0, 0, 400, 0]  # the tick behind it began so much later than the one before it had promised
+    assert clock.slipped_ns == 400  # at 1100, which is not a tick
+    assert kernel.late_ns == [0, 0, 400, 0]  # start of the next tick, relative to the schedule before the slip
 
 
-def test_who_is_polled_is_stepped_in_the_instant_that_begins_before_all_others() -> None:
-    """Also at an instant that is nobody's of its slot."""
+def test_a_polled_federate_is_stepped_first_in_the_instant() -> None:
+    """Even at an instant at which no federate of its slot is due."""
     log: Log = []
 
     class Asked(Script):
@@ -338,7 +338,7 @@ def test_who_is_polled_is_stepped_in_the_instant_that_begins_before_all_others()
     ]
 
 
-def test_the_clock_is_asked_before_anything_of_an_instant_happens() -> None:
+def test_the_clock_is_called_before_any_step_of_an_instant() -> None:
     log: Log = []
 
     class Stop(Exception):
@@ -369,8 +369,8 @@ def test_the_clock_is_asked_before_anything_of_an_instant_happens() -> None:
     assert (kernel.now_ns, [when for _, when, _ in log]) == (0, [0])
 
 
-class Doorman(Script):
-    """Somebody may come to it at any time; every letter is an event of the instant at which it is read."""
+class SocketScript(Script):
+    """A federate with a socket: each byte that it reads, a letter, is an event of the current instant."""
 
     def __init__(self, inside: socket.socket, **kwargs: Any) -> None:
         super().__init__("door", Slot.WORLD, **kwargs)
@@ -393,7 +393,7 @@ class Doorman(Script):
 
 
 class Wall:
-    """A wall clock that stands still until somebody sleeps; letters come while one does, at their own times."""
+    """A wall clock that moves only by sleeping; letters arrive during a sleep, at their own times."""
 
     def __init__(self, outside: socket.socket, letters: Sequence[int]) -> None:
         self.now_ns, self.outside, self.letters = 0, outside, list(letters)
@@ -429,7 +429,7 @@ def letter_box(request: pytest.FixtureRequest) -> Iterator[tuple[socket.socket, 
             resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
-def test_what_is_wrong_with_a_federate_that_is_asked_is_said_with_its_name() -> None:
+def test_a_failed_poll_names_the_federate() -> None:
     class Torn(Script):
         def poll(self, now_ns: int) -> bool:
             raise RuntimeError("torn")
@@ -438,12 +438,12 @@ def test_what_is_wrong_with_a_federate_that_is_asked_is_said_with_its_name() -> 
         run(Torn("door", Slot.WORLD, {0: []}))
 
 
-def test_a_run_that_is_stopped_when_somebody_has_come_does_not_wait_for_the_next_instant(
+def test_a_run_stopped_in_a_poll_does_not_wait_for_the_next_instant(
     letter_box: tuple[socket.socket, socket.socket],
 ) -> None:
     inside, outside = letter_box
 
-    class Stopping(Doorman):
+    class Stopping(SocketScript):
         def poll(self, now_ns: int) -> bool:
             if now_ns and super().poll(now_ns):
                 kernel.stop = True
@@ -461,7 +461,7 @@ def test_a_run_that_is_stopped_when_somebody_has_come_does_not_wait_for_the_next
 
 
 @pytest.mark.parametrize("speed", [1.0, 2.0])
-def test_whoever_is_come_to_between_two_instants_has_one_of_its_own(
+def test_a_letter_between_two_instants_has_its_own_instant(
     letter_box: tuple[socket.socket, socket.socket], speed: float
 ) -> None:
     inside, outside = letter_box
@@ -469,7 +469,7 @@ def test_whoever_is_come_to_between_two_instants_has_one_of_its_own(
     clock = WallClock(speed, now=lambda: wall.now_ns)
     kernel = Kernel(
         RunInfo(scenario="test", seed=0, duration_ns=100, vehicles=()),
-        [Doorman(inside), Script("world", Slot.WORLD, {each: [("world/tick", 0)] for each in (0, 50, 100)})],
+        [SocketScript(inside), Script("world", Slot.WORLD, {each: [("world/tick", 0)] for each in (0, 50, 100)})],
         clock=clock,
     )
     kernel.start()
@@ -487,18 +487,18 @@ def test_whoever_is_come_to_between_two_instants_has_one_of_its_own(
     assert seen == sorted([*letters, *ticks], key=lambda each: (each[0], each[1]))
 
 
-def test_where_nothing_waits_letters_are_read_at_the_instants_there_are(
+def test_without_waits_letters_are_read_at_the_next_instant(
     letter_box: tuple[socket.socket, socket.socket],
 ) -> None:
     inside, outside = letter_box
     outside.send(b"!!")
     world = Script("world", Slot.WORLD, {0: [("world/tick", 0)], 60: [("world/tick", 0)]})
-    assert run(Doorman(inside), world) == [(0, "door/letter"), (0, "door/letter"), (0, "world/tick"), (60, "world/tick")]
+    assert run(SocketScript(inside), world) == [(0, "door/letter"), (0, "door/letter"), (0, "world/tick"), (60, "world/tick")]
 
 
 @pytest.mark.parametrize("names", [("a", "z"), ("z", "a")])
-def test_of_one_key_what_comes_from_elsewhere_is_published_first(names: tuple[str, str]) -> None:
-    """A vehicle's agent may be in a host elsewhere, or here under a name that sorts before those who speak beside it."""
+def test_remote_events_of_a_key_are_published_first(names: tuple[str, str]) -> None:
+    """A vehicle's agent may run on a remote host, or locally under a name that sorts before other senders of its key."""
     here, elsewhere = names
     given: list[object] = []
 

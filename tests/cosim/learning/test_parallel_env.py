@@ -1,4 +1,4 @@
-"""The environment of all vehicles: it keeps PettingZoo's contract, and is a run like any other."""
+"""Environment of all vehicles: PettingZoo's contract; an episode equals a run."""
 
 import math
 import pickle
@@ -39,13 +39,13 @@ def test_it_keeps_the_contract_of_pettingzoo(task: str) -> None:
 
 def test_pictures_are_drawn_from_above() -> None:
     drawn = parallel_env("formation", render_mode="rgb_array")
-    drawn.metadata["render_modes"] = ["rgb_array"]  # a control station is another test's
+    drawn.metadata["render_modes"] = ["rgb_array"]  # the control station is tested elsewhere
     render_test(lambda **_: parallel_to_aec(drawn))
     drawn.reset()
     picture: Any = drawn.render()
     assert picture.shape == (480, 480, 3)
     vehicles = (np.abs(picture.astype(int) - (40, 70, 160)) < 8).all(axis=-1)
-    assert vehicles.sum() > 3 * 150  # three discs of 16 pixels across
+    assert vehicles.sum() > 3 * 150  # three discs of 16 pixels diameter
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -54,19 +54,19 @@ def test_one_vehicle_keeps_the_contract_of_gymnasium(task: str) -> None:
 
 
 def test_wrappers_of_supersuit_put_copies_side_by_side() -> None:
-    supersuit = installed_apart("supersuit")  # no wheels of what it needs for Python 3.14
+    supersuit = installed_apart("supersuit")  # its dependencies have no wheels for Python 3.14
     many = supersuit.pettingzoo_env_to_vec_env_v1(parallel_env("gates", max_cycles=20))
     many = supersuit.concat_vec_envs_v1(many, 2, num_cpus=1, base_class="gymnasium")
     observations, _ = many.reset(seed=3)
     assert observations.shape == (6, *many.observation_space.shape)
     assert np.array_equal(observations[3:], np.stack(list(parallel_env("gates").reset(seed=4)[0].values())))
-    for _ in range(25):  # over the end of an episode
+    for _ in range(25):  # beyond the end of an episode
         many.step(np.zeros((6, *many.action_space.shape), np.float32))
     many.close()
 
 
 class Scripted(Agent):
-    """Gives the actions of an episode, tick by tick."""
+    """Executes given actions, one per tick."""
 
     def __init__(self, task: Task, actions: list[np.ndarray]) -> None:
         self.task, self.actions, self.tick = task, actions, 0
@@ -89,7 +89,7 @@ class Scripted(Agent):
         (Gates(), {}),
     ],
 )
-def test_an_episode_is_the_run_of_agents_that_do_the_same(task: Task, settings: dict[str, Any], seed: int) -> None:
+def test_an_episode_equals_a_run_with_its_actions(task: Task, settings: dict[str, Any], seed: int) -> None:
     episode = parallel_env(task, set=settings, max_cycles=30, record=True)
     episode.reset(seed=seed)
     actions = _random(episode, 30)
@@ -107,7 +107,7 @@ def test_an_episode_is_the_run_of_agents_that_do_the_same(task: Task, settings: 
 
 
 @pytest.mark.parametrize("radio", ["ideal", "wifi-g-6"])
-def test_what_is_observed_does_not_depend_on_a_record(radio: str) -> None:
+def test_observations_do_not_depend_on_recording(radio: str) -> None:
     both = [parallel_env("gates", set={"radio": {"preset": radio}}, max_cycles=20, record=record) for record in (False, True)]
     actions = _random(both[0], 20)
     for each in both:
@@ -119,7 +119,7 @@ def test_what_is_observed_does_not_depend_on_a_record(radio: str) -> None:
 
 
 def test_frames_are_counted_with_their_losses() -> None:
-    """In a channel that loses all, each vehicle sends one frame a tick, and each of the two others loses it."""
+    """In a channel with 100 % loss, each vehicle sends one frame a tick, and each of the two others loses it."""
     lossy = parallel_env("search", set={"radio.loss.probability": 1.0}, max_cycles=5)
     lossy.reset()
     send = lossy.task.motions
@@ -148,7 +148,7 @@ def test_a_message_is_observed_with_its_age_and_level_when_it_has_arrived() -> N
         if tick == 0:
             actions["v0"] = send
         observations, *_ = env.step(actions)
-        parts = env.views(observations["v1"][None])  # the vehicles before v1 come first: v0
+        parts = env.views(observations["v1"][None])  # other vehicles in order: row 0 is v0
         ages.append(float(parts.age_s[0, 0]) if parts.heard[0, 0] else None)
         if parts.heard[0, 0]:
             assert parts.message[0, 0].tolist() == [0.25, -0.5, 1.0, 0.0]
@@ -157,7 +157,7 @@ def test_a_message_is_observed_with_its_age_and_level_when_it_has_arrived() -> N
     assert ages[2:] == pytest.approx([0.3, 0.4, 0.5])
 
 
-def test_observations_are_within_their_spaces_and_tell_the_state() -> None:
+def test_observations_are_within_their_spaces_and_have_the_state() -> None:
     env = parallel_env("search", max_cycles=10)
     observations, _ = env.reset(seed=5)
     for action in _random(env, 10):
@@ -233,7 +233,7 @@ def test_a_scenario_has_no_reward_and_scripted_vehicles_are_driven() -> None:
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_the_simple_rule_does_the_task_better_than_standing_still(task: str) -> None:
+def test_the_baseline_does_the_task_better_than_standing_still(task: str) -> None:
     total = {}
     for rule in ("baseline", "still"):
         env = parallel_env(task)

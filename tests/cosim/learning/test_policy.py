@@ -1,4 +1,4 @@
-"""A trained policy is an agent like any other."""
+"""A trained policy as an agent."""
 
 from pathlib import Path
 from typing import Any, get_args
@@ -15,7 +15,7 @@ from vcmvsp.policy import META, Policy, load_network, meta_of, save_network
 
 
 def _saved(path: Path, env: VehiclesEnv, **changes: Any) -> Path:
-    """A network with random weights that sends at most ticks."""
+    """Saves a network with random weights; it sends a message at most ticks."""
     rng, size, actions = np.random.default_rng(2), env.layout.size, len(env.action_space(env.possible_agents[0]).low)
     layers = [(rng.normal(0.0, 0.3, (size, 16)), np.zeros(16)), (rng.normal(0.0, 0.5, (16, actions)), np.zeros(actions))]
     layers[-1][1][env.task.motions] = 3.0
@@ -24,7 +24,7 @@ def _saved(path: Path, env: VehiclesEnv, **changes: Any) -> Path:
     return path
 
 
-@pytest.mark.parametrize("runs", get_args(Runs)[:2])  # in this process, in others
+@pytest.mark.parametrize("runs", get_args(Runs)[:2])  # in this process, in other processes
 @pytest.mark.parametrize("task", ["formation", "search", "gates"])
 def test_it_acts_as_in_the_environment_also_in_other_processes(tmp_path: Path, task: str, runs: Runs) -> None:
     env = parallel_env(task, record=True, max_cycles=40)
@@ -41,7 +41,7 @@ def test_it_acts_as_in_the_environment_also_in_other_processes(tmp_path: Path, t
 
 
 def episode_scenario(env: VehiclesEnv, seed: int, file: Path) -> dict[str, Any]:
-    """The scenario of an episode, with the policy as the agent of all vehicles."""
+    """Scenario of an episode, with the policy as the agent of all vehicles."""
     content: Any = env.task.scenario()
     starts, _ = env.scenario.begin(seed)
     vehicles = [
@@ -70,7 +70,7 @@ def test_a_file_of_another_task_or_team_is_one_error(tmp_path: Path) -> None:
 
 
 def test_the_settings_of_the_training_hold(tmp_path: Path) -> None:
-    """A policy that always drives on drives at the greatest speed of its own task."""
+    """A policy that always drives ahead reaches the greatest speed of its own task."""
     env = parallel_env(Formation(kind="kinematic", max_speed=0.25))
     layers = [(np.zeros((env.layout.size, 7)), np.array([9.0, 0.0, -9.0, 0.0, 0.0, 0.0, 0.0]))]
     save_network(tmp_path / "on.npz", layers, meta_of(env.task, env.layout))
@@ -80,7 +80,7 @@ def test_the_settings_of_the_training_hold(tmp_path: Path) -> None:
     assert np.hypot(way["x"], way["y"]).to_numpy() == pytest.approx(0.25 * 4.0, abs=0.02)
 
 
-def test_an_offset_that_all_clocks_have_changes_nothing(tmp_path: Path) -> None:
+def test_a_common_clock_offset_changes_nothing(tmp_path: Path) -> None:
     env = parallel_env("formation")
     content = episode_scenario(env, 1, _saved(tmp_path / "policy.npz", env))
     late = [{**each, "clock": {"offset_s": 5.0}} for each in content["vehicle"]]
@@ -88,8 +88,8 @@ def test_an_offset_that_all_clocks_have_changes_nothing(tmp_path: Path) -> None:
     assert both[0].states.equals(both[1].states)
 
 
-class Seeing(Formation):
-    """With a range scanner."""
+class ScanTask(Formation):
+    """A task with a range scanner."""
 
     sensors = ("scan",)
 
@@ -98,21 +98,21 @@ class Seeing(Formation):
         return {**super().scenario(), "vehicles": {"sensors": {"scan": scan}}, "world": {"kind": "laboratory"}}
 
 
-class SeeingPolicy(Policy):
-    """Runs policies of the task."""
+class ScanPolicy(Policy):
+    """Policies of the task `ScanTask`."""
 
-    task_class = Seeing
+    task_class = ScanTask
 
 
-def test_a_task_of_ones_own_with_sensors(tmp_path: Path) -> None:
-    env = parallel_env(Seeing(), record=True, max_cycles=20)
+def test_a_user_task_with_sensors(tmp_path: Path) -> None:
+    env = parallel_env(ScanTask(), record=True, max_cycles=20)
     file = _saved(tmp_path / "policy.npz", env)
     network = load_network(file)
     observations, _ = env.reset(seed=2)
     while env.agents:
         observations, *_ = env.step({name: network(each) for name, each in observations.items()})
     episode = env.result()
-    run = vcmvsp.run(env.scenario.load(2)[0], agents={name: SeeingPolicy(file) for name in env.possible_agents})
+    run = vcmvsp.run(env.scenario.load(2)[0], agents={name: ScanPolicy(file) for name in env.possible_agents})
     assert run.radio.equals(episode.radio)
     assert run.states.equals(episode.states)
 
@@ -141,7 +141,7 @@ def test_a_file_that_cannot_be_read_is_one_error(tmp_path: Path) -> None:
             load_network(tmp_path / name)
 
 
-def test_onnx_gives_what_its_network_gives(tmp_path: Path) -> None:
+def test_onnx_equals_its_network(tmp_path: Path) -> None:
     onnx = pytest.importorskip("onnx")
     from onnx import TensorProto, helper, numpy_helper
 

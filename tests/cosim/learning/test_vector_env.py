@@ -1,4 +1,4 @@
-"""Worlds side by side give what each of them gives alone."""
+"""Parallel worlds give the results of each world alone."""
 
 from typing import Any
 
@@ -29,7 +29,7 @@ RADIOS: dict[str, dict[str, Any]] = {
 
 
 def _check(task: Task, worlds: int, ticks: int, settings: dict[str, Any]) -> set[str]:
-    """Compare worlds side by side with each alone; returns the causes of losses."""
+    """Compares parallel worlds with each world alone; returns the causes of losses."""
     together = vector_env(task, num_envs=worlds, seed=11, set=settings, max_cycles=ticks)
     alone = [parallel_env(task, seed=11 + world, set=settings, max_cycles=ticks) for world in range(worlds)]
     observations, _ = together.reset()
@@ -56,7 +56,7 @@ def _check(task: Task, worlds: int, ticks: int, settings: dict[str, Any]) -> set
 
 @pytest.mark.slow
 @pytest.mark.parametrize("task", [Formation(), Search(), Gates()], ids=lambda task: task.name)
-def test_each_world_is_the_world_of_its_seed(task: Task) -> None:
+def test_each_world_equals_that_of_its_seed(task: Task) -> None:
     assert _check(task, 16, 200, {}) == {"random loss"}
 
 
@@ -94,7 +94,7 @@ def test_a_world_whose_task_is_done_gets_no_further_reward() -> None:
         env.step(np.zeros((4, 3, 7)))
 
 
-def test_seeds_go_on_after_those_of_the_last_episode() -> None:
+def test_seeds_continue_after_the_last_episode() -> None:
     env = vector_env("gates", num_envs=3, seed=1)
     env.reset()
     second = env.reset()[0]
@@ -115,7 +115,7 @@ def test_seeds_go_on_after_those_of_the_last_episode() -> None:
         ({"vehicle.v1.sensors.imu.kind": "imu"}, "sensors"),
     ],
 )
-def test_what_one_world_needs_for_itself_is_refused_by_its_key(settings: dict[str, Any], key: str) -> None:
+def test_settings_for_single_worlds_are_refused_by_key(settings: dict[str, Any], key: str) -> None:
     with pytest.raises(ScenarioError, match=key):
         vector_env("gates", num_envs=2, set=settings)
 

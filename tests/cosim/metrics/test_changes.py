@@ -1,4 +1,4 @@
-"""What is counted of agents' notes: changes of shape and mode, time off the task, time to re-form."""
+"""Metrics from agents' notes: changes of shape and mode, time off the task, time to re-form."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.cosim.recordings import TENTH, follows, note, recorded, states
+from tests.support.cosim.recordings import TENTH, follows, note, recorder_after, states
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.types import Follows
@@ -21,7 +21,9 @@ def at(k: int) -> int:
 
 
 def row(off: Mapping[str, Sequence[float]], count: int = 100) -> list[Event]:
-    """a leads, b and c follow in a row; each is off by these, m, one a tick, and by the last one from then on."""
+    """States of leader a and followers b and c in a row; ``off``: error of a follower, m, per tick; its last value holds to
+    the end.
+    """
     events = []
     for k in range(count + 1):
         error = {name: (off[name][min(k, len(off[name]) - 1)] if name in off else 0.0) for name in "bc"}
@@ -36,8 +38,8 @@ def changes(
     team: Sequence[Event] = TEAM,
     window: tuple[float, float | None] = (0.0, None),
 ) -> dict[str, Any]:
-    """Of a run of 10 s."""
-    formation = recorded("abc", [*team, *row(off or {}), *notes], 10 * SECOND_NS).metrics(window=window)["formation"]
+    """Metrics of these notes in a run of 10 s."""
+    formation = recorder_after("abc", [*team, *row(off or {}), *notes], 10 * SECOND_NS).metrics(window=window)["formation"]
     each = {name: {key: own[key] for key in KEYS} for name, own in formation["per_follower"].items()}
     return {**{key: formation[key] for key in KEYS}, **each}
 
@@ -47,31 +49,31 @@ def test_without_notes_nothing_has_changed() -> None:
     assert changes([note("a", at(3), status="leading"), note("b", 0, z1=0.0)]) == {**none, "b": none, "c": none}
 
 
-def test_who_could_have_avoided_something_and_never_did_so_counts_nought_and_who_could_not_nothing() -> None:
+def test_unused_modes_count_zero_and_missing_modes_none() -> None:
     found = changes([note("b", 0, mode="task")])
     counts = [(each["mode_toggles"], each["avoid_s"]) for each in (found, found["b"], found["c"])]
     assert counts == [(0, 0.0), (0, 0.0), (None, None)]
 
 
 @pytest.mark.parametrize("modes", [("task", "blind"), ("task", "cruise", 3.0, "task"), ("cruise",)])
-def test_modes_that_lead_around_nothing_do_not_count(modes: Sequence[Any]) -> None:
+def test_modes_without_avoidance_do_not_count(modes: Sequence[Any]) -> None:
     found = changes([note("b", at(10 * k), mode=mode) for k, mode in enumerate(modes)])
     assert (found["mode_toggles"], found["avoid_s"]) == (0, 0.0)
 
 
 def test_shapes_are_counted_where_the_leader_changes_them() -> None:
-    """The first value is none, a repeated one is none, and followers take over the same changes later, or not at all."""
+    """The first value and a repeated one are no change; followers adopt the same changes later or not at all."""
     told = [("a", 0, "wedge"), ("a", 20, "column"), ("a", 21, "column"), ("a", 50, "wedge"), ("a", 70, "line")]
     heard = [("b", 0, "wedge"), ("b", 22, "column"), ("b", 53, "wedge"), ("c", 0, "wedge"), ("c", 71, "line")]
     found = changes([note(name, at(k), shape=shape) for name, k, shape in told + heard], window=(8.0, 9.0))
     assert [found["shape_changes"], found["b"]["shape_changes"], found["c"]["shape_changes"]] == [3, 2, 1]
 
 
-def test_modes_of_those_who_follow_are_counted_to_and_from_the_task() -> None:
+def test_modes_of_followers_are_counted_to_and_from_the_task() -> None:
     modes = [("b", 0, "task"), ("b", 10, "avoid"), ("b", 15, "turn"), ("b", 20, "task"), ("b", 90, "turn")]
     modes += [("c", 3, "avoid"), ("c", 5, "blind"), ("c", 9, "task"), ("a", 0, "task"), ("a", 50, "avoid"), ("a", 60, "task")]
     found = changes([note(name, at(k), mode=mode, level=1.0) for name, k, mode in modes], window=(9.5, None))
-    assert (found["mode_toggles"], found["avoid_s"]) == (4, pytest.approx(1.0 + 1.0 + 0.2))  # b's last lasts to the end
+    assert (found["mode_toggles"], found["avoid_s"]) == (4, pytest.approx(1.0 + 1.0 + 0.2))  # b's last mode lasts to the end
     assert (found["b"]["mode_toggles"], found["b"]["avoid_s"]) == (3, pytest.approx(2.0))
     assert (found["c"]["mode_toggles"], found["c"]["avoid_s"]) == (1, pytest.approx(0.2))
 
@@ -111,7 +113,7 @@ def test_reformed_from_the_last_time_the_lane_became_free_until_all_are_settled(
         (lane((0, "free")), OFF_UNTIL_5_S),  # never narrow
         (lane((0, "narrow")), OFF_UNTIL_5_S),  # narrow to the end
         (lane((0, "free"), (10, "narrow"), (30, "free"), (99, "narrow")), OFF_UNTIL_5_S),  # narrow again
-        (PASSED, {"b": [0.0] * 98 + [0.06]}),  # one is off at the end
+        (PASSED, {"b": [0.0] * 98 + [0.06]}),  # b is off at the end
     ],
 )
 def test_teams_that_have_not_reformed(notes: list[Event], off: dict[str, list[float]]) -> None:
@@ -119,16 +121,16 @@ def test_teams_that_have_not_reformed(notes: list[Event], off: dict[str, list[fl
     assert found["reformed_s"] is found["b"]["reformed_s"] is None
 
 
-def test_a_team_that_keeps_the_narrow_shape_has_not_reformed_however_well_it_keeps_it() -> None:
+def test_a_team_in_the_narrow_shape_has_not_reformed() -> None:
     narrow = [note("a", 0, shape="wedge"), note("a", at(10), shape="column")]
     assert changes([*PASSED, *narrow])["reformed_s"] is None
     assert changes([*PASSED, *narrow, note("a", at(35), shape="wedge")], OFF_UNTIL_5_S)["reformed_s"] == pytest.approx(2.0)
-    asked = [note("a", 0, shape="wedge"), note("a", at(5), shape="column")]  # not for the passage
+    asked = [note("a", 0, shape="wedge"), note("a", at(5), shape="column")]  # not caused by the passage
     assert changes([*PASSED, *asked], OFF_UNTIL_5_S)["reformed_s"] == pytest.approx(2.0)
 
 
 def two_teams(*lanes: tuple[str, int, str], chain: bool = False) -> list[float | None]:
-    """How long all, and b, d and e took; a leads b, c leads d and e, or d that e follows; b settles at 4 s, d and e at 8 s."""
+    """``reformed_s`` of all, b, d and e. a leads b, c leads d and e (chain: d leads e); b settles at 4 s, d and e at 8 s."""
     events = [follows("b", "a", (-1.0, 0.0), 0.3), follows("d", "c", (-1.0, 0.0), 0.3)]
     events.append(follows("e", "d", (-1.0, 0.0), 0.3) if chain else follows("e", "c", (-2.0, 0.0), 0.3))
     for k in range(101):
@@ -136,7 +138,7 @@ def two_teams(*lanes: tuple[str, int, str], chain: bool = False) -> list[float |
         xs = {"a": 0.0, "b": b, "c": 0.0, "d": d, "e": (d if chain else -1.0) - 1.0 - (0.0 if chain else 0.3 * (k < 80))}
         events.append(states(at(k), {name: (x, 5.0 * (name in "cde"), 0.0) for name, x in xs.items()}))
     notes = [note(name, at(k), lane=state) for name, k, state in lanes]
-    formation = recorded("abcde", [*events, *notes], 10 * SECOND_NS).metrics(window=(0.0, None))["formation"]
+    formation = recorder_after("abcde", [*events, *notes], 10 * SECOND_NS).metrics(window=(0.0, None))["formation"]
     return [formation["reformed_s"], *(formation["per_follower"][name]["reformed_s"] for name in "bde")]
 
 
@@ -145,18 +147,18 @@ NARROW_A = (("a", 10, "narrow"), ("a", 20, "free"))
 
 def test_each_team_re_forms_after_its_own_passage() -> None:
     both = two_teams(*NARROW_A, ("c", 10, "narrow"), ("c", 50, "free"))
-    assert both == pytest.approx([3.0, 2.0, 3.0, 3.0])  # all: as long as the one that took longest
-    assert two_teams(*NARROW_A) == [pytest.approx(2.0), pytest.approx(2.0), None, None]  # c was never narrow
-    assert two_teams(*NARROW_A, ("c", 10, "narrow")) == [None, pytest.approx(2.0), None, None]  # c is so to the end
+    assert both == pytest.approx([3.0, 2.0, 3.0, 3.0])  # all: the longest time
+    assert two_teams(*NARROW_A) == [pytest.approx(2.0), pytest.approx(2.0), None, None]  # lane of c never narrow
+    assert two_teams(*NARROW_A, ("c", 10, "narrow")) == [None, pytest.approx(2.0), None, None]  # lane of c narrow to the end
 
 
-def test_in_a_chain_the_lane_is_that_of_the_one_ahead_of_all() -> None:
+def test_in_a_chain_the_lane_is_that_of_the_first_leader() -> None:
     *_, d, e = two_teams(*NARROW_A, ("c", 10, "narrow"), ("c", 50, "free"), chain=True)
-    assert [d, e] == pytest.approx([3.0, 0.0])  # e was in place all the time, beside d
+    assert [d, e] == pytest.approx([3.0, 0.0])  # e keeps its slot beside d throughout
 
 
-def test_who_leads_is_followed_and_follows_nobody() -> None:
-    """In a chain b passes shapes on, and counts none of its own; one who stops following has followed."""
+def test_only_leaders_that_never_follow_count() -> None:
+    """In a chain, b forwards shapes and its own changes do not count, not even after it stops following."""
     chain = [follows("b", "a", (-1.0, 0.0), 0.3), follows("c", "b", (-1.0, 0.0), 0.3)]
     notes = [note(name, at(k), shape=shape) for name in "abc" for k, shape in ((0, "wedge"), (30, "column"))]
     assert changes(notes, team=chain)["shape_changes"] == 1

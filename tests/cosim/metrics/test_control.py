@@ -1,4 +1,4 @@
-"""Commands: their root mean squares, changes and effort."""
+"""Metrics of commands: root mean squares, changes and effort."""
 
 import math
 from itertools import pairwise
@@ -9,18 +9,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.cosim.recordings import TENTH, recorded, velocity
+from tests.support.cosim.recordings import TENTH, recorder_after, velocity
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.types import Waypoint
 
 
 def control_of(names: str, events: list[Event], seconds: float, window: tuple[float, float | None] = (0.0, None)) -> Any:
-    return recorded(names, events, round(seconds * SECOND_NS)).metrics(window=window)["control"]
+    return recorder_after(names, events, round(seconds * SECOND_NS)).metrics(window=window)["control"]
 
 
-def test_of_a_constant_command_given_once() -> None:
-    """It holds to the end: speeds as commanded, nothing changes, effort is |v|^2 times the time."""
+def test_metrics_of_one_constant_command() -> None:
+    """The command holds to the end: speeds as commanded, no acceleration, effort |v|^2 times the time."""
     control = control_of("ab", [velocity("a", 0, (0.3, 0.0, 0.4), -0.2)], 10.0)
     expected = {"speed_rms_m_s": 0.5, "yaw_rate_rms_rad_s": 0.2, "effort_m2_s": 2.5}
     rest = {"acceleration_rms_m_s2": None, "yaw_acceleration_rms_rad_s2": None}
@@ -42,13 +42,13 @@ def test_of_several_commands_at_one_instant_the_last_counts() -> None:
     assert (control["effort_m2_s"], control["acceleration_rms_m_s2"]) == (pytest.approx(2.0), 0.0)
 
 
-def test_a_command_beyond_all_measure_breaks_nothing() -> None:
+def test_a_huge_command_gives_an_infinite_effort() -> None:
     control = control_of("ab", [velocity("a", 0, (1e200, 0.0, 0.0)), velocity("a", SECOND_NS, (-1e200, 0.0, 0.0))], 2.0)
     assert control["effort_m2_s"] == math.inf
     assert control["per_vehicle"]["b"]["effort_m2_s"] is None
     events = [velocity("a", 0, (1e200, 0.0, 0.0)), velocity("a", SECOND_NS, (2.0, 0.0, 0.0))]
     later = control_of("a", events, 3.0, window=(2.0, None))
-    assert (later["effort_m2_s"], later["speed_rms_m_s"]) == (4.0, 2.0)  # nothing is left of it
+    assert (later["effort_m2_s"], later["speed_rms_m_s"]) == (4.0, 2.0)  # no effect of the first command
 
 
 commands = st.lists(
@@ -61,7 +61,7 @@ commands = st.lists(
 @given(commands, st.integers(0, 40), st.integers(0, 60) | st.none())
 @settings(deadline=None, max_examples=100)
 def test_commands_equal_a_plain_loop(given_commands: list[Any], begin: int, end: int | None) -> None:
-    """Against the definition, a tenth of a second at a time; None is a way-point."""
+    """Against the definition, in steps of 0.1 s; None is a way-point."""
     ordered = sorted(given_commands)
     events = [
         Event("a/command", TENTH.at(k), Waypoint(position=(0.0, 0.0, 0.0)))

@@ -12,20 +12,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.cosim.recordings import TENTH, follows, recorded, states
+from tests.support.cosim.recordings import TENTH, follows, recorder_after, states
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.metrics.formation import misfit_squared
 from vcmvsp.cosim.types import Follows
 
 T = 0.1
-CORNERS = {"a": 0j, "b": -1 + 1j, "c": -1 - 1j, "d": -2 + 0j}  # a diamond that "a" leads
+CORNERS = {"a": 0j, "b": -1 + 1j, "c": -1 - 1j, "d": -2 + 0j}  # a diamond with leader "a"
 TREE = [("b", "a"), ("c", "a"), ("d", "c")]
 
 
 def formation_of(names: str, events: Sequence[Event], window: tuple[float, float | None] = (0.0, None)) -> dict[str, Any]:
     end_ns = max(event.time_ns for event in events)
-    result = recorded(names, events, end_ns).metrics(window=window)
+    result = recorder_after(names, events, end_ns).metrics(window=window)
     json.dumps(result, allow_nan=False)
     return result["formation"]
 
@@ -35,7 +35,7 @@ def at(places: dict[str, complex], yaw: float = 0.0) -> dict[str, tuple[float, f
 
 
 def diamond(time_ns: int = 0) -> list[Event]:
-    """Slots are those of each member in its own leader's frame."""
+    """Follows events of the diamond; slots are in the frame of each member's leader."""
     slots = [(name, leader, CORNERS[name] - CORNERS[leader]) for name, leader in TREE]
     return [follows(name, leader, (slot.real, slot.imag), 0.3, time_ns) for name, leader, slot in slots]
 
@@ -45,14 +45,14 @@ def diamond(time_ns: int = 0) -> list[Event]:
 
 @given(st.floats(-math.pi, math.pi), st.complex_numbers(max_magnitude=100.0), st.floats(-math.pi, math.pi))
 @settings(deadline=None, max_examples=30)
-def test_a_team_may_be_anywhere_and_head_anywhere(turn: float, shift: complex, yaw: float) -> None:
+def test_the_shape_ignores_position_and_heading(turn: float, shift: complex, yaw: float) -> None:
     places = {name: shift + cmath.exp(1j * turn) * corner for name, corner in CORNERS.items()}
     shape = formation_of("abcd", [*diamond(), states(0, at(places, yaw))])["shape"]
     assert max(shape.values()) < 1e-12
 
 
-def test_on_a_circle_the_shape_bends_though_no_link_errs() -> None:
-    """Two vehicles: each is off by half of rho_d - rho; rho = 0.83666 m at R = 2 m, L' = 0.5 m, rho_d = 1 m, handle L."""
+def test_on_a_circle_the_shape_errs_but_no_link_does() -> None:
+    """Two vehicles: the error of each is half of rho_d - rho; rho = 0.83666 m at R = 2 m, L' = 0.5 m, rho_d = 1 m, handle L."""
     ahead, side, radius = math.sqrt(3) / 2, 0.5, 2.0
     own = math.sqrt((radius + side) ** 2 - ahead**2)
     events = [follows("b", "a", (-ahead, -side), ahead)]
@@ -68,8 +68,8 @@ def test_on_a_circle_the_shape_bends_though_no_link_errs() -> None:
     assert formation["shape"] == pytest.approx(dict.fromkeys(("rms_m", "max_m", "final_m"), (1.0 - 0.83666) / 2), abs=1e-5)
 
 
-def test_an_error_of_a_parent_is_one_of_the_shape_only_once() -> None:
-    """c follows b and is in its place; b is 0.4 m too far back: |z| of one link, and the shape's least misfit in a row."""
+def test_an_error_of_a_leader_counts_once_in_the_shape() -> None:
+    """c is in its slot behind b; b is 0.4 m too far back. The shape's error is the RMS about the mean of the row."""
     slots = [follows("b", "a", (-1.0, 0.0), 0.3), follows("c", "b", (-1.0, 0.0), 0.3)]
     formation = formation_of("abc", [*slots, states(0, at({"a": 0j, "b": -1.4 + 0j, "c": -2.4 + 0j}))])
     off = np.array([0.0, -0.4, -0.4]) - np.mean([0.0, -0.4, -0.4])
@@ -77,8 +77,8 @@ def test_an_error_of_a_parent_is_one_of_the_shape_only_once() -> None:
     assert formation["per_follower"]["c"]["final_m"] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_the_shape_is_that_of_the_time_and_of_all_teams() -> None:
-    """From 0.2 s on, d follows b instead, two metres behind it; e and f are a team of their own, and g is nobody's."""
+def test_the_shape_covers_all_teams_at_the_time() -> None:
+    """From 0.2 s on, d follows b, two metres behind it; e and f are a second team; g has no team."""
     places = {**CORNERS, "e": 50 + 0j, "f": 49 + 0j, "g": 9 + 9j}
     moved = {**places, "d": -3 + 1j}
     events = [*diamond(), follows("f", "e", (-1.0, 0.0), 0.3), follows("d", "b", (-2.0, 0.0), 0.3, TENTH.at(2))]
@@ -90,7 +90,7 @@ def test_the_shape_is_that_of_the_time_and_of_all_teams() -> None:
     assert formation_of("abcdefg", events)["shape"]["max_m"] == pytest.approx(math.sqrt(misfit / 6))
 
 
-def test_who_follows_each_other_in_a_ring_has_a_shape_too() -> None:
+def test_a_ring_of_followers_has_a_shape() -> None:
     ring = [follows("b", "a", (-1.0, 0.0), 0.3), follows("c", "b", (0.0, 1.0), 0.3), follows("a", "c", (1.0, -1.0), 0.3)]
     places = {"a": 0j, "b": -1 + 0j, "c": -1 + 1j}
     assert formation_of("abc", [*ring, states(0, at(places))])["shape"]["max_m"] < 1e-12
@@ -98,7 +98,7 @@ def test_who_follows_each_other_in_a_ring_has_a_shape_too() -> None:
     assert formation_of("abc", [*ring, states(0, at(away))])["shape"]["max_m"] > 0.5
 
 
-def test_a_team_without_one_of_its_members_and_one_that_parts_have_no_shape() -> None:
+def test_an_incomplete_and_a_parted_team_have_no_shape() -> None:
     pair = {"a": 0j, "b": -1 + 0j}
     events = [follows("b", "a", (-1.0, 0.0), 0.3), states(0, at(pair)), states(TENTH.at(1), at({"a": 5 + 0j}))]
     shape = formation_of("ab", events)["shape"]
@@ -122,8 +122,8 @@ def test_misfit_equals_kabsch_by_singular_values(places: list[complex], slots: l
     assert misfit_squared(np.array([places]), np.array(slots))[0] == pytest.approx(expected, rel=1e-9, abs=1e-10)
 
 
-def test_vehicles_in_the_same_place_miss_their_slots_by_the_size_of_the_formation() -> None:
-    """Also at a distance below the smallest normal number, by which a division overflows."""
+def test_coincident_vehicles_err_by_the_size_of_the_formation() -> None:
+    """Also at a distance below the smallest normal number: division by it overflows."""
     for apart in (0.0, 2.0**-1040, 1e-300):
         assert misfit_squared(np.array([[0j, apart * 1j]]), np.array([0j, -1.0 + 0.5j]))[0] == pytest.approx(0.5 * 1.25)
 
@@ -132,7 +132,9 @@ def test_vehicles_in_the_same_place_miss_their_slots_by_the_size_of_the_formatio
 
 
 def response(z: Sequence[complex], yaw: Sequence[float] | None = None, place_ns: int = 0) -> dict[str, Any]:
-    """Of a follower whose error in its own frame is z (handle 0.3 m) while it turns; the leader turns otherwise."""
+    """Formation metrics of a follower that turns, with error z in its own frame (handle 0.3 m); the leader turns at another
+    rate.
+    """
     events = [follows("b", "a", (-1.0, 0.4), 0.3, place_ns)]
     for k, error in enumerate(z):
         th_l, th_f = 0.05 * k, yaw[k] if yaw else -0.1 * k
@@ -158,7 +160,7 @@ def servo(k1: float, n: int = 120, start: float = 0.5) -> list[complex]:
 @pytest.mark.parametrize(("k1", "overshoot"), [(0.4, 0.0), (0.8, 0.026), (2.0, 0.206), (4.0, 0.396), (8.0, 0.622)])
 @pytest.mark.parametrize("direction", [1, 1j, -1, cmath.exp(2.3j)])
 def test_overshoot_of_a_servo_in_any_direction(k1: float, overshoot: float, direction: complex) -> None:
-    """Toh 2012, Fig 30 (a start behind; aside it is Fig 31), from the exact matrix."""
+    """Toh 2012, Fig 30 (start behind the slot; Fig 31: beside it), from the exact matrix."""
     formation = response([direction * z for z in servo(k1)])
     assert formation["overshoot"] == pytest.approx(overshoot, abs=5e-4)
     assert formation["per_follower"]["b"]["overshoot"] == formation["overshoot"]
@@ -167,15 +169,15 @@ def test_overshoot_of_a_servo_in_any_direction(k1: float, overshoot: float, dire
 @pytest.mark.parametrize("k1", [0.2, 0.8, 2.0, 5.0, 8.0])
 @pytest.mark.parametrize("noise", [0.0, 1e-3])
 def test_rate_of_a_geometric_decay(k1: float, noise: float) -> None:
-    """-ln(1 - k1 T)/T, whatever is left of the error once it has decayed."""
+    """-ln(1 - k1 T)/T, also with a residual error of 1 mm."""
     left = noise * np.exp(1j * np.arange(400))
     z = [0.5 * 1j * (1 - k1 * T) ** n + left[n] for n in range(400)]
     formation = response([complex(each) for each in z])
     assert formation["convergence_1_s"] == pytest.approx(-math.log(1 - k1 * T) / T, rel=1e-9 if noise == 0.0 else 0.04)
 
 
-def test_what_remains_sets_the_end_of_the_decay() -> None:
-    """Noise of 4 cm under a decay from 0.5 m: the fit ends at 8 cm instead of going down into the noise."""
+def test_residual_noise_ends_the_fitted_decay() -> None:
+    """Noise of 4 cm under a decay from 0.5 m: the fit ends at 8 cm, above the noise."""
     rng = np.random.default_rng(5)
     z = 0.5 * 0.92 ** np.arange(600) + 0.04 * (rng.standard_normal(600) + 1j * rng.standard_normal(600)) / math.sqrt(2)
     assert response([complex(each) for each in z])["convergence_1_s"] == pytest.approx(-math.log(0.92) / T, rel=0.15)
@@ -184,21 +186,21 @@ def test_what_remains_sets_the_end_of_the_decay() -> None:
 @pytest.mark.parametrize(
     ("z", "overshoot"),
     [
-        ([0.04 * (-0.9) ** n for n in range(60)], None),  # starts in its place
-        ([0.5 - 0.001 * n for n in range(40)], 0.0),  # comes hardly nearer
-        ([0.5 * 1.1**n for n in range(40)], 0.0),  # goes away
-        ([0.5, *[0.0] * 40], 0.0),  # is there at once: nothing between to fit
+        ([0.04 * (-0.9) ** n for n in range(60)], None),  # starts in its slot
+        ([0.5 - 0.001 * n for n in range(40)], 0.0),  # hardly decreases
+        ([0.5 * 1.1**n for n in range(40)], 0.0),  # increases
+        ([0.5, *[0.0] * 40], 0.0),  # in its slot after one step: nothing between to fit
         ([0.5], 0.0),
     ],
 )
-def test_where_nothing_decays_there_is_no_rate(z: list[float], overshoot: float | None) -> None:
+def test_without_a_decay_there_is_no_rate(z: list[float], overshoot: float | None) -> None:
     formation = response([complex(each) for each in z])
     assert formation["convergence_1_s"] is None
     assert formation["overshoot"] == (None if overshoot is None else pytest.approx(overshoot, abs=1e-12))
 
 
-def test_of_several_places_the_largest_step_is_judged() -> None:
-    """A start 0.1 m off, and after 6 s a place 0.6 m away: overshoot 0.6 and 0.2 of their own steps."""
+def test_the_largest_step_of_several_slots_counts() -> None:
+    """A start 0.1 m off, and at 6 s a new slot 0.5 m away: overshoot 0.6 and 0.2 of these steps."""
     slots = {0: -1.0, 60: -1.5}
     events = [follows("b", "a", (slot, 0.0), 0.3, TENTH.at(k)) for k, slot in slots.items()]
     z = [0.1 * (-0.6) ** n for n in range(60)] + [0.5 * (-0.2) ** n for n in range(60)]
@@ -215,7 +217,7 @@ def test_of_several_places_the_largest_step_is_judged() -> None:
 
 
 def in_a_row(errors: Mapping[str, Sequence[float]]) -> list[Event]:
-    """Each follows the one before it, 1 m behind, and is off by these."""
+    """Vehicles in a chain, each 1 m plus its error, m, behind its leader; one error per tick."""
     names = ["a", *errors]
     events = [follows(name, leader, (-1.0, 0.0), 0.3) for leader, name in pairwise(names)]
     for k in range(len(errors["b"])):

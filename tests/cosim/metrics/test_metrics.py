@@ -12,7 +12,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from tests.support.cosim.recordings import TENTH, Pose, follows, frame, recorded, states
+from tests.support.cosim.recordings import TENTH, Pose, follows, frame, recorder_after, states
 from vcmvsp.cosim import types
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import ScenarioError
@@ -28,9 +28,9 @@ L, SIDE, R, W = math.sqrt(3) / 2, 0.5, 2.0, 0.15  # the standard triangle on the
 
 
 def on_circle(t: float, side: float, delay_s: float = 0.0) -> dict[str, Pose]:
-    """Leader on a circle about the origin, and the follower whose handle L keeps its place as it was ``delay_s`` ago.
+    """Leader on a circle about the origin, and a follower whose handle L is at its slot of ``delay_s`` ago.
 
-    The handle lies on the radius R + side, so the centre on sqrt((R + side)^2 - L^2), tangent to its circle.
+    The handle is at radius R + side, the centre at sqrt((R + side)^2 - L^2), tangent to its circle.
     """
     angle = W * t
     own_radius = math.sqrt((R + side) ** 2 - L**2)
@@ -46,7 +46,7 @@ def on_circle(t: float, side: float, delay_s: float = 0.0) -> dict[str, Pose]:
 def test_delayed_follower_on_a_circle_errs_by_the_chord(delay_s: float, side: float) -> None:
     """|z| = 2 (R + L') sin(w d / 2)."""
     events = [states(TENTH.at(k), on_circle(k / 10, side, delay_s)) for k in range(21)]
-    recorder = recorded(["lead", "follower"], [follows("follower", "lead", (-L, -side), L), *events], 2 * SECOND_NS)
+    recorder = recorder_after(["lead", "follower"], [follows("follower", "lead", (-L, -side), L), *events], 2 * SECOND_NS)
     formation = recorder.metrics(window=(0.0, None))["formation"]
     chord = 2.0 * (R + side) * math.sin(W * delay_s / 2)
     for name in ("rms_m", "mean_m", "max_m", "final_m"):
@@ -55,8 +55,8 @@ def test_delayed_follower_on_a_circle_errs_by_the_chord(delay_s: float, side: fl
     assert formation["per_follower"]["follower"]["rms_m"] == pytest.approx(chord, abs=1e-9)
 
 
-def displaced(offsets: Sequence[float], ell: float = 0.3) -> list[Event]:
-    """A leader that turns on the spot and a follower that is off its place by one offset per tick; |z| is the offset."""
+def displaced_follower(offsets: Sequence[float], ell: float = 0.3) -> list[Event]:
+    """A leader that turns on the spot, and a follower off its slot by one offset, m, per tick; |z| is the offset."""
     events = [follows("b", "a", (-1.0, 0.4), ell)]
     for k, offset in enumerate(offsets):
         yaw = 0.3 * k
@@ -67,7 +67,7 @@ def displaced(offsets: Sequence[float], ell: float = 0.3) -> list[Event]:
 
 def test_window_counts_both_ends_and_final_and_settling_the_whole_run() -> None:
     offsets = [1.0, 0.8, 0.04, 0.06, 0.03, 0.01, 0.02]
-    formation = recorded("ab", displaced(offsets), SECOND_NS * 6 // 10).metrics(window=(0.1, 0.3))["formation"]
+    formation = recorder_after("ab", displaced_follower(offsets), SECOND_NS * 6 // 10).metrics(window=(0.1, 0.3))["formation"]
     assert formation["max_m"] == pytest.approx(0.8)
     assert formation["mean_m"] == pytest.approx((0.8 + 0.04 + 0.06) / 3)
     assert formation["rms_m"] == pytest.approx(math.sqrt((0.8**2 + 0.04**2 + 0.06**2) / 3))
@@ -77,38 +77,40 @@ def test_window_counts_both_ends_and_final_and_settling_the_whole_run() -> None:
 
 
 def test_a_follower_that_ends_away_from_its_place_never_settles() -> None:
-    formation = recorded("ab", displaced([0.01, 0.01, 0.06]), SECOND_NS // 5).metrics(window=(0.0, None))["formation"]
+    formation = recorder_after("ab", displaced_follower([0.01, 0.01, 0.06]), SECOND_NS // 5).metrics(window=(0.0, None))[
+        "formation"
+    ]
     assert formation["settling_s"] is None
 
 
 def test_summary_is_over_all_followers_and_final_is_the_worst_of_them() -> None:
-    events = displaced([0.3, 0.4])
+    events = displaced_follower([0.3, 0.4])
     poses = {"a": (0.0, 0.0, 0.0), "b": (-1.0, 0.3, 0.0), "c": (-2.0, 0.4, 0.0)}
     events = [follows("b", "a", (-1.0, 0.0), 0.5), follows("c", "b", (-1.0, 0.0), 0.5), states(0, poses), states(10**8, poses)]
-    formation = recorded("abc", events, 10**8).metrics(window=(0.0, None))["formation"]
+    formation = recorder_after("abc", events, 10**8).metrics(window=(0.0, None))["formation"]
     assert formation["per_follower"]["b"]["rms_m"] == pytest.approx(0.3)
     assert formation["per_follower"]["c"]["rms_m"] == pytest.approx(0.1)
     assert formation["rms_m"] == pytest.approx(math.sqrt((0.3**2 + 0.1**2) / 2))
     assert formation["final_m"] == pytest.approx(0.3)
 
 
-def test_a_new_place_counts_from_its_own_time_on() -> None:
+def test_a_new_slot_counts_from_its_own_time() -> None:
     poses = {"a": (0.0, 0.0, 0.0), "b": (-1.0, 0.0, 0.0), "c": (0.0, 5.0, 0.0)}
     events = [states(TENTH.at(k), poses) for k in range(4)]
     places = [("b", "a", (-1.0, 0.0)), ("b", "c", (-1.0, -5.0)), ("c", "a", (0.0, 4.0))]
     events += [follows(name, leader, slot, 0.2, k * 10**8) for k, (name, leader, slot) in enumerate(places, start=1)]
-    formation = recorded("abc", events, 3 * 10**8).metrics(window=(0.0, None))["formation"]
+    formation = recorder_after("abc", events, 3 * 10**8).metrics(window=(0.0, None))["formation"]
     assert formation["per_follower"]["b"]["max_m"] == pytest.approx(0.0, abs=1e-12)
     assert formation["per_follower"]["c"]["mean_m"] == pytest.approx(1.0)
 
 
 def test_following_a_vehicle_that_does_not_exist_is_refused() -> None:
     with pytest.raises(ScenarioError, match="'ghost', which is not a vehicle of this run"):
-        recorded("ab", [follows("b", "ghost", (0.0, 0.0), 0.3)], 0)
+        recorder_after("ab", [follows("b", "ghost", (0.0, 0.0), 0.3)], 0)
 
 
 def test_without_followers_radio_or_a_second_vehicle_values_are_null() -> None:
-    result = recorded("a", [states(0, {"a": (1.0, 2.0, 3.0)})], SECOND_NS).metrics(window=(20.0, None))
+    result = recorder_after("a", [states(0, {"a": (1.0, 2.0, 3.0)})], SECOND_NS).metrics(window=(20.0, None))
     lengths = ("rms_m", "max_m", "final_m")
     link = dict.fromkeys((*lengths, "mean_m", "settling_s", "overshoot", "convergence_1_s", "hop_gain"))
     changes = {"shape_changes": 0, "mode_toggles": None, "avoid_s": None, "reformed_s": None}
@@ -132,7 +134,7 @@ def test_without_followers_radio_or_a_second_vehicle_values_are_null() -> None:
 def test_radio_counts_and_delays() -> None:
     ms = 1_000_000
     events = [frame(0, "a", 0, {"b": 10 * ms, "c": None}), frame(1, "b", 5 * ms, {"a": 35 * ms, "c": 25 * ms})]
-    radio = recorded("abc", events, SECOND_NS).metrics(window=(0.0, None))["radio"]
+    radio = recorder_after("abc", events, SECOND_NS).metrics(window=(0.0, None))["radio"]
     assert (radio["frames"], radio["receptions"], radio["delivery_ratio"]) == (2, 3, 0.75)
     assert radio["losses"] == {"random loss": 1}
     assert radio["delay_s"]["p50"] == pytest.approx(0.020)
@@ -142,10 +144,10 @@ def test_radio_counts_and_delays() -> None:
 
 def test_links_keep_receivers_and_senders_apart() -> None:
     events = [frame(0, "c", 0, {"a": 5, "b": 6}), frame(1, "a", 1, {"b": 9, "c": None}), frame(2, "c", 2, {"a": 4, "b": None})]
-    heard = links(recorded("abc", events, 10).radio)
+    heard = links(recorder_after("abc", events, 10).radio)
     received = {key: link.received_ns.tolist() for key, link in heard.items()}
     assert received == {("a", "c"): [4, 5], ("b", "a"): [9], ("b", "c"): [6]}
-    assert heard["a", "c"].sent_ns.tolist() == [2, 2]  # an older message that arrives later makes nothing younger
+    assert heard["a", "c"].sent_ns.tolist() == [2, 2]  # an older message that arrives later lowers no age
 
 
 @given(st.lists(st.lists(st.tuples(*[st.floats(-50, 50)] * 2), min_size=5, max_size=5), min_size=1, max_size=6))
@@ -156,13 +158,13 @@ def test_min_separation_equals_a_plain_loop(instants: list[list[tuple[float, flo
         for k, points in enumerate(instants)
     ]
     expected = min(math.dist(points[i], points[j]) for points in instants for i in range(5) for j in range(i))
-    found = min_separation_m(motion(recorded("abcde", events, TENTH.at(len(instants) - 1)).states))
+    found = min_separation_m(motion(recorder_after("abcde", events, TENTH.at(len(instants) - 1)).states))
     assert found == pytest.approx(expected, rel=1e-12, abs=1e-12)
 
 
-def test_a_vehicle_that_leaves_the_run_is_no_longer_near_anyone() -> None:
+def test_a_vehicle_that_leaves_the_run_has_no_separation() -> None:
     there, alone = {"a": (0.0, 0.0, 0.0), "b": (3.0, 4.0, 0.0)}, {"a": (3.0, 3.9, 0.0)}
-    recorder = recorded("ab", [states(0, there), states(10**8, alone)], 10**8)
+    recorder = recorder_after("ab", [states(0, there), states(10**8, alone)], 10**8)
     assert recorder.states.num_rows == 3
     assert recorder.metrics(window=(0.0, None))["safety"]["min_separation_m"] == pytest.approx(5.0)
 
@@ -170,8 +172,8 @@ def test_a_vehicle_that_leaves_the_run_is_no_longer_near_anyone() -> None:
 def test_states_are_kept_at_ticks_and_at_the_end() -> None:
     poses = {"a": (0.0, 0.0, 0.0)}
     events = [states(time, poses) for time in (0, 5 * 10**7, 10**8, 2 * 10**8, 25 * 10**7)]
-    assert recorded("a", events, 25 * 10**7).states["time_ns"].to_pylist() == [0, 10**8, 2 * 10**8, 25 * 10**7]
-    assert recorded("a", events, 26 * 10**7).states["time_ns"].to_pylist() == [0, 10**8, 2 * 10**8]
+    assert recorder_after("a", events, 25 * 10**7).states["time_ns"].to_pylist() == [0, 10**8, 2 * 10**8, 25 * 10**7]
+    assert recorder_after("a", events, 26 * 10**7).states["time_ns"].to_pylist() == [0, 10**8, 2 * 10**8]
 
 
 def some_run() -> list[Event]:
@@ -188,18 +190,18 @@ def some_run() -> list[Event]:
 
 
 def digest_of(events: list[Event]) -> str:
-    return str(recorded("ab", events, 10**8).metrics(window=(0.0, None))["digest"])
+    return str(recorder_after("ab", events, 10**8).metrics(window=(0.0, None))["digest"])
 
 
-def changed(value: Any) -> list[Any]:
-    """Every value that differs from this one in one place."""
+def changed_values(value: Any) -> list[Any]:
+    """All values that differ from ``value`` in one place."""
     if isinstance(value, np.ndarray):
         units = np.eye(value.size, dtype=value.dtype).reshape(value.size, *value.shape)
         return [types.frozen(value + unit) for unit in units]
     if isinstance(value, dict):
-        return [{**value, key: other} for key, old in value.items() for other in changed(old)]
+        return [{**value, key: other} for key, old in value.items() for other in changed_values(old)]
     if isinstance(value, tuple):
-        return [(*value[:i], other, *value[i + 1 :]) for i, old in enumerate(value) for other in changed(old)]
+        return [(*value[:i], other, *value[i + 1 :]) for i, old in enumerate(value) for other in changed_values(old)]
     if value is None or value is msgspec.UNSET:
         return []
     if isinstance(value, bool):
@@ -209,7 +211,9 @@ def changed(value: Any) -> list[Any]:
     if isinstance(value, str):
         return [{"a": "b", "b": "a"}.get(value, value + "!")]
     return [
-        msgspec.structs.replace(value, **{f: other}) for f in value.__struct_fields__ for other in changed(getattr(value, f))
+        msgspec.structs.replace(value, **{f: other})
+        for f in value.__struct_fields__
+        for other in changed_values(getattr(value, f))
     ]
 
 
@@ -218,9 +222,9 @@ def test_digest_changes_with_any_single_value() -> None:
     digests = [digest_of(events)]
     for i, event in enumerate(events):
         if isinstance(event.value, types.States | types.FrameReport | types.Note | types.Contact | types.Follows):
-            for value in changed(event.value):
+            for value in changed_values(event.value):
                 if isinstance(value, types.Follows) and value.leader == "b":
-                    continue  # nobody follows itself; the leader's name is covered below
+                    continue  # no vehicle follows itself; the leader's name is covered below
                 digests.append(digest_of([*events[:i], Event(event.key, event.time_ns, value), *events[i + 1 :]]))
     assert len(digests) > 80
     assert len(set(digests)) == len(digests)
@@ -265,14 +269,14 @@ def test_digest_counts_every_kind_of_event_with_its_time(value: Any) -> None:
     assert len({digest_of(run) for run in runs}) == 3
 
 
-def test_digest_ignores_how_much_is_hashed_together(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_digest_ignores_the_size_of_hashed_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     together = digest_of(some_run())
     monkeypatch.setattr(accumulators, "HASHED_BYTES", 0)
     assert digest_of(some_run()) == together
 
 
-def test_digest_ignores_how_tables_are_cut_and_coded() -> None:
-    recorder = recorded("ab", some_run(), 10**8)
+def test_digest_ignores_chunks_and_dictionary_codes() -> None:
+    recorder = recorder_after("ab", some_run(), 10**8)
     tables = [recorder.states, recorder.radio]
     plain = digest(tables)
     for table in tables:

@@ -1,4 +1,4 @@
-"""Own metrics: what a scenario defines becomes a number of metrics.json, a column of a study, a row of the report."""
+"""Own metrics of a scenario: a number of metrics.json, a column of a study, a row of the report."""
 
 import math
 import statistics
@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 import vcmvsp
 from tests.support.cosim.command_line import contents, vcmvsp_command
-from tests.support.cosim.recordings import follows, note, recorded, states
+from tests.support.cosim.recordings import follows, note, recorder_after, states
 from tests.support.validation.fleets import fleet
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
@@ -49,7 +49,7 @@ def scenario(**more: Any) -> dict[str, Any]:
 
 @pytest.fixture
 def functions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The current folder, with the file of the functions."""
+    """The current folder, with ``own.py``."""
     (tmp_path / "own.py").write_text(FUNCTIONS)
     monkeypatch.chdir(tmp_path)
     return tmp_path
@@ -59,10 +59,12 @@ numbers = st.lists(st.tuples(st.sampled_from("ab"), st.integers(0, 9), st.floats
 
 
 @given(numbers)
-def test_statistics_of_notes_are_those_of_the_numbers_in_the_window(noted: Sequence[tuple[str, int, float]]) -> None:
+def test_statistics_of_notes_cover_the_numbers_in_the_window(noted: Sequence[tuple[str, int, float]]) -> None:
     noted = sorted(noted, key=lambda each: each[1])
     events = [note(vehicle, second * SECOND_NS, z=value, **TEXTS) for vehicle, second, value in noted]
-    run = SimpleNamespace(notes=recorded("ab", [*events, note("a", 0, other=5.0)], 10 * SECOND_NS).notes, window_s=(2.0, 7.0))
+    run = SimpleNamespace(
+        notes=recorder_after("ab", [*events, note("a", 0, other=5.0)], 10 * SECOND_NS).notes, window_s=(2.0, 7.0)
+    )
     inside = [(vehicle, value) for vehicle, second, value in noted if 2 <= second <= 7]
     values = [value for _, value in inside]
     expected: dict[str, Callable[[], float]] = {
@@ -79,10 +81,10 @@ def test_statistics_of_notes_are_those_of_the_numbers_in_the_window(noted: Seque
     assert NoteStatistic("z", "max", ("b",))(run) == max(of_b, default=None)
 
 
-def test_notes_are_a_table_in_order_whatever_their_number() -> None:
+def test_any_number_of_notes_is_a_table_in_order() -> None:
     count = CHUNK_ROWS + 7
     events = [note("a", k, z=float(k), flag=k % 2 == 0, word="x" if k % 3 else "") for k in range(count)]
-    table = recorded("a", events, count).notes.to_pydict()
+    table = recorder_after("a", events, count).notes.to_pydict()
     assert table["time_ns"] == [k for k in range(count) for _ in range(3)]
     assert table["name"] == ["z", "flag", "word"] * count
     assert table["value"] == [each for k in range(count) for each in (float(k), float(k % 2 == 0), None)]
@@ -97,17 +99,17 @@ def test_a_number_of_any_library_or_none_is_a_value(returned: object, value: flo
     assert own_values({"x": lambda _: returned}, None) == ({"x": value}, None)
 
 
-def test_own_metrics_are_numbers_of_a_run_and_equal_on_every_way(functions: Path) -> None:
+def test_own_metrics_are_equal_inprocess_and_in_processes(functions: Path) -> None:
     result = vcmvsp.run(scenario(), out="one", agents="inprocess")
     own = result.metrics["own"]
     whole = vcmvsp.run({**scenario(), "metrics": {}}, agents="inprocess", mcap=False).metrics
     assert own["rms_m"] == pytest.approx(whole["formation"]["rms_m"])
     lost = whole["radio"]["losses"]["random loss"]
     assert own["lost"] == pytest.approx(lost / (lost + whole["radio"]["receptions"] + whole["radio"]["under_way"]))
-    assert whole["digest"] == result.metrics["digest"]  # looking changes nothing
+    assert whole["digest"] == result.metrics["digest"]  # own metrics do not change the digest
     notes = result.notes.to_pandas().query("name == 'age_s' and vehicle == 'car2'")
     assert own["age_s"] == notes["value"].max()
-    (functions / "own.py").unlink()  # the folder has its own
+    (functions / "own.py").unlink()  # the run folder contains a copy
     vcmvsp.run("one/scenario.toml", out="two", agents="process")
     assert contents(functions / "one") == contents(functions / "two")
     report = (functions / "one" / "report.html").read_text()
@@ -158,18 +160,18 @@ def test_a_wrong_table_is_refused_before_the_run(table: dict[str, Any], words: s
 
 
 def test_errors_are_the_distance_to_the_place_in_the_followers_frame() -> None:
-    """A follower that looks north, 3 m behind and 4 m beside its place."""
+    """The follower heads north; its slot is 3 m ahead and 4 m to the left."""
     events: list[Event] = [follows("b", "a", (-1.0, 2.0), 0.0, time_ns=SECOND_NS)]
     events += [states(k * SECOND_NS, {"a": (5.0, 5.0, 0.0), "b": (8.0, 4.0, math.pi / 2)}) for k in range(3)]
-    table = recorded("ab", events, 2 * SECOND_NS).errors.to_pylist()
+    table = recorder_after("ab", events, 2 * SECOND_NS).errors.to_pylist()
     assert [row["time_ns"] for row in table] == [SECOND_NS, 2 * SECOND_NS]
     assert {(row["vehicle"], row["leader"]) for row in table} == {("b", "a")}
     assert [table[0][name] for name in ("ahead_m", "left_m", "error_m")] == pytest.approx([3.0, 4.0, 5.0])
 
 
 @given(st.floats(-3.1, 3.1))
-def test_yaw_beside_the_attitude_is_that_of_the_state(yaw: float) -> None:
-    row = recorded("a", [states(0, {"a": (0.0, 0.0, yaw)})], 0).states.to_pylist()[0]
+def test_yaw_column_equals_the_yaw_of_the_state(yaw: float) -> None:
+    row = recorder_after("a", [states(0, {"a": (0.0, 0.0, yaw)})], 0).states.to_pylist()[0]
     attitude = tuple(row[name] for name in ("qw", "qx", "qy", "qz"))
     assert row["yaw"] == pytest.approx(VehicleState(position=(0.0, 0.0, 0.0), attitude=attitude).yaw, abs=1e-12)
     assert row["yaw"] == pytest.approx(yaw, abs=1e-9)

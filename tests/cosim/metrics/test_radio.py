@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.cosim.recordings import TENTH, follows, frame, recorded
+from tests.support.cosim.recordings import TENTH, follows, frame, recorder_after
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.metrics.age import age_metrics
@@ -38,7 +38,7 @@ def area(sent: int, begin: int, end: int) -> float:
 @given(sends, st.sampled_from([50, 100, 170]), st.integers(0, 900), st.integers(0, 1200) | st.none(), st.booleans())
 @settings(deadline=None, max_examples=150)
 def test_ages_equal_a_plain_loop(sent: list[Any], period: int, begin: int, end: int | None, led: bool) -> None:
-    """Against the definition, one millisecond and one frame at a time."""
+    """Against the definition, in steps of one millisecond, one frame at a time."""
     events, rows = [], []
     for number, (sender, at, delays) in enumerate(sorted(sent, key=lambda item: item[1])):
         received = dict(zip([name for name in "abc" if name != sender], delays, strict=True))
@@ -47,7 +47,7 @@ def test_ages_equal_a_plain_loop(sent: list[Any], period: int, begin: int, end: 
         rows += [(to, sender, at, at + delay) for to, delay in received.items() if delay is not None]
     if led:
         events += [follows("b", "a", (0.0, 0.0), 0.1), follows("b", "c", (0.0, 0.0), 0.1, 300 * MS)]
-    recorder = recorded("abc", events, SECOND_NS)
+    recorder = recorder_after("abc", events, SECOND_NS)
 
     acts, at_ticks = Ticks.every(period / 1e3), []
     spans = [("b", "a", 0, 300), ("b", "c", 300, 2000)] if led else [(to, by, 0, 2000) for to in "abc" for by in "abc"]
@@ -72,9 +72,9 @@ def test_ages_equal_a_plain_loop(sent: list[Any], period: int, begin: int, end: 
     assert [found["mean"], found["p95"], found["max"]] == (pytest.approx(of_ticks) if at_ticks else of_ticks)
 
 
-def test_only_those_who_act_have_ages() -> None:
-    """Without followers, a vehicle that has no agent is not asked."""
-    got = Parts(recorded("ab", [frame(0, "a", 0, {"b": MS})], SECOND_NS).radio)
+def test_only_agents_have_ages() -> None:
+    """Without followers, a vehicle without an agent has no age."""
+    got = Parts(recorder_after("ab", [frame(0, "a", 0, {"b": MS})], SECOND_NS).radio)
     assert age_metrics(got, [], {"a": TENTH}, (0.0, None), SECOND_NS)["time_average"] is None
     assert age_metrics(got, [], {"b": TENTH}, (0.0, None), SECOND_NS)["time_average"] == pytest.approx((1.0 + 0.001) / 2)
 
@@ -105,7 +105,7 @@ def path(n: int) -> Edges:
 
 @pytest.mark.parametrize("n", [3, 4, 7, 50])
 def test_algebraic_connectivity_of_known_graphs(n: int) -> None:
-    """Star 1, complete N, path 2 (1 - cos(pi/N)), ring 2 (1 - cos(2 pi/N)), in parts 0."""
+    """Star 1, complete N, path 2 (1 - cos(pi/N)), ring 2 (1 - cos(2 pi/N)), disconnected 0."""
     known = {
         1.0: star(n),
         float(n): complete(n),
@@ -119,15 +119,15 @@ def test_algebraic_connectivity_of_known_graphs(n: int) -> None:
 
 @given(st.integers(2, 8).flatmap(lambda n: st.tuples(st.just(n), st.sets(st.sampled_from(complete(n))))))
 @settings(deadline=None, max_examples=100)
-def test_it_is_greater_than_zero_exactly_where_the_graph_is_connected(given_graph: tuple[int, set[tuple[int, int]]]) -> None:
+def test_connectivity_is_positive_exactly_for_connected_graphs(given_graph: tuple[int, set[tuple[int, int]]]) -> None:
     n, edges = given_graph
     adjacent = graph(n, edges)
     reached = np.linalg.matrix_power(adjacent[0].astype(int) + np.eye(n, dtype=int), n) > 0
     assert (algebraic_connectivity(adjacent)[0] > 0.0) == reached.all()
 
 
-def heard(n: int, seconds: list[Edges]) -> list[Event]:
-    """In each second every edge is one frame, heard in one direction, in its middle."""
+def edge_frames(n: int, seconds: list[Edges]) -> list[Event]:
+    """One frame per edge and second, sent in the middle of the second and received in one direction."""
     names = [f"car{i}" for i in range(n)]
     events: list[Event] = []
     for second, edges in enumerate(seconds):
@@ -141,7 +141,7 @@ def heard(n: int, seconds: list[Edges]) -> list[Event]:
 
 def connectivity(n: int, seconds: list[Edges], window: tuple[float, float | None] = (0.0, None)) -> dict[str, Any]:
     names = [f"car{i}" for i in range(n)]
-    recorder = recorded(names, heard(n, seconds), len(seconds) * SECOND_NS, Ticks.every(1.0))
+    recorder = recorder_after(names, edge_frames(n, seconds), len(seconds) * SECOND_NS, Ticks.every(1.0))
     return recorder.metrics(window=window)["connectivity"]
 
 
@@ -152,18 +152,18 @@ def test_connectivity_is_of_each_second_in_the_window() -> None:
     first = {"mean": pytest.approx(3.0), "min": pytest.approx(1.0), "connected_share": 1.0}
     assert connectivity(5, seconds, (0.0, 2.0)) == first
     assert connectivity(5, seconds, (0.4, 1.39))["mean"] is None  # not a whole second
-    assert connectivity(5, seconds, (1.4, 2.8))["mean"] == pytest.approx(1.0)  # the star's frames alone
+    assert connectivity(5, seconds, (1.4, 2.8))["mean"] == pytest.approx(1.0)  # only the star
 
 
-def test_a_second_takes_what_arrives_in_it() -> None:
+def test_a_second_counts_its_arrivals() -> None:
     events = [frame(0, "a", 0, {"b": SECOND_NS}), frame(1, "a", SECOND_NS // 2, {"b": SECOND_NS - 1})]
-    got = Parts(recorded("ab", events[:1], 2 * SECOND_NS).radio)
+    got = Parts(recorder_after("ab", events[:1], 2 * SECOND_NS).radio)
     assert adjacency(got, "ab", 0, 2).any(axis=(1, 2)).tolist() == [False, True]
-    got = Parts(recorded("ab", events[1:], 2 * SECOND_NS).radio)
+    got = Parts(recorder_after("ab", events[1:], 2 * SECOND_NS).radio)
     assert adjacency(got, "ab", 0, 2).any(axis=(1, 2)).tolist() == [True, False]
 
 
-def test_connectivity_of_nobody_and_of_too_many_is_not_known() -> None:
+def test_connectivity_of_one_vehicle_and_of_too_many_is_none() -> None:
     nothing = dict.fromkeys(("mean", "min", "connected_share"))
     assert connectivity(1, [[]]) == nothing
     assert connectivity(MOST_VEHICLES + 1, [[]]) == nothing

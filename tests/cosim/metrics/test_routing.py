@@ -1,4 +1,4 @@
-"""What the recording makes of messages that are passed on: numbers, and whose information a frame carried."""
+"""Forwarded messages in the recording: metrics, and the origin of the information in each frame."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -22,7 +22,7 @@ FACTS = RunFacts(scenario="test", seed=1, end_ns=10**10, vehicles=NAMES)
 
 
 def frame(number: int, sender: str, sent_ns: int, **received_ns: int) -> FrameReport:
-    """Received where a time is given, else lost."""
+    """Report of a frame; a receiver without a time loses it."""
     others = tuple(name for name in NAMES if name != sender)
     times = [received_ns.get(name, -1) for name in others]
     zeros = np.zeros(len(others))
@@ -33,7 +33,7 @@ def frame(number: int, sender: str, sent_ns: int, **received_ns: int) -> FrameRe
 
 
 def routed(*frames: int, **parts: Any) -> Routed:
-    """Of each receiver, by its name: hops, via and time."""
+    """Report of a message; of each receiver, by its name: hops, via and time, ns."""
     came = {name: parts.pop(name) for name in NAMES if name in parts}
     hops, via, times = zip(*came.values(), strict=True) if came else ((), (), ())
     told: dict[str, Any] = {"origin": "a", "number": 0, "to": None, "sent_ns": 0, "update": False, "under_way": False} | parts
@@ -43,12 +43,12 @@ def routed(*frames: int, **parts: Any) -> Routed:
 
 
 REPORTS = [
-    frame(0, "a", 100, b=200),  # a message of a: b hears it, and passes it on to c
+    frame(0, "a", 100, b=200),  # a message of a: b receives it and forwards it to c
     frame(1, "b", 250, a=350, c=350),
-    frame(2, "b", 400, a=500, c=500),  # b tells of routes
-    frame(3, "a", 600, b=700),  # to c, over b
+    frame(2, "b", 400, a=500, c=500),  # route update of b
+    frame(3, "a", 600, b=700),  # to c, via b
     frame(4, "b", 700, c=800),
-    frame(5, "a", 900),  # heard by nobody
+    frame(5, "a", 900),  # received by no vehicle
 ]
 MESSAGES = [
     routed(0, 1, sent_ns=100, b=(1, "a", 200), c=(2, "b", 350)),
@@ -67,7 +67,7 @@ def routing() -> Routing:
     return found
 
 
-def test_the_numbers(routing: Routing) -> None:
+def test_routing_metrics(routing: Routing) -> None:
     assert routing.metrics() == {
         "messages": 4,
         "arrivals": 3,  # b and c of the first, c of the second
@@ -82,7 +82,7 @@ def test_the_numbers(routing: Routing) -> None:
     }
 
 
-def test_without_routing_there_is_nothing_to_tell() -> None:
+def test_without_messages_the_ratio_is_none() -> None:
     assert not Routing(NAMES)
     nothing = Routing(NAMES)
     nothing.take(routed(2, origin="b", update=True))
@@ -90,7 +90,7 @@ def test_without_routing_there_is_nothing_to_tell() -> None:
     assert nothing.metrics()["delivery_ratio"] is None
 
 
-def test_where_a_message_was_under_way_at_the_end_it_has_not_failed_to_arrive(routing: Routing) -> None:
+def test_a_message_under_way_at_the_end_is_no_loss(routing: Routing) -> None:
     routing.take(routed(6, to="c", sent_ns=960, under_way=True, b=(1, "a", 970)))
     routing.take(routed(7, sent_ns=960, under_way=True))
     assert routing.metrics()["delivery_ratio"] == 0.5
@@ -98,7 +98,7 @@ def test_where_a_message_was_under_way_at_the_end_it_has_not_failed_to_arrive(ro
     assert (routing.metrics()["messages"], routing.metrics()["delivery_ratio"]) == (7, 4 / 7)
 
 
-def test_a_frame_says_whose_message_it_carried(routing: Routing) -> None:
+def test_a_frame_names_its_messages_origin(routing: Routing) -> None:
     table = routing.told(radio_table(REPORTS, FACTS))
     origins, by = names_of(table, "origin")
     ends, to = names_of(table, "destination")
@@ -111,7 +111,7 @@ def test_a_frame_says_whose_message_it_carried(routing: Routing) -> None:
     assert table["message"].to_pylist() == ["over"] * 4 + [""] * 2 + ["over"] * 6
 
 
-def test_information_is_of_its_origin_and_for_whom_it_was_meant(routing: Routing) -> None:
+def test_links_of_information_go_from_origin_to_destination(routing: Routing) -> None:
     table = routing.told(radio_table(REPORTS, FACTS))
     known = links(table)
     times = {key: (link.sent_ns.tolist(), link.received_ns.tolist()) for key, link in known.items()}
@@ -125,25 +125,25 @@ def test_a_table_without_routing_is_read_as_it_is() -> None:
     assert set(links(table)) == {("b", "a"), ("a", "b"), ("c", "b")}
 
 
-def test_messages_that_came_over_nobody(routing: Routing) -> None:
+def test_times_of_unreached_messages(routing: Routing) -> None:
     table = routing.told(radio_table(REPORTS, FACTS))
     assert unreached_s(table, "c", "a").tolist() == [900e-9]
-    assert unreached_s(table, "b", "a").tolist() == [900e-9]  # what was meant for c is no loss
+    assert unreached_s(table, "b", "a").tolist() == [900e-9]  # the message to c is no loss
     assert unreached_s(table, "a", "b").tolist() == []
 
 
-def test_of_several_messages_at_an_instant_each_is_missed_by_itself() -> None:
+def test_simultaneous_messages_are_missed_separately() -> None:
     routing = Routing(NAMES)
     for number in range(4):
         routing.take(routed(number, number=number, to="b", sent_ns=100, under_way=number == 3))
     table = routing.told(radio_table([frame(0, "a", 100, b=200), *(frame(k, "a", 100) for k in (1, 2, 3))], FACTS))
-    assert unreached_s(table, "b", "a").tolist() == [100e-9] * 2  # one came, and one is under way
+    assert unreached_s(table, "b", "a").tolist() == [100e-9] * 2  # one arrived, one is under way
     assert unreached_s(table, "c", "a").tolist() == []
 
 
 @pytest.mark.parametrize(("told", "known"), [((), 0), ((routed(to="c"),), 0), (MESSAGES[1:2], 0), (MESSAGES[:1], 4)])
-def test_frames_of_a_run_that_broke_off_are_of_nobody(told: Sequence[Routed], known: int) -> None:
-    """Whatever it was told before, be it nothing, a message without a route, or a frame about routes alone."""
+def test_frames_of_an_aborted_run_have_no_origin(told: Sequence[Routed], known: int) -> None:
+    """Reported before the end: nothing, a message without a route, a route update, or the first message."""
     routing = Routing(NAMES)
     for each in told:
         routing.take(each)
@@ -157,7 +157,7 @@ def test_frames_of_a_run_that_broke_off_are_of_nobody(told: Sequence[Routed], kn
     assert table["message"].to_pylist() == ["over"] * known + [""] * (12 - known)
 
 
-def test_a_frame_that_nobody_else_could_hear_has_no_rows() -> None:
+def test_a_frame_without_receivers_has_no_rows() -> None:
     routing = Routing(("a",))
     for number in range(3):
         routing.take(routed(number, number=number))
@@ -169,7 +169,7 @@ def test_a_frame_that_nobody_else_could_hear_has_no_rows() -> None:
     assert routing.metrics()["delivery_ratio"] is None
 
 
-def test_a_recording_keeps_its_tables_where_telling_of_messages_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failure_of_routing_keeps_the_tables(monkeypatch: pytest.MonkeyPatch) -> None:
     """A second attempt still finds the frames."""
     info = RunInfo(scenario="test", seed=1, duration_ns=10**10, vehicles=NAMES)
     recorder = Recorder(info, record_ticks=Ticks.every(0.1), mcap=None, agents=[], radius_m={})

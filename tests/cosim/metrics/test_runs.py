@@ -1,4 +1,4 @@
-"""The numbers of whole runs: closed forms through the platform, and which keys there are."""
+"""Metrics of whole runs: closed forms through the platform, and the set of keys."""
 
 import json
 import math
@@ -14,7 +14,7 @@ from vcmvsp.cosim.terminal.progress import summary
 
 @pytest.mark.parametrize(("k1", "start"), [(0.8, 0.5), (2.0, 0.5), (12.0, 0.3)])
 def test_response_of_a_kinematic_follower(k1: float, start: float) -> None:
-    """z grows by v T until the first report is acted upon, then by 1 - k1 T a period."""
+    """z grows by v T until the first report takes effect, then by the factor 1 - k1 T per period."""
     follower = {"pose": (-1.0 - start, 0.0, 0.0), "k1": k1, **UNLIMITED}
     metrics = vcmvsp.run(fleet(20.0, [follower], path="straight", radio={"preset": "ideal"}), mcap=False).metrics
     z = np.array([start, *((start + V * T) * (1 - k1 * T) ** np.arange(200))])
@@ -28,7 +28,7 @@ def test_response_of_a_kinematic_follower(k1: float, start: float) -> None:
 
 
 def test_keys_do_not_depend_on_chance() -> None:
-    """Whatever the seed and the losses, but for their causes."""
+    """For all seeds and losses, except the keys of the causes of loss."""
     keys = []
     for seed, p in ((1, 0.0), (2, 0.3), (3, 1.0)):
         metrics = vcmvsp.run(fleet(2.0, radio=lossy(p)), seed=seed, mcap=False).metrics
@@ -43,10 +43,11 @@ def test_keys_do_not_depend_on_chance() -> None:
 
 
 def test_errors_of_a_chain_add_up_in_its_shape() -> None:
-    """On a straight line, ``hold``, each is behind its predecessor by speed times age: a column that is too long.
+    """On a straight line with ``hold``, each vehicle is too far behind its predecessor by speed times age: the column is too
+    long.
 
-    The ages are T: car2 is 1.03 m behind car1, car3 as far behind car2; both ends are 0.03 m farther from the middle than they
-    should be. What is printed of a chain says so.
+    The ages are T: car2 is 1.03 m behind car1, car3 as far behind car2; both ends are 0.03 m too far from the middle. The
+    printed summary of a chain contains the shape error.
     """
     behind = {"estimator": "hold", "bearing_deg": 0.0, "handle": 0.5, "broadcast": True, **UNLIMITED}
     chain = [behind, {**behind, "leader": "car2", "pose": (-2.0, 0.0, 0.0)}]
@@ -58,4 +59,4 @@ def test_errors_of_a_chain_add_up_in_its_shape() -> None:
     assert formation["shape"]["rms_m"] == pytest.approx(V * T * math.sqrt(2 / 3), rel=1e-6)
     assert "error 0.0300 m RMS, 0.0300 m at most, shape 0.0245 m off a rigid one, " in summary(result)
     star = vcmvsp.run(fleet(5.0, path="straight", radio={"preset": "ideal"}), mcap=False)
-    assert "shape" not in summary(star)  # but for a line, on which z is 0 and headings differ
+    assert "shape" not in summary(star)  # in a star only if above the link errors

@@ -1,4 +1,4 @@
-"""How near vehicles came to what stood in their way, through the whole platform and from tables alone."""
+"""Least clearance of vehicles from obstacles: through the whole platform and from tables alone."""
 
 import json
 import math
@@ -8,21 +8,21 @@ from typing import Any
 import pytest
 
 import vcmvsp
-from tests.support.cosim.recordings import TENTH, recorded, states
+from tests.support.cosim.recordings import TENTH, recorder_after, states
 from vcmvsp import Agent, Observation, Radio, Velocity
 from vcmvsp.cosim.assembly.worlds import world_of
 from vcmvsp.cosim.clock import SECOND_NS
 
 
 class Straight(Agent):
-    """Ahead, in the direction of the world's x axis."""
+    """Straight ahead along the world's x axis."""
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
         return Velocity(linear=(0.5, 0.0, 0.0))
 
 
 def passing(world: dict[str, Any], *vehicles: dict[str, Any], **settings: Any) -> vcmvsp.Result:
-    """Of 10 s in which all go 5 m eastwards."""
+    """A run of 10 s in which all vehicles drive 5 m eastwards."""
     listed = [{"name": f"v{k}", "kind": "kinematic", **each} for k, each in enumerate(vehicles)]
     scenario = {"name": "passing", "duration_s": 10.0, "physics": {"kind": "kinematic"}, "world": world, "vehicle": listed}
     return vcmvsp.run(scenario, agents={each["name"]: Straight() for each in listed}, set=settings)
@@ -33,7 +33,7 @@ def clearance(result: vcmvsp.Result) -> Any:
 
 
 def test_past_a_pillar_and_over_it(tmp_path: Path) -> None:
-    """1 m beside its axis; a flyer 0.4 m above its top; a corner is the nearest of a square one that is not reached."""
+    """1 m beside its axis; a flyer 0.4 m above its top; a vehicle that ends before it: the corner is nearest."""
     pillar = {"kind": "pillar", "position": [2.5, 0.0], "radius": 0.25, "square": True, "height": 1.0}
     assert clearance(passing(pillar, {"pose": [0, 1, 0]})) == pytest.approx(0.75)
     assert clearance(passing(pillar, {"pose": [0, 1, 0]}, {"kind": "point", "position": [0, 0.1, 1.4]})) == pytest.approx(0.4)
@@ -48,10 +48,12 @@ def test_clearance_is_of_all_vehicles_and_the_whole_run() -> None:
     assert clearance(passing(wall, {"pose": [0, 0, 0]}, {"pose": [0, -1, 0]}, **{"metrics.from_s": 8.0})) == pytest.approx(1.0)
 
 
-def test_a_recorder_that_knows_no_world_tells_no_clearance() -> None:
+def test_a_recorder_without_a_world_has_no_clearance() -> None:
     events = [states(TENTH.at(k), {"a": (0.1 * k, 0.0, 0.0)}) for k in range(11)]
     world, _ = world_of("pillar", {})
-    of_world, of_none = (recorded("a", events, SECOND_NS, world=each).metrics(window=(0.0, None)) for each in (world, None))
+    of_world, of_none = (
+        recorder_after("a", events, SECOND_NS, world=each).metrics(window=(0.0, None)) for each in (world, None)
+    )
     assert of_world["safety"]["min_clearance_m"] == pytest.approx(3.5)
     assert of_none["safety"]["min_clearance_m"] is None
     assert of_world["digest"] == of_none["digest"]

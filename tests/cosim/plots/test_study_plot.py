@@ -1,4 +1,4 @@
-"""What the figures of a study call the values that were varied."""
+"""Names of the varied values in the figures of a study."""
 
 from typing import Any
 
@@ -18,7 +18,7 @@ def summary(rows: list[dict[str, Any]]) -> pa.Table:
 
 
 @pytest.mark.parametrize("values", [(1e6, 1e6 + 1.0), (0.12345671, 0.12345672), (0.5, 1.0)])
-def test_a_line_for_each_value_however_near_the_next_is(values: tuple[float, float]) -> None:
+def test_close_values_have_separate_lines(values: tuple[float, float]) -> None:
     points = [{"x": x, "f": f, "m.mean": x + number} for number, f in enumerate(values) for x in (0.0, 1.0, 2.0)]
     (axes,) = study_plot.lines(summary(points), ["x", "f"], ["m"]).axes
     assert [np.asarray(line.get_ydata()).tolist() for line in axes.lines] == [[0.0, 1.0, 2.0], [1.0, 2.0, 3.0]]
@@ -41,7 +41,7 @@ def test_a_legend_has_as_many_names_as_there_is_room_for(count: int, named: int)
     assert words[:5] == ["e0", "e1", "e2", "e3", "e4"]
     assert len(words) == named
     assert words[-1] == (f"and {count - named + 1} more" if count > named else f"e{count - 1}")
-    assert legend.get_window_extent().y0 >= 0.0  # it ends within the figure
+    assert legend.get_window_extent().y0 >= 0.0  # within the figure
 
 
 def test_a_map_of_many_values_is_no_larger_and_names_some_of_them() -> None:

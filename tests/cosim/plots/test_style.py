@@ -1,5 +1,5 @@
-"""How figures look: colours that stay apart for everybody, series that are told apart twice, units at every axis, legends that
-hide nothing, and drawings that are the same again.
+"""Style of figures: colours distinguishable for all kinds of vision, series that differ in colour and marker, units at every
+axis, legends that cover nothing, reproducible drawings.
 """
 
 import ast
@@ -18,7 +18,7 @@ from matplotlib.lines import Line2D
 
 from tests.cosim.studies.test_outputs import DELAY, LOSS, METRIC, study
 from tests.support.cosim import recordings
-from tests.support.cosim.reconnaissance_recording import TARGETS, recorded
+from tests.support.cosim.reconnaissance_recording import TARGETS, reconnaissance_recorder
 from tests.support.paths import ROOT
 from vcmvsp.cosim.analysis import coverage as coverages
 from vcmvsp.cosim.clock import SECOND_NS
@@ -39,7 +39,7 @@ pytestmark = pytest.mark.slow
 Array = np.ndarray
 FIGURES = ROOT / "cosim" / "reproduction" / "figures"
 
-# Of pure numbers; why there is no unit.
+# Labels of pure numbers, by the reason for the missing unit.
 PURE = {
     "a share, from 0 to 1": {
         "share of the start", "share of the targets", "share of the target", "share of frames delivered", "probability of loss",
@@ -72,21 +72,21 @@ SEEN_BY = {
 
 
 def linear(code: str) -> Array:
-    """A colour as amounts of light."""
+    """A colour as linear RGB, 0 to 1."""
     value = np.array(rgb(code))
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
 
 
 def lab(light: Array) -> Array:
-    """CIE L*a*b* under D65, of sRGB light."""
+    """CIE L*a*b* under D65, of linear sRGB."""
     to_xyz = np.array([(0.4124564, 0.3575761, 0.1804375), (0.2126729, 0.7151522, 0.0721750), (0.0193339, 0.1191920, 0.9503041)])
     x, y, z = (to_xyz @ light) / (0.95047, 1.0, 1.08883)
     fx, fy, fz = (np.cbrt(t) if t > 216 / 24389 else (24389 / 27 * t + 16) / 116 for t in (x, y, z))
     return np.array([116 * fy - 16, 500 * (fx - fy), 200 * (fy - fz)])
 
 
-def apart(one: str, other: str, seen: Array) -> float:
-    """Colour difference (CIE 1976) as somebody sees it; 2.3 is just noticed."""
+def colour_difference(one: str, other: str, seen: Array) -> float:
+    """Colour difference (CIE 1976) under a kind of vision (matrix ``seen``); 2.3 is just noticeable."""
     first, second = (lab(np.clip(seen @ linear(code), 0.0, 1.0)) for code in (one, other))
     return float(np.linalg.norm(first - second))
 
@@ -96,12 +96,12 @@ def apart(one: str, other: str, seen: Array) -> float:
 
 @pytest.mark.parametrize("who", SEEN_BY)
 @pytest.mark.parametrize("palette", [OKABE_ITO, tuple(COMMANDERS.values())], ids=["series", "commanders"])
-def test_colours_stay_apart_for_everybody(palette: tuple[str, ...], who: str) -> None:
-    assert min(apart(*pair, SEEN_BY[who]) for pair in itertools.combinations(palette, 2)) > 15.0
+def test_colours_differ_for_all_vision(palette: tuple[str, ...], who: str) -> None:
+    assert min(colour_difference(*pair, SEEN_BY[who]) for pair in itertools.combinations(palette, 2)) > 15.0
 
 
 def test_series_differ_without_their_colours() -> None:
-    """Neighbours have other markers, and no two of 56 are alike in all."""
+    """Neighbours have different markers; no two of 56 are equal in colour and marker."""
     looks = [line_of(index) for index in range(56)]
     assert all(one["marker"] != next_["marker"] for one, next_ in itertools.pairwise(looks))
     assert len({(look["color"], look["marker"]) for look in looks}) == 56
@@ -124,14 +124,14 @@ def run() -> dict[str, Canvas]:
     for k in range(20):
         at = k * SECOND_NS // 10
         events.append(recordings.frame(k, "car0", at, {"car1": at + 1000 if k % 3 else None, "car2": at + 1000}))
-    seen = recordings.recorded(list(poses), events, 3 * SECOND_NS)
+    seen = recordings.recorder_after(list(poses), events, 3 * SECOND_NS)
     error = run_plots.formation_error(seen.states, seen.radio, seen.follows, (1.0, None))
     alone = run_plots.formation_error(seen.states, seen.radio.slice(0, 0), seen.follows)
     return {"trajectory": run_plots.trajectory(seen.states, seen.follows), "formation_error": error, "without radio": alone}
 
 
 def mission() -> dict[str, Canvas]:
-    recorder, stream = recorded(("uav1", "uav2"))
+    recorder, stream = reconnaissance_recorder(("uav1", "uav2"))
     log = read_mission(io.BytesIO(stream.getvalue()), ("uav1", "uav2"), 20 * SECOND_NS)
     moved = motion(recorder.states)
     return {
@@ -141,7 +141,7 @@ def mission() -> dict[str, Canvas]:
     }
 
 
-def studied() -> dict[str, Canvas]:
+def study_figures() -> dict[str, Canvas]:
     vary = {DELAY: [2.0, 0.5], LOSS: [0.1, 0.9, 0.5]}
     summary = summarise(study(vary)[0], list(vary), [METRIC, "radio.delivery_ratio"])
     over_two = study_plot.heat_map(summary, list(vary), METRIC, "over two")
@@ -180,8 +180,8 @@ def coverage() -> dict[str, Canvas]:
 
 @cache
 def every() -> dict[str, Canvas]:
-    """One of each kind that the project draws."""
-    kinds: tuple[Callable[[], dict[str, Canvas]], ...] = (run, mission, studied, calibration, thesis, coverage)
+    """One figure of each kind in the project."""
+    kinds: tuple[Callable[[], dict[str, Canvas]], ...] = (run, mission, study_figures, calibration, thesis, coverage)
     return {name: figure for kind in kinds for name, figure in kind().items()}
 
 
@@ -191,7 +191,7 @@ NAMES = (
 )  # fmt: skip
 
 
-def test_each_kind_is_looked_at_here() -> None:
+def test_every_kind_is_listed() -> None:
     assert tuple(every()) == NAMES
 
 
@@ -208,9 +208,9 @@ def test_every_axis_has_a_unit_and_every_figure_a_title_in_one_size(name: str) -
 
 @pytest.mark.parametrize("name", NAMES)
 def test_legends_hide_nothing(name: str) -> None:
-    """They lie beside their axes and titles, and within the figure."""
+    """They lie outside axes and titles and within the figure."""
     figure = every()[name]
-    svg(figure)  # works the layout out
+    svg(figure)  # computes the layout
     axes = [each for each in figure.axes if each.get_visible()]
     legends = [legend for legend in (*(each.get_legend() for each in axes), *figure.legends) if legend is not None]
     assert legends or name in ("detections", "coverage", "map")
@@ -226,7 +226,7 @@ def test_legends_hide_nothing(name: str) -> None:
 
 
 def test_every_panel_of_the_thesis_figures_has_units() -> None:
-    """As they are written, without making them, which takes minutes."""
+    """From the source text: making the figures takes minutes."""
     found: list[str] = []
     for path in sorted(FIGURES.rglob("*.py")):
         for call in ast.walk(ast.parse(path.read_text("utf-8"))):
@@ -239,7 +239,7 @@ def test_every_panel_of_the_thesis_figures_has_units() -> None:
 
 
 def test_every_number_of_a_run_is_named_with_its_unit() -> None:
-    recorder, _ = recorded(("uav1", "uav2"))
+    recorder, _ = reconnaissance_recorder(("uav1", "uav2"))
     names = flat(recorder.metrics(window=(0.0, None)))
     assert len(names) > 40
     assert [name for name in names if "[" not in label_of(name) and not COUNTS.search(name)] == []
@@ -249,7 +249,7 @@ def test_every_number_of_a_run_is_named_with_its_unit() -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_drawing_is_the_same_again_and_leaves_the_figure_as_it_was(name: str, tmp_path: Path) -> None:
+def test_a_drawing_is_reproducible_and_keeps_the_figure(name: str, tmp_path: Path) -> None:
     figure = every()[name]
     save_png(figure, tmp_path / "before.png")
     drawing = svg(figure)
@@ -284,8 +284,8 @@ def one_line(x: Array, y: Array, look: str) -> str:
     return svg(figure)
 
 
-def test_curves_are_light_and_nobody_sees_it() -> None:
-    """A circle of many points becomes one of few, nowhere 0.1 pt off, its sides included; its numbers are short."""
+def test_curves_are_simplified_invisibly() -> None:
+    """A circle of 20,000 points becomes one of few, nowhere 0.1 pt off, between its points too; its numbers are short."""
     turn = np.linspace(0.0, 2.0 * np.pi, 20_000)
     drawing = one_line(np.cos(turn), np.sin(turn), "-")
     found = re.search(r'<g id="it">\s*<path d="([^"]*)"', drawing)
@@ -297,18 +297,18 @@ def test_curves_are_light_and_nobody_sees_it() -> None:
     away = np.hypot(*(np.concatenate([points, middles]) - centre).T)
     assert np.ptp(away) < 0.1
     assert not re.search(r"\.\d{3}", found[1])
-    assert ">1.23456 &lt;b&gt;<" in drawing  # text is as it was
+    assert ">1.23456 &lt;b&gt;<" in drawing  # text is unchanged
 
 
-def test_dense_marks_are_a_picture_and_few_are_not() -> None:
+def test_only_dense_marks_are_rasterised() -> None:
     x = np.linspace(0.0, 1.0, 5000)
     assert "<image" in one_line(x, x, ".")
     assert "<image" not in one_line(x[:100], x[:100], ".")
     assert "<image" not in one_line(x, x, "-")
 
 
-def test_the_lines_of_one_figure_do_not_change_another() -> None:
-    """Rasterising is a matter of each line."""
+def test_each_line_is_rasterised_separately() -> None:
+    """Rasterising is set per line."""
     with style():
         figure = Canvas()
         axes = figure.add_subplot()

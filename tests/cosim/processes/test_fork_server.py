@@ -1,4 +1,4 @@
-"""Child processes that a fork server starts: each as one that is started afresh, to the caller and to itself."""
+"""Child processes of a fork server: equal to freshly started ones, for the caller and for the child."""
 
 import json
 import os
@@ -38,7 +38,7 @@ def main():
 
 @pytest.fixture(params=[True, False], ids=["forked", "afresh"])
 def ways(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Both ways to start child processes. Their module is in the folder ``tmp_path``."""
+    """Both ways to start child processes; their module is in ``tmp_path``."""
     if request.param and not fork_server.FORKS:
         pytest.skip("no forks on this operating system")
     monkeypatch.setattr(fork_server, "FORKS", request.param)
@@ -84,7 +84,7 @@ def test_a_child_ends_by_itself_when_its_input_closes_and_else_is_killed(tmp_pat
 
 
 @pytest.mark.usefixtures("ways")
-def test_threads_that_wait_for_the_same_child_all_learn_how_it_ended(tmp_path: Path) -> None:
+def test_all_threads_that_wait_for_a_child_get_its_exit_code(tmp_path: Path) -> None:
     (tmp_path / "child.py").write_text(CHILD.replace("os.read(FILE, 9)", "b''"))
     with ForkServer("child") as server, ThreadPoolExecutor(8) as threads:
         for number in range(20):
@@ -107,7 +107,7 @@ def test_a_server_that_is_killed_is_replaced_and_its_forks_live_on(tmp_path: Pat
         os.kill(parent, signal.SIGKILL)
         os.waitid(os.P_PID, parent, os.WEXITED | os.WNOWAIT)
         ends = server.start(str(tmp_path / "ends"), "0", first="x\n")
-        assert waits.why_ended(500.0) == "was killed by SIGKILL"  # nobody knows better
+        assert waits.why_ended(500.0) == "was killed by SIGKILL"  # its own status is unknown
         assert forked.is_running()
         assert ends.why_ended(500.0) == "ended with exit code 0"
         for child in (waits, ends):
@@ -139,4 +139,4 @@ def test_hosts_built_in_agents_and_figures_start_no_thread_when_they_are_importe
     command = [sys.executable, "-c", THREADS, *sorted(modules)]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     threads = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.split()
-    assert set(threads) <= {"jemalloc_bg_thd"}  # of pyarrow, and prepared for forks
+    assert set(threads) <= {"jemalloc_bg_thd"}  # of pyarrow, safe for forks

@@ -1,4 +1,4 @@
-"""Links to processes of one's own on this machine: whole messages or none."""
+"""Links to own processes on this machine: whole messages or none."""
 
 import socket
 
@@ -12,7 +12,7 @@ def ends() -> tuple[LocalLink, socket.socket]:
     return pair()
 
 
-def test_messages_come_whole_and_in_order_and_the_end_is_told(ends: tuple[LocalLink, socket.socket]) -> None:
+def test_messages_arrive_whole_and_in_order_until_the_end(ends: tuple[LocalLink, socket.socket]) -> None:
     here, there = ends[0], LocalLink(ends[1])
     messages = [b"x", bytes(100_000), b"last"]
     for message in messages:
@@ -24,7 +24,7 @@ def test_messages_come_whole_and_in_order_and_the_end_is_told(ends: tuple[LocalL
     there.close()
 
 
-def test_who_does_not_read_holds_up_nobody(ends: tuple[LocalLink, socket.socket]) -> None:
+def test_an_idle_reader_blocks_no_sender(ends: tuple[LocalLink, socket.socket]) -> None:
     here, there = ends[0], LocalLink(ends[1])
     sent = 0
     while here.send(b"%d" % sent):
@@ -35,7 +35,7 @@ def test_who_does_not_read_holds_up_nobody(ends: tuple[LocalLink, socket.socket]
     there.close()
 
 
-def test_a_message_that_is_too_long_is_refused_and_is_no_end(ends: tuple[LocalLink, socket.socket]) -> None:
+def test_a_too_long_message_is_refused_and_the_link_stays(ends: tuple[LocalLink, socket.socket]) -> None:
     here, there = ends[0], LocalLink(ends[1])
     with pytest.raises(ValueError, match="a message of 10000000 bytes is too long for the link"):
         here.send(bytes(10_000_000))
@@ -45,9 +45,7 @@ def test_a_message_that_is_too_long_is_refused_and_is_no_end(ends: tuple[LocalLi
     there.close()
 
 
-def test_a_message_of_which_the_end_is_missing_is_noticed(
-    ends: tuple[LocalLink, socket.socket], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_truncated_message_is_an_error(ends: tuple[LocalLink, socket.socket], monkeypatch: pytest.MonkeyPatch) -> None:
     here, there = ends[0], LocalLink(ends[1])
     monkeypatch.setattr("vcmvsp.cosim.processes.child_process.LONGEST", 1000)
     assert LONGEST > 1000

@@ -1,4 +1,4 @@
-"""What a run leaves on disk: an MCAP file that viewers can read, Parquet tables and figures, the same bytes every time."""
+"""Files of a run: an MCAP file for viewers, Parquet tables and figures; equal bytes every time."""
 
 import inspect
 import io
@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from mcap.reader import make_reader
 
 from tests.support.cosim.recordings import follows, states
-from tests.support.cosim.recordings import recorded as plainly
+from tests.support.cosim.recordings import recorder_after as plainly
 from vcmvsp.cosim import types
 from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
@@ -87,8 +87,8 @@ def events(seconds: float = 1.0) -> Iterator[Event]:
     yield Event("world/contact", t + 1000, types.Contact(vehicle="car1", other=None))
 
 
-def recorded(mcap: BinaryIO | None, seconds: float = 1.0) -> Recorder:
-    """A closed recorder of those events."""
+def closed_recorder(mcap: BinaryIO | None, seconds: float = 1.0) -> Recorder:
+    """A closed recorder of ``events``."""
     run = RunInfo(scenario="files", seed=5, duration_ns=round(seconds * SECOND_NS), vehicles=NAMES)
     agents = [AgentInfo(vehicle=name, agent="x", ticks=TENTH, latency_ns=0, params={}, known=(), taken=()) for name in NAMES]
     recorder = Recorder(run, record_ticks=TENTH, mcap=mcap, agents=agents, radius_m={"car1": 0.25}, heard=True)
@@ -101,9 +101,9 @@ def recorded(mcap: BinaryIO | None, seconds: float = 1.0) -> Recorder:
 
 @pytest.fixture(scope="module")
 def recording() -> dict[str, list[tuple[int, Any, Any, str]]]:
-    """By topic: time, message, schema and schema name of every message."""
+    """Time, message, schema and schema name of every message, by topic."""
     stream = io.BytesIO()
-    recorded(stream)
+    closed_recorder(stream)
     found: dict[str, list[tuple[int, Any, Any, str]]] = {}
     for schema, channel, message in make_reader(io.BytesIO(stream.getvalue()), validate_crcs=True).iter_messages():
         assert schema is not None
@@ -125,7 +125,7 @@ def test_every_topic_has_its_schema(recording: dict[str, Any]) -> None:
         "car1/scan": "foxglove.LaserScan",
         "car1/send": "vcmvsp.Message",
         "car1/state": "vcmvsp.VehicleState",
-        "car2/estimate": "vcmvsp.VehicleState",  # car1 believes the truth, so its estimate is left out
+        "car2/estimate": "vcmvsp.VehicleState",  # car1's estimate is the truth and is left out
         "car2/fix": "foxglove.PoseInFrame",
         "car2/follows": "vcmvsp.Follows",
         "car2/heard": "vcmvsp.Heard",
@@ -141,7 +141,7 @@ def test_every_topic_has_its_schema(recording: dict[str, Any]) -> None:
 
 
 def check(value: Any, schema: dict[str, Any]) -> None:
-    """Types and required fields, as a reader of simple JSON Schemas would."""
+    """Check types and required fields, as a reader of simple JSON Schemas does."""
     kind: Any = {"object": dict, "array": list, "string": str, "boolean": bool, "integer": int, "number": (int, float)}[
         schema["type"]
     ]
@@ -212,7 +212,7 @@ def test_messages_are_recorded_at_the_tick_at_which_the_agent_gets_them(recordin
     assert all(tick % (SECOND_NS // 10) == 0 for tick in got)
 
 
-def test_scene_shows_each_vehicle_and_each_place_once_and_for_good(recording: dict[str, Any]) -> None:
+def test_scene_contains_each_vehicle_and_each_slot_once(recording: dict[str, Any]) -> None:
     ((time, scene, *_),) = recording["world/scene"]
     assert time == 0
     entities = {entity["id"]: entity for entity in scene["entities"]}
@@ -221,7 +221,7 @@ def test_scene_shows_each_vehicle_and_each_place_once_and_for_good(recording: di
     assert entities["car1"]["cylinders"][0]["size"]["x"] == pytest.approx(0.5)
     assert entities["car2/place"]["frame_id"] == "car1"
     assert entities["car2/place"]["lines"][0]["points"][1] == {"x": -1.0, "y": 0.5, "z": 0.0}
-    assert scene["deletions"] == [{"timestamp": entities["car1"]["timestamp"], "type": 1, "id": ""}]  # of the scene before
+    assert scene["deletions"] == [{"timestamp": entities["car1"]["timestamp"], "type": 1, "id": ""}]  # of the earlier scene
 
 
 def test_readings_are_drawn_by_viewers(recording: dict[str, Any]) -> None:
@@ -234,14 +234,14 @@ def test_readings_are_drawn_by_viewers(recording: dict[str, Any]) -> None:
     assert fix["pose"]["orientation"]["w"] == pytest.approx(math.cos(0.05))
 
 
-def test_log_says_why_the_run_ended(recording: dict[str, Any]) -> None:
+def test_log_names_the_cause_of_the_end(recording: dict[str, Any]) -> None:
     _, line, *_ = recording["log"][-1]
     assert (line["level"], line["message"]) == (4, "car2 ran into the wall")
 
 
 def test_close_may_be_called_again() -> None:
     stream = io.BytesIO()
-    recorder = recorded(stream)
+    recorder = closed_recorder(stream)
     size = len(stream.getvalue())
     recorder.close(0)
     assert len(stream.getvalue()) == size
@@ -253,7 +253,7 @@ def test_equal_runs_leave_equal_bytes_and_no_library_version(tmp_path: Path) -> 
     for name in ("one", "two"):
         folder, stream = tmp_path / name, io.BytesIO()
         folder.mkdir()
-        recorder = recorded(stream)
+        recorder = closed_recorder(stream)
         recorder.write_tables(folder)
         save_png(run_plots.trajectory(recorder.states, recorder.follows), folder / "t.png")
         save_png(
@@ -268,7 +268,7 @@ def test_equal_runs_leave_equal_bytes_and_no_library_version(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(("greatest_m", "scale"), [(1e-9, "linear"), (1e-5, "log"), (1.0, "log")])
-def test_errors_that_are_rounding_have_no_decades(greatest_m: float, scale: str) -> None:
+def test_rounding_errors_have_a_linear_axis(greatest_m: float, scale: str) -> None:
     errors = np.geomspace(1e-6, 1.0, 50) * greatest_m
     events = [states(k * SECOND_NS // 10, {"a": (0.0, 0.0, 0.0), "b": (-1.0 - e, 0.0, 0.0)}) for k, e in enumerate(errors)]
     seen = plainly("ab", [follows("b", "a", (-1.0, 0.0), 0.1), *events], 5 * SECOND_NS)
@@ -279,13 +279,13 @@ def test_errors_that_are_rounding_have_no_decades(greatest_m: float, scale: str)
 
 
 def test_recording_tables_alone_gives_the_same_tables() -> None:
-    with_file, without = recorded(io.BytesIO()), recorded(None)
+    with_file, without = closed_recorder(io.BytesIO()), closed_recorder(None)
     assert with_file.states.equals(without.states)
     assert with_file.metrics(window=(0.0, None)) == without.metrics(window=(0.0, None))
 
 
 def test_tables_have_their_schema_and_values() -> None:
-    recorder = recorded(None)
+    recorder = closed_recorder(None)
     assert recorder.states.schema.equals(STATES_SCHEMA)
     assert recorder.radio.schema.equals(RADIO_SCHEMA)
     assert recorder.states.num_rows == 11 * 2
@@ -304,7 +304,7 @@ def test_tables_have_their_schema_and_values() -> None:
 
 
 def test_run_directory_comes_back_as_it_was(tmp_path: Path) -> None:
-    recorder = recorded(None)
+    recorder = closed_recorder(None)
     recorder.write_tables(tmp_path)
     metrics = recorder.metrics(window=(0.0, None))
     (tmp_path / "metrics.json").write_text(json.dumps(metrics))
@@ -318,21 +318,21 @@ def test_run_directory_comes_back_as_it_was(tmp_path: Path) -> None:
 def test_a_directory_that_is_no_run_is_named(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"no states\.parquet"):
         load(tmp_path)
-    recorded(None).write_tables(tmp_path)
+    closed_recorder(None).write_tables(tmp_path)
     write_table(pq.read_table(tmp_path / "states.parquet").replace_schema_metadata(None), tmp_path / "states.parquet")
     with pytest.raises(UsageError, match="not written by vcmvsp"):
         load(tmp_path)
 
 
 def colours(figure: Figure) -> int:
-    """How many different pixels a figure has."""
+    """Number of different pixel colours of a figure."""
     canvas: Any = FigureCanvasAgg(figure)
     canvas.draw()
     return len(np.unique(np.asarray(canvas.buffer_rgba()).reshape(-1, 4), axis=0))
 
 
 def test_trajectory_draws_the_recorded_positions() -> None:
-    run = recorded(None)
+    run = closed_recorder(None)
     axes = run_plots.trajectory(run.states, run.follows).axes[0]
     drawn = {line.get_label(): np.asarray(line.get_xydata()) for line in axes.lines}
     for i, name in enumerate(NAMES):
@@ -341,7 +341,7 @@ def test_trajectory_draws_the_recorded_positions() -> None:
 
 
 def test_figures_ignore_the_users_style(tmp_path: Path) -> None:
-    run = recorded(None)
+    run = closed_recorder(None)
     save_png(run_plots.trajectory(run.states, run.follows), tmp_path / "plain.png")
     with mpl.rc_context({"axes.facecolor": "red", "font.size": 20, "savefig.dpi": 30}):
         save_png(run_plots.trajectory(run.states, run.follows), tmp_path / "styled.png")

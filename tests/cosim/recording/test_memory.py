@@ -1,4 +1,4 @@
-"""What a run keeps of each reception: little while it goes on, and what its metrics need for a moment at its end."""
+"""Memory per reception: little during the run, and limited while its metrics are computed."""
 
 import gc
 import io
@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import vcmvsp
-from tests.support.cosim.recordings import TENTH, follows, recorded, states
+from tests.support.cosim.recordings import TENTH, follows, recorder_after, states
 from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.analysis.links import links_of
 from vcmvsp.cosim.clock import SECOND_NS
@@ -28,11 +28,11 @@ from vcmvsp.cosim.types import FrameReport
 pytestmark = pytest.mark.slow
 
 NAMES = tuple(f"car{number}" for number in range(20))
-HELD_BYTES, PEAK_BYTES = 10, 40  # per reception: while the run goes on, and until its numbers are there
+HELD_BYTES, PEAK_BYTES = 10, 40  # per reception: during the run, and until metrics are computed
 
 
 def reports(rounds: int) -> Iterator[FrameReport]:
-    """In each round every vehicle broadcasts to all others, with numbers that differ from reception to reception."""
+    """In each round every vehicle broadcasts to all others; values differ from reception to reception."""
     rng = np.random.default_rng(1)
     others = {name: tuple(other for other in NAMES if other != name) for name in NAMES}
     for number in range(rounds * len(NAMES)):
@@ -46,7 +46,7 @@ def reports(rounds: int) -> Iterator[FrameReport]:
 
 
 def memory(rounds: int, folder: Path) -> tuple[int, int, int]:
-    """Receptions, bytes held at the end of the run, and the most held until metrics and files are there."""
+    """Receptions, bytes held at the end of the run, and peak bytes until metrics and files are written."""
     end_ns = rounds * len(NAMES) * 10**6 + SECOND_NS
     agents = [AgentInfo(vehicle=name, agent="x", ticks=TENTH, latency_ns=0, params={}, known=(), taken=()) for name in NAMES]
     run = RunInfo(scenario="test", seed=3, duration_ns=end_ns, vehicles=NAMES)
@@ -67,7 +67,7 @@ def memory(rounds: int, folder: Path) -> tuple[int, int, int]:
 
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Everything in small portions, as a long run is divided into many."""
+    """All tables in small portions: a long run has many."""
     monkeypatch.setattr(radio_frames, "CHUNK_ROWS", 1 << 11)
     monkeypatch.setattr(radio_frames, "SORTED_ROWS", 1 << 11)
     monkeypatch.setattr("vcmvsp.cosim.tables.spool.MEMORY_BYTES", 1 << 12)
@@ -80,7 +80,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_receptions_stay_out_of_memory(tmp_path: Path) -> None:
     tracemalloc.start()
     try:
-        memory(100, tmp_path)  # whatever is made once in a process
+        memory(100, tmp_path)  # one-time allocations of the process
         few, many = memory(100, tmp_path), memory(300, tmp_path)
     finally:
         tracemalloc.stop()
@@ -103,7 +103,7 @@ def some_events() -> list[Event]:
 
 @pytest.mark.parametrize("followed", [True, False])
 def test_portions_change_no_number(followed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Metrics, digest, links and files of tables in one piece, and of tables in many."""
+    """Metrics, digest, links and files, of tables in one piece and of tables in many."""
     events = some_events()[0 if followed else 2 :]
     found: list[dict[str, Any]] = []
     for rows in (1 << 17, 64, 8):
@@ -112,7 +112,7 @@ def test_portions_change_no_number(followed: bool, monkeypatch: pytest.MonkeyPat
         monkeypatch.setattr(age, "AT_ONCE", rows)
         monkeypatch.setattr(radio_frames, "CHUNK_ROWS", 8 * rows)
         monkeypatch.setattr(radio_frames, "SORTED_ROWS", rows)
-        recorder = recorded(NAMES, events, SECOND_NS // 4)
+        recorder = recorder_after(NAMES, events, SECOND_NS // 4)
         files = [io.BytesIO(), io.BytesIO()]
         tables: tuple[schema.Table, ...] = recorder.tables if rows < 512 else (recorder.states, recorder.radio)
         for table, file in zip(tables, files, strict=True):

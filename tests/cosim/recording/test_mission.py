@@ -1,4 +1,4 @@
-"""What a reconnaissance leaves: grids and annotated pictures in ``run.mcap``, its numbers, its figures, its film."""
+"""Recording of a reconnaissance: grids and annotated pictures in ``run.mcap``, metrics, figures, film."""
 
 import io
 import json
@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 
 from tests.cosim.recording.test_files import check
-from tests.support.cosim.reconnaissance_recording import CELL_M, CELLS, TARGETS, events, recorded
+from tests.support.cosim.reconnaissance_recording import CELL_M, CELLS, TARGETS, events, reconnaissance_recorder
 from tests.support.cosim.recordings import note, states
-from tests.support.cosim.recordings import recorded as plainly
+from tests.support.cosim.recordings import recorder_after as plainly
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.metrics.mission import Mission, seen_ratio
@@ -37,12 +37,12 @@ END_NS = 20 * SECOND_NS
 
 @pytest.fixture(scope="module")
 def run() -> Any:
-    return recorded(NAMES)
+    return reconnaissance_recorder(NAMES)
 
 
 @pytest.fixture(scope="module")
 def topics(run: Any) -> dict[str, list[tuple[int, Any, Any]]]:
-    """Time, message and schema of each, by topic."""
+    """Time, message and schema of each message, by topic."""
     found: dict[str, list[tuple[int, Any, Any]]] = {}
     for schema, channel, message in make_reader(io.BytesIO(run[1].getvalue()), validate_crcs=True).iter_messages():
         assert schema is not None
@@ -56,7 +56,7 @@ def shown_by(kind: type, vehicle: str) -> list[Any]:
 
 
 def of(message: dict[str, Any]) -> np.ndarray:
-    """The cells of a grid, by the fields that it says it has, as any reader would find them."""
+    """Cells of a grid by its declared fields, as a foreign reader decodes them: [row, column, field]."""
     data = np.frombuffer(msgspec.convert(message["data"], bytes), np.uint8)
     assert len(data) % message["row_stride"] == 0
     assert message["row_stride"] >= message["column_count"] * message["cell_stride"]
@@ -82,8 +82,8 @@ def test_all_messages_have_foxgloves_schemas_and_fit_them(topics: Any) -> None:
 
 
 @pytest.mark.parametrize(("topic", "kind"), [("map", ProbabilityMap), ("mosaic", Mosaic)])
-def test_grids_say_what_stands_in_their_cells(topic: str, kind: type, topics: Any) -> None:
-    """Mosaics are opaque where something was seen."""
+def test_grids_describe_their_cells(topic: str, kind: type, topics: Any) -> None:
+    """Mosaics are opaque where an area was seen."""
     for (_, message, _), value in zip(topics[f"uav1/{topic}"], shown_by(kind, "uav1"), strict=True):
         names, cells = [field["name"] for field in message["fields"]], of(message)
         if kind is ProbabilityMap:
@@ -97,7 +97,7 @@ def test_grids_say_what_stands_in_their_cells(topic: str, kind: type, topics: An
         assert message["pose"]["position"] == {"x": 0.0, "y": 0.0, "z": 0.0}
 
 
-def test_sightings_stand_beside_their_pictures(topics: Any) -> None:
+def test_each_sighting_has_its_picture(topics: Any) -> None:
     said, pictures, sent = topics["uav1/sightings"], topics["uav1/sightings/picture"], shown_by(Sightings, "uav1")
     for (time_ns, message, _), (picture_ns, picture, _), value in zip(said, pictures, sent, strict=True):
         assert time_ns == picture_ns
@@ -113,12 +113,12 @@ def test_boxes_are_squares_turned_counter_clockwise_as_seen(angle: float, side: 
     corners = np.array(corners_of(sighting))
     np.testing.assert_allclose(corners.mean(axis=0), (50.0, 40.0), atol=1e-9)
     np.testing.assert_allclose(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1), side)
-    top = corners[:2].mean(axis=0) - (50.0, 40.0)  # without a turn it points up, where rows are less
+    top = corners[:2].mean(axis=0) - (50.0, 40.0)  # angle 0 points up, to lower rows
     np.testing.assert_allclose(top, (-0.5 * side * math.sin(angle), -0.5 * side * math.cos(angle)), atol=1e-9)
 
 
-def test_boxes_lie_around_what_is_in_the_picture(topics: Any) -> None:
-    """The yellow square of the synthetic picture is within the box, and fills it."""
+def test_boxes_enclose_the_target_in_the_picture(topics: Any) -> None:
+    """The yellow square of the synthetic picture lies within the box and fills it."""
     boxed = [row for row in zip(topics["uav1/sightings"], topics["uav1/sightings/picture"], strict=True) if row[0][1]["points"]]
     (_, message, _), (_, picture, _) = boxed[0]
     pixels: Any = cv2.imdecode(np.frombuffer(msgspec.convert(picture["data"], bytes), np.uint8), cv2.IMREAD_COLOR)
@@ -128,7 +128,7 @@ def test_boxes_lie_around_what_is_in_the_picture(topics: Any) -> None:
     assert (yellow & inside).sum() > 0.9 * max(yellow.sum(), inside.sum()) > 1000
 
 
-def test_what_a_detector_says_is_recorded_as_it_is(topics: Any) -> None:
+def test_detector_results_are_unchanged(topics: Any) -> None:
     for (_, message, _), value in zip(topics["uav1/detector"], shown_by(Looks, "uav1"), strict=True):
         assert (message["cells"], message["hits"]) == (value.cells.tolist(), value.hits.tolist())
 
@@ -157,9 +157,9 @@ CHANGES: list[Any] = [
 
 
 @pytest.mark.parametrize(("topic", "change"), CHANGES)
-def test_the_digest_sees_every_bit(topic: str, change: Any) -> None:
+def test_digest_covers_every_bit(topic: str, change: Any) -> None:
     def digest(extra: Any) -> str:
-        recorder, _ = recorded(NAMES, 1.0, more=[] if extra is None else [extra])
+        recorder, _ = reconnaissance_recorder(NAMES, 1.0, more=[] if extra is None else [extra])
         return str(recorder.metrics(window=(0.0, None))["digest"])
 
     event = next(each for each in events(NAMES, 1.0) if each.key == f"uav1/{topic}")
@@ -171,11 +171,11 @@ def test_the_digest_sees_every_bit(topic: str, change: Any) -> None:
 
 
 def mission_of(*notes: Any, seconds: float = 20.0) -> dict[str, Any]:
-    return dict(recorded(NAMES, seconds, more=notes)[0].metrics(window=(0.0, None))["mission"])
+    return dict(reconnaissance_recorder(NAMES, seconds, more=notes)[0].metrics(window=(0.0, None))["mission"])
 
 
-def test_finds_count_near_the_true_place_of_then() -> None:
-    """Alpha has moved on by 1.5 m after 15 s: what is 3.5 m behind its start is no longer near it."""
+def test_finds_count_near_the_moving_target() -> None:
+    """After 15 s alpha has moved on by 1.5 m: a find 2.9 m ahead of it counts, one 3.1 m behind it does not."""
     got = mission_of(
         note("uav2", 15 * SECOND_NS, found="alpha", found_x=9.0, found_y=20.0 + 1.5 + 2.9),
         note("uav2", 15 * SECOND_NS + 1, found="alpha", found_x=9.0, found_y=20.0 + 1.5 - 3.1),
@@ -190,8 +190,8 @@ def test_finds_count_near_the_true_place_of_then() -> None:
     assert base["targets_found"] == sum(time_s is not None for time_s in base["found_s"].values()) == 2
 
 
-def tracked(task: str, target: str, away_m: float, seconds: float) -> int:
-    """A vehicle that keeps a distance to alpha for so long, and then leaves."""
+def tracked_targets(task: str, target: str, away_m: float, seconds: float) -> int:
+    """``targets_tracked`` of a vehicle that stays ``away_m`` from alpha for ``seconds`` and then leaves."""
     mission = Mission()
     mission.take("uav1", 0, {"commander": "search", "task": "search", "target": ""})
     mission.take("uav1", SECOND_NS, {"task": task, "target": target})
@@ -209,17 +209,15 @@ def tracked(task: str, target: str, away_m: float, seconds: float) -> int:
     ("task", "target", "away_m", "seconds", "count"),
     [
         ("track", "alpha", 2.9, 10.0, 1),
-        ("track", "", 2.9, 10.0, 1),  # it cannot tell their names
+        ("track", "", 2.9, 10.0, 1),  # target names unknown
         ("track", "alpha", 2.9, 9.8, 0),
         ("track", "alpha", 3.1, 10.0, 0),
         ("track", "bravo", 2.9, 10.0, 0),
         ("search", "alpha", 2.9, 10.0, 0),
     ],
 )
-def test_a_target_is_tracked_by_one_that_stays_near_it(
-    task: str, target: str, away_m: float, seconds: float, count: int
-) -> None:
-    assert tracked(task, target, away_m, seconds) == count
+def test_a_target_is_tracked_by_a_vehicle_near_it(task: str, target: str, away_m: float, seconds: float, count: int) -> None:
+    assert tracked_targets(task, target, away_m, seconds) == count
 
 
 def test_bytes_and_switches_add_up() -> None:
@@ -230,13 +228,13 @@ def test_bytes_and_switches_add_up() -> None:
     assert got["switches"] - base["switches"] == 1
 
 
-def test_bytes_of_an_agent_in_the_place_of_another_count_on_top() -> None:
+def test_bytes_of_a_replacing_agent_are_added() -> None:
     counts = [0.0, 500.0, 900.0, 0.0, 300.0, 400.0]
     got = mission_of(*(note("uav3", tick, map_bytes=count) for tick, count in enumerate(counts)))
     assert got["map_bytes_sent"] - mission_of()["map_bytes_sent"] == 900 + 400
 
 
-def test_the_searched_area_is_the_union_of_what_all_saw() -> None:
+def test_the_searched_area_is_the_union_of_all_maps() -> None:
     def shown(left: float, cell_m: float, seen: Any) -> ProbabilityMap:
         seen = frozen(seen, np.bool_)
         return ProbabilityMap(
@@ -245,7 +243,7 @@ def test_the_searched_area_is_the_union_of_what_all_saw() -> None:
 
     assert seen_ratio([]) is None
     assert seen_ratio([shown(0.0, 2.0, [[1, 0], [0, 0]]), shown(0.0, 2.0, [[0, 0], [0, 1]])]) == 0.5
-    # two grids of 4 m x 4 m, one cell of the other size, side by side and then one over the other
+    # two grids of 4 m x 4 m with different cell sizes, side by side and then one over the other
     assert seen_ratio([shown(0.0, 2.0, [[1, 0], [0, 0]]), shown(4.0, 4.0, [[1]])]) == pytest.approx(20 / 32)
     assert seen_ratio([shown(0.0, 2.0, [[1, 0], [0, 0]]), shown(0.0, 4.0, [[1]])]) == pytest.approx(1.0)
     assert seen_ratio([shown(0.0, 2.0, [[1, 0], [0, 0]]), shown(0.0, 4.0, [[0]])]) == pytest.approx(4 / 16, abs=0.25)
@@ -260,7 +258,7 @@ def test_equal_grids_are_counted_exactly(maps: list[list[bool]]) -> None:
     assert seen_ratio(values) == pytest.approx(np.any(seen, axis=0).mean())
 
 
-def test_metrics_are_paths_for_studies_though_nothing_is_found() -> None:
+def test_paths_of_metrics_exist_without_finds() -> None:
     numbers = flat(mission_of(seconds=0.0), "mission.")
     assert {"mission.found_s.alpha", "mission.found_s.bravo", "mission.targets_found"} <= set(numbers)
     assert numbers["mission.found_s.alpha"] is None
@@ -276,8 +274,8 @@ def test_without_targets_and_notes_there_is_no_mission() -> None:
 
 
 @pytest.mark.parametrize("topic", ["map", "mosaic", "sightings"])
-def test_whoever_shows_something_is_on_a_mission_though_it_finds_nothing(topic: str) -> None:
-    """Which metrics there are may not depend on whether a search errs: in a world without targets, every find is false."""
+def test_a_map_or_picture_without_finds_is_a_mission(topic: str) -> None:
+    """The set of metrics must not depend on search errors: in a world without targets, every find is false."""
     event = next(each for each in events(NAMES, 1.0) if each.key == f"uav1/{topic}")
     moved = motion(plainly(NAMES, (), 0).states)
     silent, mistaken = Mission(), Mission()
@@ -292,16 +290,16 @@ def test_whoever_shows_something_is_on_a_mission_though_it_finds_nothing(topic: 
 
 
 @pytest.mark.parametrize("value", [True, 1.0, "track"])
-def test_what_is_noted_again_and_again_is_kept_once(value: Any) -> None:
-    """Whatever agents note instead of words; memory does not grow with the ticks."""
+def test_repeated_notes_are_kept_once(value: Any) -> None:
+    """Also for values other than words; memory does not grow with the ticks."""
     mission = Mission()
     for tick in range(10):
         mission.take("uav1", tick, {"commander": value})
     assert mission.of("uav1", "commander") == [(0, str(value))]
 
 
-def test_a_vehicle_without_its_agent_does_nothing_until_that_is_back() -> None:
-    """It hangs above its target all the time; what its agent did before and does after is one task, and no switch."""
+def test_a_vehicle_without_its_agent_has_no_task() -> None:
+    """It hovers above its target throughout; the agent's task before and after is one task, not a switch."""
 
     def mission(*, lost_s: float | None = None, back_s: float | None = None, failed_s: float | None = None) -> dict[str, Any]:
         noted = Mission()
@@ -322,12 +320,12 @@ def test_a_vehicle_without_its_agent_does_nothing_until_that_is_back() -> None:
     assert {each["switches"] for each in cases} == {0}
 
 
-def test_who_comes_back_with_other_news_does_that() -> None:
+def test_a_returned_agent_may_change_its_task() -> None:
     mission = Mission()
     mission.take("uav1", 0, {"commander": "track", "task": "track", "target": ""})
     mission.leave("uav1", 5)
-    mission.leave("uav1", 6)  # lost, and then for good
-    mission.take("uav1", 9, {"commander": "search", "task": "search", "target": ""})  # another one in its place
+    mission.leave("uav1", 6)  # lost, then gone for good
+    mission.take("uav1", 9, {"commander": "search", "task": "search", "target": ""})  # another agent in its place
     mission.come_back("uav1", 9)
     assert mission.of("uav1", "commander") == [(0, "track"), (5, ""), (9, "search")]
     assert mission.of("uav1", "target") == [(0, "")]
@@ -336,10 +334,10 @@ def test_who_comes_back_with_other_news_does_that() -> None:
     assert found["switches"] == 1
 
 
-def test_the_pictures_know_when_an_agent_was_lost() -> None:
+def test_the_log_contains_lost_agents() -> None:
     away = Presence(state="lost", since_ns=0), Presence(state="back", since_ns=0)
     more = [Event("uav1/host", at_s * SECOND_NS, each) for at_s, each in zip((1, 2), away, strict=True)]
-    recorder, stream = recorded(NAMES, 3.0, more=[*more, note("uav2", SECOND_NS, status="failed")])
+    recorder, stream = reconnaissance_recorder(NAMES, 3.0, more=[*more, note("uav2", SECOND_NS, status="failed")])
     log = read_mission(io.BytesIO(stream.getvalue()), NAMES, 3 * SECOND_NS)
     first, *others = log.noted.of("uav1", "commander")
     assert [name for _, name in (first, *others)] == ["search", "", "search"]
@@ -355,7 +353,7 @@ def log(run: Any) -> MissionLog:
     return read_mission(io.BytesIO(run[1].getvalue()), NAMES, END_NS)
 
 
-def test_a_recording_has_all_that_was_shown(log: MissionLog) -> None:
+def test_a_recording_has_all_maps_and_pictures(log: MissionLog) -> None:
     for name in NAMES:
         for (_, back), value in zip(log.maps[name], shown_by(ProbabilityMap, name), strict=True):
             np.testing.assert_array_equal(back.probability, value.probability)
@@ -364,9 +362,9 @@ def test_a_recording_has_all_that_was_shown(log: MissionLog) -> None:
         assert [value for _, value in log.sightings[name]] == shown_by(Sightings, name)
 
 
-def test_of_a_long_recording_only_some_pictures_are_kept() -> None:
-    """At 5 Hz and with one part of the run per 2 s, one picture in ten; those with a target win."""
-    _, stream = recorded(NAMES, 20.0, looks=5.0)
+def test_a_long_recording_keeps_some_pictures() -> None:
+    """At 5 Hz and with one part of the run per 2 s, one picture in ten; pictures with a target win."""
+    _, stream = reconnaissance_recorder(NAMES, 20.0, looks=5.0)
     log = read_mission(io.BytesIO(stream.getvalue()), NAMES, 2 * FRAMES * SECOND_NS)
     for name in NAMES:
         kept = [(time_ns, seen) for time_ns, seen in log.sightings[name] if seen.jpeg]
@@ -381,7 +379,7 @@ def test_of_a_long_recording_only_some_pictures_are_kept() -> None:
         ]
 
 
-def test_a_recording_that_was_cut_off_gives_what_is_there(run: Any) -> None:
+def test_a_cut_recording_gives_an_empty_log(run: Any) -> None:
     whole = run[1].getvalue()
     assert not read_mission(io.BytesIO(whole[: len(whole) // 50]), NAMES, END_NS)
     assert not read_mission(io.BytesIO(b"nothing of the kind"), NAMES, END_NS)
@@ -400,11 +398,11 @@ def test_the_surest_map_wins_in_each_cell() -> None:
 OUTLINES = [np.array([(5.0, 5.0), (12.0, 5.0), (12.0, 15.0)])]
 
 
-def test_the_figure_of_a_mission_shows_who_commanded_the_maps_and_the_targets(run: Any, log: MissionLog) -> None:
+def test_the_mission_figure_shows_commanders_maps_and_targets(run: Any, log: MissionLog) -> None:
     moved = motion(run[0].states)
     figure = mission_plot.mission(log, moved, TARGETS, OUTLINES)
     labels = {label.get_text(): label.get_color() for label in figure.axes[0].get_yticklabels()}
-    assert labels == {name: color_of(index) for index, name in enumerate(NAMES)}  # as the tracks below
+    assert labels == {name: color_of(index) for index, name in enumerate(NAMES)}  # colours of the tracks below
     assert [axes.get_title() for axes in figure.axes if axes.get_title()] == [
         "5 s: alpha found",
         "6 s: alpha given up",
@@ -418,7 +416,7 @@ def test_the_figure_of_a_mission_shows_who_commanded_the_maps_and_the_targets(ru
     assert not plt.get_fignums()
 
 
-def test_the_contact_sheet_shows_what_each_vehicle_recognised(log: MissionLog) -> None:
+def test_the_contact_sheet_shows_each_vehicles_detections(log: MissionLog) -> None:
     chosen = mission_plot.chosen_pictures(log)
     pairs = {(name, each.target) for name, shown in log.sightings.items() for _, seen in shown for each in seen.found}
     assert {(name, seen.found[0].target) for _, name, seen in chosen} == pairs
@@ -430,8 +428,8 @@ def test_the_contact_sheet_shows_what_each_vehicle_recognised(log: MissionLog) -
     assert sum(bool(axes.images) for axes in figure.axes) == len(chosen) <= 12
 
 
-def test_the_film_runs_at_four_times_the_pace_and_is_the_same_again(run: Any, log: MissionLog, tmp_path: Any) -> None:
-    """Equal pictures make equal files: see the tests of films."""
+def test_the_film_has_four_times_the_pace_and_is_reproducible(run: Any, log: MissionLog, tmp_path: Any) -> None:
+    """Equal pictures give equal files: see the tests of films."""
     moved = motion(run[0].states)
     mission_video.write_video(tmp_path / "film.mp4", log, moved, TARGETS, OUTLINES)
     film = cv2.VideoCapture(str(tmp_path / "film.mp4"))
@@ -441,7 +439,7 @@ def test_the_film_runs_at_four_times_the_pace_and_is_the_same_again(run: Any, lo
     assert len(set(pictures)) > len(pictures) // 2
 
 
-def test_vehicles_without_pictures_leave_their_room_in_the_film_to_others(log: MissionLog) -> None:
+def test_vehicles_without_pictures_take_no_room_in_the_film(log: MissionLog) -> None:
     (_, seen), *_ = log.sightings["uav1"]
     white = cv2.imencode(".jpg", np.full((60, 80, 3), 255, np.uint8))[1].tobytes()
     shown = msgspec.structs.replace(seen, jpeg=white, found=(), width=80, height=60)
@@ -452,7 +450,7 @@ def test_vehicles_without_pictures_leave_their_room_in_the_film_to_others(log: M
     assert (beside.min(axis=2) > 200).mean() > 0.05
 
 
-def test_a_mission_that_showed_little_can_be_drawn_too(tmp_path: Any) -> None:
+def test_a_mission_without_pictures_can_be_drawn(tmp_path: Any) -> None:
     moved = motion(plainly(NAMES, (), 0).states)
     for log in (MissionLog((), 0), MissionLog(NAMES, SECOND_NS)):
         style.save_png(mission_plot.mission(log, moved, (), ()), tmp_path / "mission.png")
@@ -462,14 +460,14 @@ def test_a_mission_that_showed_little_can_be_drawn_too(tmp_path: Any) -> None:
 
 
 @pytest.mark.parametrize("seconds", [0.0, 0.1, 20.0, 180.0, 180.04, 3600.0])
-def test_a_film_has_no_more_frames_than_it_may(seconds: float) -> None:
+def test_frames_of_a_film_are_limited(seconds: float) -> None:
     moved = motion(plainly(NAMES, (), 0).states)
     count = sum(1 for _ in mission_video.frames(MissionLog((), round(seconds * SECOND_NS)), moved, (), ()))
     assert 1 <= count <= FRAMES
 
 
-def test_cells_of_the_map_lie_where_they_are_in_the_film(run: Any) -> None:
-    """One sure cell of an else empty map is dark in the film just where its middle is."""
+def test_cells_of_the_map_have_their_place_in_the_film(run: Any) -> None:
+    """One sure cell of an otherwise empty map is dark in the film at the cell's centre."""
     probability = np.zeros((CELLS, CELLS), np.uint8)
     probability[15, 4] = 255  # x 8 to 10, y 30 to 32
     seen = frozen(np.ones_like(probability), np.bool_)
@@ -478,7 +476,7 @@ def test_cells_of_the_map_lie_where_they_are_in_the_film(run: Any) -> None:
     moved = motion(plainly(NAMES, (), 0).states)
     picture = next(mission_video.frames(log, moved, (), ()))[:, : mission_video.MAP_PX].astype(int)
     dark = np.argwhere(picture.sum(axis=2) < 400)
-    dark = dark[dark[:, 0] > 40]  # the clock is above
+    dark = dark[dark[:, 0] > 40]  # below the clock
     scale = (mission_video.MAP_PX - 2 * mission_video.MARGIN_PX) / (CELLS * CELL_M)
     row, column = dark.mean(axis=0)
     assert column == pytest.approx(mission_video.MARGIN_PX + 9.0 * scale, abs=1.5)

@@ -1,4 +1,4 @@
-"""``run.mcap`` is what others take it for: whole by the rules of the format, and readable up to wherever it was cut."""
+"""``run.mcap`` for foreign readers: conforms to the format, and is readable up to any cut."""
 
 import contextlib
 import io
@@ -33,7 +33,7 @@ def recording(name: str) -> bytes:
 
 
 @pytest.mark.parametrize("name", export_runs.RUNS)
-def test_a_recording_keeps_the_rules_of_the_format(name: str) -> None:
+def test_a_recording_conforms_to_the_format(name: str) -> None:
     data = recording(name)
     count = mcap_checks.examine(data)
     through = list(NonSeekingReader(io.BytesIO(data), validate_crcs=True).iter_messages())
@@ -45,13 +45,13 @@ def test_a_recording_keeps_the_rules_of_the_format(name: str) -> None:
 
 
 def test_damage_anywhere_is_found() -> None:
-    """What `mcap_checks` does not find is not checked: the version of the library, the header's length apart."""
+    """Except damage to the library version and to the header's length, which `mcap_checks` does not check."""
     data = recording("pillar-triangle")
     chance = random.Random(1)
     for place in chance.sample(range(30, len(data) - 8), 40):
         bad = bytearray(data)
         bad[place] ^= 0x10
-        with pytest.raises(Exception):  # noqa: B017, PT011  whatever notices it first
+        with pytest.raises(Exception):  # noqa: B017, PT011  any error of any check
             mcap_checks.examine(bytes(bad))
 
 
@@ -70,7 +70,7 @@ def test_a_message_that_cannot_be_written_leaves_no_trace() -> None:
 
 
 def test_each_message_of_a_topic_has_the_schema_of_its_own_type() -> None:
-    """Whatever comes first: commands in turn, of which viewers and exports take each as what it is."""
+    """In either order; viewers and exports decode each command by its own type."""
     one, other = Velocity(linear=(1.0, 0.0, 0.0)), Waypoint(position=(1.0, 2.0, 3.0))
     commands = [one, other, Velocity(), Waypoint(position=(0.0, 0.0, 1.0))]
     for given in (commands, commands[::-1]):
@@ -91,7 +91,7 @@ def test_each_message_of_a_topic_has_the_schema_of_its_own_type() -> None:
 
 
 def chunk_ends(data: bytes) -> list[tuple[int, int]]:
-    """Where each chunk ends, and how many messages there are up to there."""
+    """End of each chunk, byte offset, and number of messages up to it."""
     ends, count = [], 0
     for _, end, each in mcap_checks.read(data[:-8], 8):
         if isinstance(each, records.Chunk):
@@ -117,14 +117,14 @@ def test_a_recording_cut_at_any_byte_is_readable_up_to_its_last_whole_chunk(name
 
 
 def until_damage(found: Iterable[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
-    """What comes before the error, for which readers have several words."""
+    """Items before the first error; readers raise different exceptions."""
     kept: list[tuple[int, bytes]] = []
     with contextlib.suppress(Exception):
         kept.extend(found)
     return kept
 
 
-def test_of_one_topic_by_the_index_and_without_it() -> None:
+def test_one_topic_by_the_index_and_without_it() -> None:
     data = recording("lab-patrol")
     expected = [(time_ns, content) for topic, time_ns, content in messages(io.BytesIO(data)) if topic == "ugv2/scan"]
     assert len(expected) > 5
@@ -140,7 +140,7 @@ def test_frames_of_the_radio_are_described_in_the_file_itself() -> None:
     schema = next(s for s, c, _ in make_reader(io.BytesIO(data)).iter_messages(topics=["radio/frame"]) if s is not None)
     published = json.loads(schema.data)
     assert schema.data == schema_of(FrameReport).text
-    of_some = {"radio", *PATHS}  # of several radios, and of rays, only
+    of_some = {"radio", *PATHS}  # only with several radios or rays
     assert set(published["properties"]) == {"type", *FrameReport.__struct_fields__} - of_some == set(FRAME) - of_some
     assert all(len(node["description"]) > 10 for node in published["properties"].values())
     units = {"_ns": " ns", "_dbm": " dBm", "_db": " dB", "_m": ", m", "_bytes": ", bytes"}
@@ -179,7 +179,7 @@ def test_an_obstacle_with_a_time_table_moves_in_a_frame_of_its_own() -> None:
     assert (cart["frame_id"], cart["cubes"][0]["size"]) == ("obstacle/cart", {"x": 0.6, "y": 0.4, "z": 0.6})
 
 
-def test_a_camera_tells_how_it_sees_once() -> None:
+def test_a_calibration_is_recorded_once() -> None:
     data = recording("recon-team")
     (said,) = [json.loads(content) for _, content in of_topic(io.BytesIO(data), "uav1/camera/calibration")]
     picture = json.loads(next(of_topic(io.BytesIO(data), "uav1/camera"))[1])
@@ -191,8 +191,8 @@ def test_a_camera_tells_how_it_sees_once() -> None:
 
 
 @pytest.mark.parametrize("name", export_runs.RUNS)
-def test_rerun_finds_nothing_wrong_and_all_topics(name: str, tmp_path: Path) -> None:
-    """It knows Foxglove's schemas in Protobuf only: ours, in JSON, arrive as messages with their schemas."""
+def test_rerun_reads_all_topics_without_errors(name: str, tmp_path: Path) -> None:
+    """Rerun decodes Foxglove's schemas in Protobuf only: ours, in JSON, arrive as messages with their schemas."""
     path = tmp_path / "run.mcap"
     shutil.copyfile(export_runs.run_of(name) / "run.mcap", path)
     said = rerun("mcap", "check", "--full", str(path))
@@ -205,6 +205,6 @@ def test_rerun_finds_nothing_wrong_and_all_topics(name: str, tmp_path: Path) -> 
 
 
 def rerun(*arguments: str) -> subprocess.CompletedProcess[str]:
-    """Its command line, which sends nothing to its makers."""
+    """Run Rerun's command line, with its analytics off."""
     environment = {**os.environ, "DO_NOT_TRACK": "1", "RERUN_ANALYTICS": "0"}
     return subprocess.run([str(RERUN), *arguments], capture_output=True, text=True, env=environment, check=False)

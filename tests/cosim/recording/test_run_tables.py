@@ -1,4 +1,4 @@
-"""The tables of a run that was cut, from its recording: those that it would have written."""
+"""Tables of a cut run, from its recording: equal to the run's own tables."""
 
 import re
 import shutil
@@ -17,18 +17,20 @@ RUN = "a crossing cart"
 
 
 @pytest.mark.parametrize("run", [RUN, "lab-patrol"])
-def test_the_whole_recording_gives_the_tables_that_the_run_has_left(run: str, tmp_path: Path) -> None:
-    whole, found = (tables_of(folder) for folder in (export_runs.run_of(run), export_runs.cut(run, tmp_path / "cut", 1.0)))
+def test_the_whole_recording_gives_the_tables_of_the_run(run: str, tmp_path: Path) -> None:
+    whole, found = (
+        tables_of(folder) for folder in (export_runs.run_of(run), export_runs.truncated_copy(run, tmp_path / "cut", 1.0))
+    )
     assert found.facts == whole.facts
     assert found.states.equals(whole.states)
     for name in whole.radio.column_names:
         ours, theirs = (table.radio[name].to_pylist() for table in (found, whole))
-        assert repr(ours) == repr(theirs), name  # NaN too
+        assert repr(ours) == repr(theirs), name  # NaN equals NaN
 
 
 @pytest.mark.usefixtures("figures")
-def test_a_run_that_was_cut_is_explained_and_drawn_as_far_as_it_goes(tmp_path: Path) -> None:
-    folder = export_runs.cut(RUN, tmp_path / "cut", 0.7)
+def test_a_cut_run_is_explained_and_drawn_as_far_as_it_goes(tmp_path: Path) -> None:
+    folder = export_runs.truncated_copy(RUN, tmp_path / "cut", 0.7)
     words = r"no states.parquet here \(the run continues or was killed\): data come from run.mcap, up to [0-2]\.\d{3} s, "
     for command in (("radio", str(folder)), ("radio", str(folder), "--link", "car-1/car-2"), ("plot", str(folder))):
         outcome = vcmvsp_command(*command)
@@ -42,10 +44,10 @@ def test_a_run_that_was_cut_is_explained_and_drawn_as_far_as_it_goes(tmp_path: P
     assert vcmvsp_command(*at).code == 0
 
 
-def test_a_recording_of_nothing_is_named(tmp_path: Path) -> None:
-    folder = export_runs.cut(RUN, tmp_path / "cut", 1.0)
+def test_an_empty_recording_is_named(tmp_path: Path) -> None:
+    folder = export_runs.truncated_copy(RUN, tmp_path / "cut", 1.0)
     shutil.copyfile(folder / "run.mcap", tmp_path / "all")
-    head = next(size for size in range(100, 2000) if _reads(folder, tmp_path / "all", size))
+    head = next(size for size in range(100, 2000) if _is_empty_recording(folder, tmp_path / "all", size))
     assert head < 2000
     for command in ("radio", "plot"):
         outcome = vcmvsp_command(command, str(folder))
@@ -53,8 +55,8 @@ def test_a_recording_of_nothing_is_named(tmp_path: Path) -> None:
         assert "run.mcap is still empty" in outcome.err
 
 
-def _reads(folder: Path, whole: Path, size: int) -> bool:
-    """Whether the first bytes of a recording say of which run it is."""
+def _is_empty_recording(folder: Path, whole: Path, size: int) -> bool:
+    """Whether the first ``size`` bytes of a recording identify the run and contain no data."""
     (folder / "run.mcap").write_bytes(whole.read_bytes()[:size])
     try:
         tables_of(folder)

@@ -1,4 +1,4 @@
-"""``vcmvsp reference --json-schema``: what an editor checks a scenario against."""
+"""``vcmvsp reference --json-schema``: the schema of scenarios for editors."""
 
 import functools
 import json
@@ -18,14 +18,14 @@ CAR = {"name": "car1", "kind": "p2dx"}
 
 @functools.cache
 def validator() -> Draft202012Validator:
-    """Of the schema as the command prints it."""
+    """Validator of the schema that the command prints."""
     schema = json.loads(vcmvsp_command("reference", "--json-schema").out)
     Draft202012Validator.check_schema(schema)
     return Draft202012Validator(schema)
 
 
 def problems(**tables: Any) -> list[str]:
-    """The key paths at which a scenario is refused."""
+    """Key paths of a scenario that the schema refuses."""
     errors = validator().iter_errors({"name": "test", "duration_s": 1.0, "vehicle": [CAR], **tables})
     return [".".join(map(str, each.absolute_path)) for each in errors]
 
@@ -34,7 +34,7 @@ def problems(**tables: Any) -> list[str]:
 def test_every_built_in_scenario_is_allowed(name: str) -> None:
     content = read_toml(loader.text_of(name))
     assert [*validator().iter_errors(content)] == []
-    assert [*Draft7Validator(validator().schema).iter_errors(content)] == []  # what Taplo knows
+    assert [*Draft7Validator(validator().schema).iter_errors(content)] == []  # the draft of Taplo
 
 
 @pytest.mark.parametrize(
@@ -49,7 +49,7 @@ def test_every_built_in_scenario_is_allowed(name: str) -> None:
         {"intervention": [{"kind": "halt", "at_s": 1.0}]},
     ],
 )
-def test_what_a_run_takes_is_allowed(tables: dict[str, Any]) -> None:
+def test_valid_tables_are_allowed(tables: dict[str, Any]) -> None:
     assert problems(**tables) == []
 
 
@@ -73,11 +73,11 @@ def test_what_a_run_takes_is_allowed(tables: dict[str, Any]) -> None:
         ({"intervention": [{"kind": "halt", "at_s": 1.0, "for_s": 2.0}]}, "intervention.0"),
     ],
 )
-def test_what_is_refused_at_a_key(tables: dict[str, Any], place: str) -> None:
+def test_invalid_tables_are_refused(tables: dict[str, Any], place: str) -> None:
     assert place in problems(**tables)
 
 
-def test_a_key_says_what_it_means_its_unit_and_its_default() -> None:
+def test_a_key_has_its_meaning_unit_and_default() -> None:
     period = validator().schema["properties"]["record"]["properties"]["period_s"]
     assert period == {
         "type": "number", "minimum": 1e-6, "maximum": 1e6,

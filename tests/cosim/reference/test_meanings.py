@@ -1,4 +1,4 @@
-"""What parameters mean is read from where they are defined."""
+"""Meanings of parameters are read from their definitions."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -69,17 +69,17 @@ def test_comments_behind_a_field_and_in_the_lines_above_it() -> None:
     }
 
 
-def test_a_base_class_speaks_for_what_is_not_said_anew() -> None:
+def test_missing_meanings_come_from_the_base_class() -> None:
     assert meanings(Storm) == {**meanings(Sky), "height_m": "of the anvil", "speed": "of the wind"}
 
 
-def test_the_section_of_arguments_ends_where_the_next_begins_and_wins_over_comments() -> None:
+def test_the_args_section_ends_at_the_next_and_wins_over_comments() -> None:
     words = "how it falls. 1. As drops"
     assert meanings(Rain) == {"db_per_km": "what it takes: much", "fine": words, "sleet": words}
     assert meanings(Drop) == {"size": "of it", "place": "where"}
 
 
-def test_what_says_nothing_means_nothing() -> None:
+def test_no_documentation_is_no_meaning() -> None:
     def plain(size: Any) -> Any:
         return size
 

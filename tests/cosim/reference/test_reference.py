@@ -1,4 +1,4 @@
-"""The reference is what the code says now. (`tests/docs/test_reference.py` reads the page itself.)"""
+"""The reference pages agree with the code. (`tests/docs/test_reference.py` reads the page itself.)"""
 
 import math
 import os
@@ -93,7 +93,7 @@ class Sleet(Hail):
 
 @pytest.fixture(scope="module", autouse=True)
 def blocks() -> Iterator[dict[str, str]]:
-    """All that is generated, once: it takes a while."""
+    """All generated blocks, once: generation is slow."""
     written = {name: write() for name, write in reference.BLOCKS.items()}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(reference, "BLOCKS", {name: partial(written.get, name) for name in written})
@@ -114,7 +114,7 @@ def test_pages_and_index_are_up_to_date() -> None:
 @pytest.mark.parametrize(
     "change", [("`40.052`", "`40.05`"), ("| 85.6 m |", "| 86 m |"), ("<!-- end -->", "more\n<!-- end -->")]
 )
-def test_a_page_that_is_not_is_noticed_and_repaired(tmp_path: Path, change: tuple[str, str]) -> None:
+def test_an_outdated_page_is_reported_and_repaired(tmp_path: Path, change: tuple[str, str]) -> None:
     folder, index = tmp_path / "reference", tmp_path / "keys.tsv"
     shutil.copytree(reference.FOLDER, folder)
     page = folder / "scenario-radio.md"
@@ -133,7 +133,7 @@ def test_a_page_that_is_not_is_noticed_and_repaired(tmp_path: Path, change: tupl
         reference.main([], folder, index)
 
 
-def test_what_people_wrote_around_it_stays() -> None:
+def test_text_around_the_blocks_stays() -> None:
     head, tail = "before\n<!-- end -->\n", "\nafter <!-- generated: radio -->\n"
     blocks = "".join(f"<!-- generated: {name} -->\nold\n<!-- end -->\n" for name in reference.BLOCKS)
     page = reference.updated(head + blocks + tail, reference.BLOCKS)
@@ -142,16 +142,16 @@ def test_what_people_wrote_around_it_stays() -> None:
     assert "\nold\n" not in page
 
 
-def test_a_page_without_a_place_for_it_is_refused() -> None:
+def test_a_page_without_the_block_is_refused() -> None:
     with pytest.raises(ValueError, match="no block '<!-- generated: physics -->'"):
         reference.updated("# Nothing\n", ["physics"])
 
 
-def test_it_is_the_same_in_every_process(blocks: dict[str, str]) -> None:
+def test_it_is_equal_in_every_process(blocks: dict[str, str]) -> None:
     code = (
         f"from vcmvsp.cosim.reference import markdown as reference; import sys; sys.stdout.buffer.write({ALL_BLOCKS}.encode())"
     )
-    environment = {**os.environ, "PYTHONHASHSEED": "2" if os.environ.get("PYTHONHASHSEED") == "1" else "1"}  # not this one's
+    environment = {**os.environ, "PYTHONHASHSEED": "2" if os.environ.get("PYTHONHASHSEED") == "1" else "1"}  # another seed
     told = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, env=environment).stdout
     assert told.decode() == "".join(blocks.values())
 
@@ -160,7 +160,7 @@ def test_it_is_the_same_in_every_process(blocks: dict[str, str]) -> None:
 
 
 @pytest.mark.parametrize(("layer", "kind"), [(layer, kind) for layer in LAYERS for kind in builtin_kinds.KINDS[layer]])
-def test_the_keys_of_a_kind_are_those_that_a_scenario_can_set(layer: str, kind: str, tmp_path: Path) -> None:
+def test_the_keys_of_a_kind_are_the_settable_ones(layer: str, kind: str, tmp_path: Path) -> None:
     (tmp_path / "links.csv").write_text("time_s,sender,receiver,loss\n0,a,b,1\n")
     known = describe.keys(registry.find(layer, kind))
     given = {name: REQUIRED.get(name, 0.1) for name, each in known.items() if each.required}
@@ -170,13 +170,13 @@ def test_the_keys_of_a_kind_are_those_that_a_scenario_can_set(layer: str, kind: 
     _, resolved = radio.build({"preset": preset, **others, layer: {"kind": kind, **given}}, source, vehicles=("a", "b"))
     assert set(resolved[layer]) == {"kind", *given, *(name for name, each in known.items() if each.default is not None)}
     for name in describe.OFFERED:
-        if name in binding.parameters(registry.find(layer, kind)):  # comes from elsewhere, and is nobody's to set
+        if name in binding.parameters(registry.find(layer, kind)):  # from other parts of the scenario, not a key
             with pytest.raises(ScenarioError, match=f"unknown key '{name}'"):
                 radio.build({**others, layer: {"kind": kind, **given, name: 0.1}}, source, vehicles=("a", "b"))
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_the_table_of_presets_together_with_the_defaults_is_each_preset(name: str, blocks: dict[str, str]) -> None:
+def test_the_table_of_presets_and_the_defaults_give_each_preset(name: str, blocks: dict[str, str]) -> None:
     heads, _, *rows = [line.strip("| ").split(" | ") for line in blocks["radio"].split("\n\n")[1].splitlines()]
     (row,) = [dict(zip(heads, row, strict=True)) for row in rows if row[0] == f"`{name}`"]
     same = re.search(r"In all presets (.*?)\. The range", blocks["radio"])
@@ -208,7 +208,7 @@ def test_at_the_range_of_a_preset_half_of_the_frames_are_received(name: str) -> 
     assert near.mean() > 0.5 > far.mean()
 
 
-def test_ranges_that_others_state() -> None:
+def test_ranges_equal_published_ones() -> None:
     # d0 10^((Pd0 - cutoff) / (10 N)) of the Wireless Simulation Server; ns-3.44 at -82 dBm and exponent 3.
     ranges = [reach_m(preset(name)) for name in ("wss", "wifi-b-1")]
     assert ranges == pytest.approx([2.0 * 10.0 ** ((-49.67 + 93.0) / 10.0), 85.565], abs=5e-3)
@@ -233,7 +233,7 @@ def weather(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("weather")
-def test_kinds_with_similar_keys_share_a_table_and_a_table_at_two_places_stands_once() -> None:
+def test_similar_kinds_share_a_table_and_repeated_tables_appear_once() -> None:
     assert reference.tables("weather").splitlines() == [
         "- `weather`, kind `rain`: It rains: `water` falls.",
         "- `weather`, kind `snow`: It snows.",
@@ -255,13 +255,13 @@ def test_kinds_with_similar_keys_share_a_table_and_a_table_at_two_places_stands_
 
 
 @pytest.mark.usefixtures("weather")
-def test_some_kinds_of_a_table_stand_without_what_is_inside_it() -> None:
+def test_selected_kinds_are_shown_without_inner_tables() -> None:
     assert [line for line in reference.tables("weather", kinds=["snow"]).splitlines() if line.startswith("- ")] == [
         "- `weather`, kind `snow`: It snows."
     ]
 
 
-def test_of_a_table_only_what_is_unlike_its_own_defaults_is_shown() -> None:
+def test_a_default_table_shows_only_changed_values() -> None:
     @dataclass
     class Weather:
         rain: Shower = SHOWER  # it falls
@@ -270,7 +270,7 @@ def test_of_a_table_only_what_is_unlike_its_own_defaults_is_shown() -> None:
     assert [tree.default_of(key) for key, _ in describe.keys_of(Weather)] == ["{}", "{ mm = 2.0 }"]
 
 
-def test_the_first_who_speaks_of_a_key_says_what_it_means_the_others_where_their_value_is_from() -> None:
+def test_a_key_keeps_the_meaning_of_its_first_class() -> None:
     hail, sleet = (section(kind, common=Storm) for kind in (Hail, Sleet))
     assert [(key.name, key.default, key.meaning) for key in hail.keys] == [("wind", 5.0, "m/s"), ("grain_m", 0.01, "across")]
     assert [(key.name, key.default, key.meaning) for key in sleet.keys] == [("grain_m", 0.001, "across")]

@@ -1,4 +1,4 @@
-"""``vcmvsp reference``: every key that a scenario can have, as the code has it."""
+"""``vcmvsp reference``: every key of a scenario, from the code."""
 
 import functools
 import itertools
@@ -22,12 +22,12 @@ KEY = Key(name="size", type="> 0", unit="", schema={}, required=False, default=2
 
 @functools.cache
 def whole() -> Reference:
-    """All of it, worked out by the first test that looks at it: each worker collects this file, and one runs it."""
+    """The whole reference, computed by the first test that uses it: each worker collects this file, and one runs it."""
     return tree.whole()
 
 
 def keys(section: str) -> dict[str, list[Key]]:
-    """What is found for a section: keys by the path and kind of their tables."""
+    """Keys of a section, by the path and kind of their tables."""
     return {f"{each.path} {each.kind}".strip(): list(each.keys) for each in tree.asked(section)}
 
 
@@ -51,7 +51,7 @@ def test_every_key_of_every_table_is_there() -> None:
 
 
 @pytest.mark.parametrize("place", [place for place in tree.places() if place.kinds], ids=lambda place: place.path)
-def test_every_kind_is_there_with_all_that_it_takes(place: tree.Place) -> None:
+def test_every_kind_has_all_its_parameters(place: tree.Place) -> None:
     sections = [each for each in whole().sections if each.path == place.path]
     assert [each.kind for each in sections if each.kind] == [*builtin_kinds.KINDS[place.group]]
     shared = {key.name for each in sections if not each.kind for key in each.keys}
@@ -62,7 +62,7 @@ def test_every_kind_is_there_with_all_that_it_takes(place: tree.Place) -> None:
             assert wanted - hidden <= {key.name for key in each.keys} | shared
 
 
-def test_every_key_says_what_it_means_and_what_holds_without_it() -> None:
+def test_every_key_has_a_meaning_and_required_keys_no_default() -> None:
     said = [(each.path, each.kind, key) for each in whole().sections for key in each.keys]
     assert [(path, kind, key.name) for path, kind, key in said if not key.meaning] == []
     assert [
@@ -70,13 +70,13 @@ def test_every_key_says_what_it_means_and_what_holds_without_it() -> None:
     ] == []
 
 
-def test_words_of_its_own_are_of_keys_that_there_are() -> None:
+def test_extra_docs_are_of_existing_keys() -> None:
     classes = {**vars(schema), "RadioFederate": RadioFederate}
     for name, words in describe.EXTRA_DOCS.items():
         assert {*words} <= {*binding.parameters(classes[name])}, name
 
 
-def test_defaults_and_units_are_those_of_the_code() -> None:
+def test_defaults_and_units_equal_the_code() -> None:
     (loss,) = keys("radio.loss.bernoulli")["radio.loss bernoulli"]
     assert (loss.required, loss.default, loss.schema) == (True, None, {"type": "number", "minimum": 0, "maximum": 1})
     (period,) = keys("record.period_s")["record"]
@@ -106,7 +106,7 @@ def test_defaults_and_units_are_those_of_the_code() -> None:
         ("world.boxes", ["world", "world boxes", "world.boxes box"]),
     ],
 )
-def test_a_section_is_a_table_or_a_kind_with_what_is_in_it(section: str, found: list[str]) -> None:
+def test_a_section_is_a_table_or_a_kind_with_its_contents(section: str, found: list[str]) -> None:
     assert [*names(section)] == found
 
 
@@ -141,14 +141,14 @@ def test_a_key_is_shown_alone(section: str, found: dict[str, list[str]]) -> None
         ("agents.leader_folower", "leader_follower"),
     ],
 )
-def test_of_an_unknown_section_the_nearest_name_is_told(section: str, near: str) -> None:
+def test_an_unknown_section_suggests_the_nearest_name(section: str, near: str) -> None:
     code, out, err = vcmvsp_command("reference", section)
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert f"did you mean '{near}'?" in err
 
 
 @pytest.mark.parametrize("section", [".", "NAME", "radio..", "no such thing"])
-def test_what_is_no_name_is_refused(section: str) -> None:
+def test_an_invalid_name_is_refused(section: str) -> None:
     if section == "radio..":
         assert [*names(section)] == [*names("radio")]
     else:
@@ -158,7 +158,7 @@ def test_what_is_no_name_is_refused(section: str) -> None:
 # --- how it is said -----------------------------------------------------------------------------------------------------------
 
 
-def test_it_is_plain_where_nobody_looks() -> None:
+def test_without_a_terminal_it_is_plain() -> None:
     code, out, err = vcmvsp_command("reference", "radio.loss.bernoulli")
     assert (code, err) == (0, "")
     head, row = out.splitlines()
@@ -167,7 +167,7 @@ def test_it_is_plain_where_nobody_looks() -> None:
 
 
 @pytest.mark.parametrize("width", [40, 80, 200])
-def test_on_a_terminal_it_fits_and_nothing_is_lost(width: int) -> None:
+def test_terminal_output_fits_and_is_complete(width: int) -> None:
     for section in whole().sections:
         wide, fitted = (" ".join(tree.lines(section, each)).split() for each in (None, width))
         assert wide == fitted
@@ -186,7 +186,7 @@ def test_meanings_stand_in_one_column() -> None:
     assert next(tree.lines(section)) == "a:"
 
 
-def test_json_is_what_its_types_say() -> None:
+def test_json_conforms_to_its_types() -> None:
     out = vcmvsp_command("reference", "--json").out
     assert msgspec.json.decode(out, type=Reference, strict=True) == whole()
     assert json.loads(out)["schema"] == "vcmvsp.reference/1"

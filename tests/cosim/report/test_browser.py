@@ -1,4 +1,4 @@
-"""A browser opens the pages without complaint, in the light and in the dark, and prints them."""
+"""Pages in a browser: without errors, in light and dark, and in print."""
 
 import re
 from collections.abc import Iterator
@@ -22,7 +22,7 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory: pytest.TempPathFactory, figures: None) -> dict[str, Path]:
-    """Of a run and of a study."""
+    """Pages of a run and of a study."""
     folder = tmp_path_factory.mktemp("pages")
     vcmvsp.run(two(duration_s=2.0), out=folder / "run")
     vcmvsp.study(two(), vary={LOSS: [0.0, 0.5]}, seeds=2, metrics=["formation.rms_m"], jobs=1, out=folder / "study")
@@ -31,9 +31,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory, figures: None) -> dict[str, 
 
 @pytest.mark.parametrize("name", ["run", "study"])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_it_opens_without_complaint_and_asks_for_nothing_else(
-    name: str, scheme: str, browser: Any, pages: dict[str, Path]
-) -> None:
+def test_a_page_opens_without_errors_and_further_requests(name: str, scheme: str, browser: Any, pages: dict[str, Path]) -> None:
     page = browser.new_page(color_scheme=scheme)
     said: list[str] = []
     page.on("console", lambda message: said.append(message.text))
@@ -44,7 +42,7 @@ def test_it_opens_without_complaint_and_asks_for_nothing_else(
     assert said == [url]
     paper, ink = (page.evaluate(f"getComputedStyle(document.body).{each}") for each in ("backgroundColor", "color"))
     assert (_brightness(paper) > _brightness(ink)) == (scheme == "light")
-    assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")  # nothing sticks out
+    assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")  # no horizontal overflow
     drawn = page.evaluate("[...document.querySelectorAll('figure svg')].map(each => each.getBoundingClientRect().height)")
     assert len(drawn) == (2 if name == "run" else 1)
     assert min(drawn) > 100

@@ -1,4 +1,4 @@
-"""A page is one well-formed file that asks nothing of anybody, and shows what it was given as text."""
+"""A page is one well-formed file without external requests; its inputs appear as text."""
 
 import re
 
@@ -46,18 +46,18 @@ def test_nothing_is_fetched_from_anywhere() -> None:
     assert "<script" not in text
 
 
-def test_what_is_given_is_text_and_never_markup() -> None:
+def test_inputs_are_text_and_never_markup() -> None:
     read = Reader(whole())
     assert read.words.count(HOSTILE) == 11  # title twice, lead, heading, caption, head and cell, fact and name, code, paragraph
 
 
-def test_names_in_two_drawings_do_not_collide_and_all_that_are_meant_exist() -> None:
+def test_ids_of_two_drawings_do_not_collide_and_references_resolve() -> None:
     read = Reader(whole())
-    assert len(read.ids) == len(set(read.ids)) == 7  # three of each, and of the section
+    assert len(read.ids) == len(set(read.ids)) == 7  # three per drawing, and the section's
     assert {each[1:] for each in read.asked} <= set(read.ids)
 
 
-def test_a_drawing_loses_its_size_and_nothing_inside_it_does() -> None:
+def test_only_the_outer_size_of_a_drawing_is_removed() -> None:
     text = whole()
     assert 'width="72pt"' not in text
     assert text.count('viewBox="0 0 72 36"') == 2
@@ -65,11 +65,11 @@ def test_a_drawing_loses_its_size_and_nothing_inside_it_does() -> None:
     assert "metadata" not in text
 
 
-def test_it_is_read_in_the_dark_and_on_paper() -> None:
+def test_it_has_dark_and_print_styles() -> None:
     text = whole()
     assert "prefers-color-scheme: dark" in text
     assert "@media print" in text
-    assert re.search(r"figure \{[^}]*background: #ffffff", text)  # drawings have dark ink: they stand on a light card
+    assert re.search(r"figure \{[^}]*background: #ffffff", text)  # drawings have dark ink: they need a light card
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Every run leaves a page that shows its numbers, asks nothing of anybody, and says what is missing."""
+"""The page of a run: its metrics, no external requests, a list of missing files."""
 
 import json
 import shutil
@@ -41,7 +41,7 @@ class Mine(Agent):
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a run with losses, followers and a drawn radio."""
+    """The folder of a run with followers and random losses."""
     folder = tmp_path_factory.mktemp("runs") / "run"
     radio = {"preset": "wifi-b-1", "loss": {"kind": "bernoulli", "probability": 0.4}}
     vcmvsp.run(two(duration_s=3.0, radio=radio, seed=5), out=folder)
@@ -58,7 +58,7 @@ def read(folder: Path) -> Reader:
     return Reader((folder / "report.html").read_text("utf-8"))
 
 
-def test_the_page_asks_nothing_of_anybody(run: Path) -> None:
+def test_the_page_makes_no_requests(run: Path) -> None:
     text = (run / "report.html").read_text("utf-8")
     page = Reader(text)
     assert page.asked
@@ -68,7 +68,7 @@ def test_the_page_asks_nothing_of_anybody(run: Path) -> None:
     assert "@import" not in text
 
 
-def test_its_numbers_are_those_of_the_metrics(run: Path) -> None:
+def test_its_numbers_equal_the_metrics(run: Path) -> None:
     metrics, page = json.loads((run / "metrics.json").read_text()), read(run)
     shown = {row[0]: row[1] for table in page.tables if table[0][:2] == ["number", "value"] for row in table[1:]}
     for group in GROUPS:
@@ -80,7 +80,7 @@ def test_its_numbers_are_those_of_the_metrics(run: Path) -> None:
     assert metrics["digest"] in page.words
 
 
-def test_links_are_those_that_the_radio_command_tells(run: Path) -> None:
+def test_links_equal_those_of_the_radio_command(run: Path) -> None:
     rows = {(row[0], row[1]): row for row in read(run).rows("from", "to", "sent", "received")}
     for link in overview(Log(run)):
         if not link["frames"]:
@@ -93,7 +93,7 @@ def test_links_are_those_that_the_radio_command_tells(run: Path) -> None:
     assert not rows
 
 
-def test_what_was_lost_is_told_with_its_cause_and_an_example(run: Path) -> None:
+def test_losses_have_their_cause_and_an_example(run: Path) -> None:
     losses = json.loads((run / "metrics.json").read_text())["radio"]["losses"]
     rows = read(run).rows("cause", "frames")
     assert {row[0]: int(row[1]) for row in rows} == losses
@@ -101,7 +101,7 @@ def test_what_was_lost_is_told_with_its_cause_and_an_example(run: Path) -> None:
 
 
 @pytest.mark.usefixtures("figures")
-def test_made_again_from_the_folder_it_has_the_same_figures(folder: Path) -> None:
+def test_a_page_made_again_from_the_folder_is_equal(folder: Path) -> None:
     vcmvsp.run(two(duration_s=2.0), out=folder / "out")
     before = (folder / "out" / "report.html").read_bytes()
     assert before.count(b"<svg") == 2
@@ -112,7 +112,7 @@ def test_made_again_from_the_folder_it_has_the_same_figures(folder: Path) -> Non
     assert (folder / "page.html").read_bytes() == before
 
 
-def test_a_run_in_which_nobody_sends_or_follows_has_a_page(folder: Path) -> None:
+def test_a_run_without_frames_and_followers_has_a_page(folder: Path) -> None:
     (folder / "mine.py").write_text(
         "from vcmvsp import Agent\nclass Mine(Agent):\n    def act(self, obs, radio):\n        pass\n"
     )
@@ -132,7 +132,7 @@ def test_runs_without_a_folder_leave_no_page(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("policy", ["stop", "hold"])
-def test_what_agents_say_is_text_and_never_markup(folder: Path, policy: str) -> None:
+def test_texts_of_agents_are_never_markup(folder: Path, policy: str) -> None:
     (folder / "mine.py").write_text(AGENT)
     mine = 'kind = "mine.py:Mine"'
     text = two_cars(agents=f'on_lost = "{policy}"', agent=mine).replace('kind = "trajectory", path = "circle"', mine)
@@ -148,7 +148,7 @@ def test_what_agents_say_is_text_and_never_markup(folder: Path, policy: str) -> 
     assert [row[:3] for row in page.rows("vehicle", "late", "missed")] == [["car2", "0", str(missed)]]
 
 
-def test_frames_to_one_vehicle_each_count_as_sent_and_who_has_no_agent_has_none(folder: Path) -> None:
+def test_unicast_frames_count_as_sent_and_agents_may_be_missing(folder: Path) -> None:
     act = "for to in ('car2', 'car3')[: 2 * (obs.vehicle == 'car1')]:\n            radio.send(x=1.0, to=to)"
     (folder / "mine.py").write_text(
         f"from vcmvsp import Agent\nclass Mine(Agent):\n    def act(self, obs, radio):\n        {act}\n"
@@ -167,7 +167,7 @@ def _written(folder: Path, text: str) -> Path:
     return folder / "s.toml"
 
 
-def test_a_run_that_was_killed_says_what_it_lacks(run: Path, folder: Path) -> None:
+def test_a_killed_run_lists_missing_files(run: Path, folder: Path) -> None:
     (folder / "cut").mkdir()
     whole = (run / "run.mcap").read_bytes()
     (folder / "cut" / "run.mcap").write_bytes(whole[: len(whole) * 3 // 4])
@@ -181,9 +181,7 @@ def test_a_run_that_was_killed_says_what_it_lacks(run: Path, folder: Path) -> No
 
 @pytest.mark.parametrize("name", ["states.parquet", "radio.parquet", "metrics.json", "about.json", "scenario.toml", "run.mcap"])
 @pytest.mark.parametrize("content", [None, b"", b"PAR1\x00 not [ what { it was"])
-def test_a_folder_without_one_of_its_files_has_a_page_all_the_same(
-    run: Path, folder: Path, name: str, content: bytes | None
-) -> None:
+def test_a_folder_without_one_of_its_files_has_a_page(run: Path, folder: Path, name: str, content: bytes | None) -> None:
     shutil.copytree(run, "out")
     if content is None:
         (folder / "out" / name).unlink()
@@ -191,12 +189,12 @@ def test_a_folder_without_one_of_its_files_has_a_page_all_the_same(
         (folder / "out" / name).write_bytes(content)
     assert vcmvsp_command("report", "out").code == 0
     if (name, content) in (("scenario.toml", b""), ("run.mcap", b""), ("run.mcap", b"PAR1\x00 not [ what { it was")):
-        return  # an empty scenario is one, and of a damaged recording what comes before the damage is read
-    assert {row[0] for row in read(folder / "out").rows("file")} == {name}  # and all others are shown
+        return  # an empty scenario is valid; a damaged recording is read up to the damage
+    assert {row[0] for row in read(folder / "out").rows("file")} == {name}  # all other files are shown
 
 
 @pytest.mark.parametrize("target", ["nowhere", "s.toml", "empty"])
-def test_what_no_run_has_left_is_refused(folder: Path, target: str) -> None:
+def test_a_path_without_a_run_is_refused(folder: Path, target: str) -> None:
     _written(folder, two_cars())
     (folder / "empty").mkdir()
     code, out, err = vcmvsp_command("report", target)
@@ -213,10 +211,10 @@ def test_a_page_that_cannot_be_written_is_one_error(run: Path, folder: Path) -> 
 
 
 def test_every_number_is_explained(run: Path) -> None:
-    """Those of this run, of a mission and of real vehicles: none is only a name."""
+    """Metrics of this run, of a mission and of real vehicles."""
     metrics: dict[str, Any] = json.loads((run / "metrics.json").read_text())
     metrics["mission"] = Mission().metrics(motion(load(run).states), TARGETS)
     for group in ("formation", "radio", "control", "connectivity", "safety", "mission", "agents"):
         for path, _ in flat(metrics[group]):
             assert metric_of((group, *path)).meaning, path
-    assert len({each.meaning for each in METRICS.values()}) == len(METRICS)  # two numbers that are explained alike would be one
+    assert len({each.meaning for each in METRICS.values()}) == len(METRICS)  # no two explanations are equal

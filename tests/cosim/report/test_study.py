@@ -1,4 +1,4 @@
-"""The page of a study, made again from its folder: as it was, or, of one that was cut, with what is there."""
+"""The page of a study, made again from its folder: equal, or, for a cut study, with the finished runs."""
 
 import shutil
 from pathlib import Path
@@ -20,18 +20,18 @@ METRIC = "formation.rms_m"
 
 
 @pytest.fixture(scope="module")
-def left(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What a study of two points with two seeds each leaves."""
+def finished_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a study of two points with two seeds each."""
     folder = tmp_path_factory.mktemp("studies") / "out"
     vcmvsp.study(two(), vary={LOSS: [0.0, 0.5]}, seeds=2, metrics=[METRIC], jobs=1, out=folder)
     return folder
 
 
 @pytest.fixture
-def study(left: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A copy of it, beside which a test runs."""
+def study(finished_study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of the study in the current folder."""
     monkeypatch.chdir(tmp_path)
-    shutil.copytree(left, "out")
+    shutil.copytree(finished_study, "out")
     return tmp_path / "out"
 
 
@@ -39,7 +39,7 @@ def read(folder: Path) -> Reader:
     return Reader((folder / "report.html").read_text("utf-8"))
 
 
-def test_made_again_it_is_the_same(study: Path) -> None:
+def test_made_again_it_is_equal(study: Path) -> None:
     before = (study / "report.html").read_bytes()
     assert before.count(b"<svg") == 1
     (study / "report.html").unlink()
@@ -49,9 +49,9 @@ def test_made_again_it_is_the_same(study: Path) -> None:
     assert Path("page.html").read_bytes() == before
 
 
-def test_of_a_study_that_was_cut_it_shows_what_is_done_also_in_the_journal(study: Path) -> None:
+def test_a_cut_study_shows_finished_runs_of_table_and_journal(study: Path) -> None:
     plan = Plan.read(study / PLAN)
-    longer = msgspec.structs.replace(plan, scenario="two.toml", seeds=[0, 1, 2])  # as if one more seed had been asked for
+    longer = msgspec.structs.replace(plan, scenario="two.toml", seeds=[0, 1, 2])  # one more seed requested
     (study / PLAN).write_text(longer.to_toml())
     row = msgspec.Raw(encode(Row(error="car1: <script>alert(1)</script>")))
     (study / JOURNAL).write_bytes(msgspec.json.encode(JournalLine(Run((0.5,), 2).key, row)) + b'\n{"run": "0.0')
@@ -85,7 +85,7 @@ def test_a_damaged_study_is_one_error(study: Path, name: str, content: str) -> N
     assert (study / "report.html").read_bytes() == before
 
 
-def test_errors_of_runs_are_listed_and_can_be_made_up_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_errors_of_runs_are_listed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     mine(tmp_path)
     vary = {"agents.nap_s": [0.0, 0.001]}

@@ -1,4 +1,4 @@
-"""Figures of searches: the test of a cell, what is looked for in a run, and the figures with short runs."""
+"""Figures of searches: the sequential test of a cell, the watcher of a run, and the figures with short runs."""
 
 import math
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support.cosim.figures import drawn
+from tests.support.cosim.figures import draw_figure
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.reproduction.figures.search import map_exchange
 from vcmvsp.cosim.reproduction.figures.search.map_exchange import (
@@ -23,7 +23,7 @@ from vcmvsp.cosim.types import Note, ProbabilityMap
 
 pytestmark = pytest.mark.slow
 
-QUICK = 15  # a seed whose targets four vehicles find within seconds
+QUICK = 15  # seed for which four vehicles find the targets within seconds
 
 
 @pytest.mark.parametrize("p", [0.6, 0.7, 0.8, 0.9, 0.95])
@@ -62,7 +62,7 @@ def test_a_search_is_over_when_all_maps_are_sure_of_both() -> None:
     assert found.false_cells == 0.5
 
 
-def test_a_search_that_is_never_over_takes_all_the_time() -> None:
+def test_an_unfinished_search_takes_the_whole_time() -> None:
     found = Watcher(2, [(11.0, 41.0)], ()).end(600.0)
     assert math.isinf(found.done_s)
     assert found.seconds == 600.0
@@ -89,14 +89,14 @@ def test_without_loss_a_ledger_and_increments_are_the_same_map() -> None:
 
 def test_search_exchange(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(map_exchange, "LIMITS_S", {2: 5.0, 4: 5.0})
-    figure = drawn("search-exchange", tmp_path, 4, seeds=1, losses=(0.0, 0.9))
+    figure = draw_figure("search-exchange", tmp_path, 4, seeds=1, losses=(0.0, 0.9))
     assert sum("one cell" in row.case and row.ok for row in figure.rows) == 6
     assert all(row.ok for row in figure.rows if "none" in row.case)
 
 
 def test_45(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(map_exchange, "SHOWN_S", (2.0, 5.0))
-    figure = drawn("45", tmp_path, 4)
+    figure = draw_figure("45", tmp_path, 4)
     assert all(panel.heat is not None and panel.heat.values.max() <= 1.0 for panel in figure.panels)
     (apart,) = [row for row in figure.rows if "differ" in row.case]
     assert apart.ok

@@ -1,4 +1,4 @@
-"""Figures made again: the framework's laws, the closed forms behind the rows, and the quick figures by the command line."""
+"""Reproduced figures: the framework, the closed forms behind the rows, and the quick figures through the command line."""
 
 import csv
 import json
@@ -55,7 +55,7 @@ def synthetic(measured: float = 1.0) -> Figure:
 
 @pytest.fixture
 def made_up(monkeypatch: pytest.MonkeyPatch) -> types.ModuleType:
-    """A figure that is called ``made-up``."""
+    """Registers a figure ``made-up``."""
     module = types.ModuleType("made_up_figure")
     monkeypatch.setitem(sys.modules, f"{figures.__name__}.made_up_figure", module)
     names = {**figures.NAMES, "made-up": ("made_up_figure:make", "A figure.")}
@@ -74,7 +74,7 @@ def test_a_row_is_ok_up_to_its_tolerance() -> None:
     assert relative("", -2.0, -2.1, 0.1).tolerance == pytest.approx(0.2)
 
 
-def test_a_limit_counts_what_exceeds_it() -> None:
+def test_a_limit_counts_the_excess() -> None:
     assert at_most("", 1.0, 0.5).ok
     assert not at_most("", 1.0, 1.5).ok
     assert at_most("", 1.0, 1.5).measured == 0.5
@@ -86,7 +86,7 @@ def test_a_limit_counts_what_exceeds_it() -> None:
 # --- what a figure leaves ---
 
 
-def test_files_hold_what_is_drawn_and_what_was_compared(tmp_path: Path) -> None:
+def test_files_contain_curves_and_rows(tmp_path: Path) -> None:
     figure = synthetic()
     written = write("made-up", figure, tmp_path / "new" / "folder")
     assert {path.name for path in written} == {
@@ -115,7 +115,7 @@ def test_the_same_figure_gives_the_same_bytes(tmp_path: Path) -> None:
     assert files[0] == files[1]
 
 
-def test_the_table_says_which_rows_are_missed() -> None:
+def test_the_table_marks_missed_rows() -> None:
     assert table(synthetic()).splitlines()[1].endswith("ok")
     assert table(synthetic(2.0)).splitlines()[1].endswith("MISSED")
 
@@ -128,12 +128,12 @@ def test_json_has_no_nan() -> None:
 # --- the command ---
 
 
-def test_every_name_leads_to_a_function() -> None:
+def test_every_name_has_a_function() -> None:
     for name in figures.NAMES:
         assert callable(figures.find(name))
 
 
-def test_a_name_that_is_none_is_told_the_nearest() -> None:
+def test_an_unknown_name_suggests_the_nearest() -> None:
     with pytest.raises(UsageError, match="did you mean 'loss-delay'"):
         figures.find("los-delay")
     given = vcmvsp_command("figure", "estimator")
@@ -141,14 +141,14 @@ def test_a_name_that_is_none_is_told_the_nearest() -> None:
     assert "did you mean 'estimators'" in given.err
 
 
-def test_without_a_name_they_are_listed() -> None:
+def test_without_a_name_all_are_listed() -> None:
     given = vcmvsp_command("figure")
     assert given.code == 0
     assert [line.split()[0] for line in given.out.splitlines()] == list(figures.NAMES)
     assert list(json.loads(vcmvsp_command("figure", "--json").out)) == list(figures.NAMES)
 
 
-def test_the_exit_code_says_whether_all_came_out(made_up: types.ModuleType, tmp_path: Path) -> None:
+def test_the_exit_code_reports_missed_rows(made_up: types.ModuleType, tmp_path: Path) -> None:
     given = vcmvsp_command("figure", "made-up", "--out", str(tmp_path))
     assert given.code == 0
     assert str(tmp_path / "made-up.png") in given.out
@@ -173,7 +173,7 @@ def test_bad_arguments_end_before_the_first_run(made_up: types.ModuleType, argum
 # --- runs ---
 
 
-def test_runs_in_processes_give_the_same_in_the_same_order() -> None:
+def test_runs_in_processes_give_equal_results_in_order() -> None:
     jobs = [rms(fleet(3.0, leader={"yaw_rate": rate}), from_s=0.0) for rate in (0.1, 0.2, 0.3)]
     told: list[tuple[int, int]] = []
     here = Runner(1)(jobs)
@@ -190,7 +190,7 @@ def test_a_run_that_fails_in_a_process_is_raised_here() -> None:
 
 
 def die_once(result: vcmvsp.Result, mark: Path) -> int:
-    """The worker's process, which the first of them does not survive."""
+    """Process id of the worker; the first call kills its worker."""
     if not mark.exists():
         mark.touch()
         os.kill(os.getpid(), signal.SIGKILL)
@@ -213,13 +213,13 @@ def refuse(result: vcmvsp.Result) -> None:
     raise AgentError(("car1",), "mine", "no")
 
 
-def test_an_error_that_cannot_be_sent_says_what_it_said() -> None:
+def test_an_unsendable_error_keeps_its_message() -> None:
     with pytest.raises(VcmvspError, match=r"^agent mine of vehicle car1: no$"):
         Runner(2)([Job(fleet(0.5), refuse), Job(fleet(0.5), refuse)])
 
 
-def test_a_step_begins_with_no_history() -> None:
-    """All vehicles at one speed until then, and the error that was asked for."""
+def test_a_step_begins_in_steady_state() -> None:
+    """All vehicles have one speed until the step; the error at the step is the requested one."""
     (seen,) = Runner(1)([track(fleet(31.0, [step_follower(30.0, behind=0.5, left=0.2)], path="straight", kind="lag"))])
     at = int(np.flatnonzero(seen.time_s >= 30.0)[0])
     assert seen.z[at, 0] == pytest.approx([0.5, -0.2], abs=1e-9)
@@ -284,7 +284,7 @@ def test_hop_gain() -> None:
     ],
 )
 def test_the_integration_gives_the_published_errors(path: str, estimator: str, reference: tuple[float, ...]) -> None:
-    """Losses of 0, 0.3, 0.7 where reports are used in the tick in which they are sent: an independent simulation's RMS, m."""
+    """Losses of 0, 0.3, 0.7, reports used in the tick of their sending: RMS, m, of an independent simulation."""
     p = np.array([0.0, 0.3, 0.7])
     assert loss_integration.rms(path, estimator, p, np.zeros(3, int)) == pytest.approx(reference, rel=0.1)
 

@@ -1,4 +1,4 @@
-"""Figures of recognition: what is counted, what the stages are asked, and all figures whole with few pictures."""
+"""Figures of recognition: counts, scores of the stages, and all figures whole with few pictures."""
 
 import math
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support.cosim.figures import drawn, missed
+from tests.support.cosim.figures import draw_figure, missed
 from vcmvsp.agents.reconnaissance.recognition.detector import Detection
 from vcmvsp.agents.reconnaissance.recognition.ground import Truth
 from vcmvsp.agents.reconnaissance.recognition.inspection import colour_map, inspect
@@ -32,7 +32,7 @@ def detection(u: float, v: float, angle: float = 0.0, name: str = "glyph") -> De
 
 
 def test_each_target_is_found_once_and_all_else_is_false() -> None:
-    """Side 40 px: right is up to 10 px."""
+    """Side 40 px: a detection within 10 px is right."""
     tally = Tally()
     tally.add([detection(109.0, 100.0, 0.1), detection(101.0, 100.0), detection(300.0, 90.0)], [Truth("glyph", 100, 100)], 40.0)
     tally.add([detection(100.0, 111.0)], [Truth("glyph", 100, 100)], 40.0)
@@ -44,16 +44,16 @@ def test_each_target_is_found_once_and_all_else_is_false() -> None:
     assert (both.recall, both.precision, len(both.angles)) == ((2, 6), (2, 10), 2)
 
 
-def test_boxes_turn_counter_clockwise_as_one_looks_at_them() -> None:
-    """Its first corner is the upper right one; turned by a quarter it is the upper left one; v points down."""
+def test_boxes_turn_counter_clockwise_in_the_picture() -> None:
+    """The first corner is the upper right one at 0 and the upper left one after a quarter turn; v points down."""
     for angle, (u, v) in ((0.0, (110.0, 40.0)), (0.5 * math.pi, (90.0, 40.0))):
         curve = box(100.0, 50.0, 20.0, angle, "", 0)
         assert (curve.x[0], curve.y[0]) == pytest.approx((u, v))
         assert (curve.x[-1], curve.y[-1]) == pytest.approx((u, v))
 
 
-def test_inspection_tells_what_the_detector_finds() -> None:
-    """The angle, and scores on either side of the thresholds of the stages."""
+def test_inspection_gives_angle_and_scores() -> None:
+    """The angle, and scores above and below the thresholds of the stages."""
     frame = made_up(20.0, 3)
     (truth,) = frame.seen.truths
     said = inspect(target(), frame.image, 20.0, FOCAL_PX, (truth.u, truth.v))
@@ -87,7 +87,7 @@ def test_cameras_over_towns_see_targets_and_no_likenesses() -> None:
 
 
 def test_recognition(tmp_path: Path) -> None:
-    figure = drawn("recognition", tmp_path, 6, frames=3)
+    figure = draw_figure("recognition", tmp_path, 6, frames=3)
     assert missed(figure) == []
     assert len(figure.rows) == 2 * 5 * 4 + 3 + 1
 
@@ -96,7 +96,7 @@ def test_recognition(tmp_path: Path) -> None:
 def test_stages(name: str, panels: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recognition_stages, "TURNS_DEG", (0, 15, 20, 90))
     monkeypatch.setattr(recognition_stages, "SHIFTS_PX", (0, 4, 7))
-    figure = drawn(name, tmp_path, panels, frames=2)
+    figure = draw_figure(name, tmp_path, panels, frames=2)
     assert missed(figure) == []
     if name == "47":
         assert all(any(kind in row.case for row in figure.rows) for kind in KINDS)

@@ -1,4 +1,4 @@
-"""Figure 51: its rows from made-up runs, and a run of seconds whole."""
+"""Figure 51: its rows from made-up runs, and the whole figure with runs of seconds."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support.cosim.figures import drawn
+from tests.support.cosim.figures import draw_figure
 from vcmvsp.cosim.reproduction.figures.search import reconnaissance
 from vcmvsp.cosim.reproduction.figures.search.reconnaissance import MissionRun, rows_of
 
@@ -44,16 +44,16 @@ def test_a_good_run() -> None:
         ({"place": GOOD.place + 2.0}, ["alpha", "bravo"]),
     ],
 )
-def test_what_goes_wrong_is_missed(changes: dict[str, object], words: list[str]) -> None:
+def test_failures_are_missed_rows(changes: dict[str, object], words: list[str]) -> None:
     cases = missed(replace(GOOD, **changes))  # type: ignore[arg-type]
     assert len(cases) == len(words)
     assert all(word in case for word, case in zip(words, cases, strict=True))
 
 
 def test_51(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a few seconds, in which nothing is found yet."""
+    """Runs of 2 s, without any find."""
     monkeypatch.setattr(reconnaissance, "DURATION_S", 2.0)
-    figure = drawn("51", tmp_path, 2, seeds=(1,))
+    figure = draw_figure("51", tmp_path, 2, seeds=(1,))
     failed = {row.case for row in figure.rows if not row.ok}
     assert failed >= {"town 1: targets found", "town 1: targets tracked"}
     assert not any("contacts" in case or "clearance" in case for case in failed)

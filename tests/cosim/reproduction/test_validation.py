@@ -1,4 +1,4 @@
-"""``vcmvsp validate``: quick checks hold, a law that is broken is told with its row, no figure is left out."""
+"""``vcmvsp validate``: quick checks hold, a broken law is reported with its row, every figure has a check."""
 
 import csv
 import json
@@ -31,7 +31,7 @@ def validated(folder: Path, *names: str) -> Outcome:
 
 
 def cells(line: str) -> list[str]:
-    """Name, title, source, rows, used and off of a line of VALIDATION.md."""
+    """Cells of a line of VALIDATION.md: name, title, source, rows, used and off."""
     return [cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]]
 
 
@@ -75,7 +75,7 @@ def test_the_committed_document_lists_every_check_and_all_hold() -> None:
     assert all(float(line[4]) <= 1.0 and line[5] == "0" for line in lines)
 
 
-def test_a_law_that_is_broken_is_told_with_its_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_broken_law_is_reported_with_its_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     right = Friis.loss_db
 
     def wrong(self: Friis, paths: Any) -> Floats:
@@ -91,7 +91,7 @@ def test_a_law_that_is_broken_is_told_with_its_row(tmp_path: Path, monkeypatch: 
     assert not json.loads((tmp_path / "validation.json").read_text())["ok"]
 
 
-def test_a_check_that_breaks_off_is_told_and_the_others_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_aborted_check_is_reported_and_the_others_continue(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken() -> None:
         raise ValueError("no such thing")
 
@@ -103,14 +103,14 @@ def test_a_check_that_breaks_off_is_told_and_the_others_go_on(tmp_path: Path, mo
     assert "broke off" in (tmp_path / "VALIDATION.md").read_text()
 
 
-def test_no_rows_and_no_numbers_do_not_hold() -> None:
+def test_no_rows_and_no_numbers_fail() -> None:
     check = CHECKS["draws"]
     assert not Measured(check).ok
     assert not Measured(check, [Row("it", 0.0, float("nan"), 1.0)]).ok
     assert json.loads(document.as_json([Measured(check, [Row("it", 0.0, float("nan"), 1.0)])]), parse_constant=pytest.fail)
 
 
-def test_checks_in_processes_give_the_same() -> None:
+def test_checks_in_processes_are_equal() -> None:
     checks = chosen(["draws", "air-time", "received"])
     here, there = run_all(checks, 1, lambda *_: None), run_all(checks, 2, lambda *_: None)
     assert here == there

@@ -1,4 +1,4 @@
-"""A run ends well however it ends: one error, the right exit code, in time, nothing left behind, the recording readable."""
+"""However a run ends: one error, the right exit code, in time, nothing left behind, a readable recording."""
 
 import json
 import os
@@ -72,7 +72,7 @@ def write(folder: Path, how: str, duration: float = 5.0) -> Path:
 
 
 def assert_readable(out: Path, until_s: float, tick_s: float = 0.0) -> dict[str, object]:
-    """All files of the run open, and they reach the instant of the failure, or the last one at which states are told."""
+    """All files of the run can be read and reach the instant of the failure; states may end ``tick_s`` before it."""
     with (out / "run.mcap").open("rb") as stream:
         messages = [(channel.topic, message.log_time) for _, channel, message in make_reader(stream).iter_messages()]
     times, errors = [when for _, when in messages], [topic for topic, _ in messages if topic == "log"]

@@ -1,4 +1,4 @@
-"""Figures of a run are equal from this process and from others, and are drawn even if the others die."""
+"""Figures of a run are equal from this and from other processes, and are drawn even if the others die."""
 
 import sys
 from pathlib import Path
@@ -17,7 +17,7 @@ SHORT = {"duration_s": 1.0, "agents.runs": "inprocess", "metrics.from_s": 0.0}
 
 @pytest.fixture
 def without_matplotlib(monkeypatch: pytest.MonkeyPatch) -> None:
-    """This process seems not to have imported Matplotlib, so it leaves the drawing to another one."""
+    """Without Matplotlib in ``sys.modules``, this process leaves drawing to another one."""
     monkeypatch.delitem(sys.modules, "matplotlib.figure", raising=False)
 
 
@@ -26,7 +26,7 @@ def content_of(folder: Path) -> Content:
     return Content(recording.states, recording.radio, recording.facts, (0.0, None))
 
 
-def test_a_run_draws_in_another_process_what_it_would_draw_itself(tmp_path: Path, without_matplotlib: None) -> None:
+def test_figures_from_another_process_are_equal(tmp_path: Path, without_matplotlib: None) -> None:
     api.run("formation-circle", set=SHORT, out=tmp_path / "run")
     assert "matplotlib.figure" not in sys.modules
     here = draw(content_of(tmp_path / "run"))

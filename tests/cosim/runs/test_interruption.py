@@ -1,4 +1,4 @@
-"""What a run leaves that was cut: a recording that begins as the whole one does, and no other traces."""
+"""Files of a cut run: a recording that begins like the whole one, and no other traces."""
 
 import signal
 import subprocess
@@ -33,7 +33,7 @@ class Failing(Agent):
 
 
 def team(folder: Path, at_s: float) -> dict[str, Any]:
-    """A leader, followers, and between them an agent that fails at some time."""
+    """A leader, followers, and between them an agent that fails at ``at_s``."""
     (folder / "failing.py").write_text(FAILING)
     failing = {"kind": f"{folder / 'failing.py'}:Failing", "at_s": at_s}
     cars = [{"name": f"car{number}", "pose": [-float(number), 0.0, 0.0], "agent": FOLLOWS} for number in range(2, 6)]
@@ -44,8 +44,8 @@ def team(folder: Path, at_s: float) -> dict[str, Any]:
     ) | {"vehicle": [leader, *cars]}
 
 
-def recorded(folder: Path) -> dict[str, list[tuple[int, bytes]]]:
-    """The messages of each topic but the log."""
+def recorded_messages(folder: Path) -> dict[str, list[tuple[int, bytes]]]:
+    """Messages of each topic except the log."""
     topics: dict[str, list[tuple[int, bytes]]] = {}
     with (folder / "run.mcap").open("rb") as stream:
         for topic, time_ns, data in messages(stream):
@@ -56,11 +56,11 @@ def recorded(folder: Path) -> dict[str, list[tuple[int, bytes]]]:
 
 @pytest.mark.usefixtures("figures")
 @pytest.mark.parametrize("at_s", [0.0, 0.5])
-def test_the_recording_of_a_run_that_was_cut_is_the_beginning_of_the_whole_one(at_s: float, tmp_path: Path) -> None:
+def test_the_recording_of_a_cut_run_is_the_beginning_of_the_whole_one(at_s: float, tmp_path: Path) -> None:
     vcmvsp.run(team(tmp_path, 99.0), out=tmp_path / "whole")
     with pytest.raises(AgentError):
         vcmvsp.run(team(tmp_path, at_s), out=tmp_path / "cut")
-    whole, cut = recorded(tmp_path / "whole"), recorded(tmp_path / "cut")
+    whole, cut = recorded_messages(tmp_path / "whole"), recorded_messages(tmp_path / "cut")
     gone = cut.pop("car3/host", [])
     assert len(gone) <= 1
     for topic, beginning in cut.items():
@@ -85,7 +85,7 @@ def test_a_run_that_is_killed_before_its_children_have_joined_leaves_nothing(tmp
 
 
 @pytest.mark.usefixtures("figures")
-def test_ctrl_c_while_files_are_written_says_so_and_they_are_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_during_writing_is_reported_and_files_are_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write, told = Result.write, list[str]()
 
     def interrupted(result: Result, folder: Path, draw: Draws) -> None:
@@ -100,7 +100,7 @@ def test_ctrl_c_while_files_are_written_says_so_and_they_are_written(tmp_path: P
 
 
 @pytest.mark.usefixtures("figures")
-def test_ctrl_c_twice_while_files_are_written_leaves_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_twice_during_writing_leaves_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(result: Result, folder: Path, draw: Draws) -> None:
         for _ in range(2):
             signal.raise_signal(signal.SIGINT)

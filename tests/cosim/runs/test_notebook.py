@@ -23,7 +23,7 @@ def test_a_notebook_shows_a_bar_numbers_and_figures() -> None:
     client = nbclient.NotebookClient(book, timeout=120, kernel_name="python3")
     client.execute()
     _, run, result, plot = ("".join(str(each.get("data", {})) for each in cell.outputs) for cell in book.cells)
-    assert "text/html" in run  # the bar, which is empty in the end
+    assert "text/html" in run  # the bar, empty in the end
     assert "<th>formation error, RMS</th>" in result
     assert result.count("<svg") == plot.count("<svg") == 2
 

@@ -1,4 +1,4 @@
-"""Replay: unchanged it is the same run, to the byte; one thing changed, the rest stays as it was recorded."""
+"""Replay: unchanged, the run is equal to the byte; with one change, the rest stays as recorded."""
 
 import json
 import tomllib
@@ -40,7 +40,7 @@ class Turn(Agent):
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a simulated run, with losses and a contended air."""
+    """The folder of a simulated run, with losses and contention on the channel."""
     folder = tmp_path_factory.mktemp("runs") / "first"
     vcmvsp.run("formation-circle", set=SETTINGS, out=folder)
     return folder
@@ -51,7 +51,7 @@ def files(folder: Path, names: tuple[str, ...] = SAME) -> dict[str, bytes]:
 
 
 def outcomes(radio: pa.Table) -> dict[tuple[str, int, str], str]:
-    """What became of the n-th frame of each sender at each receiver."""
+    """Outcome of the n-th frame of each sender at each receiver."""
     numbers, found = dict[str, list[int]](), {}
     for row in radio.to_pylist():
         known = numbers.setdefault(row["sender"], [])
@@ -61,44 +61,44 @@ def outcomes(radio: pa.Table) -> dict[tuple[str, int, str], str]:
     return found
 
 
-def then(recorded: Path) -> dict[tuple[str, int, str], str]:
+def recorded_outcomes(recorded: Path) -> dict[tuple[str, int, str], str]:
     return outcomes(pq.read_table(recorded / "radio.parquet"))
 
 
 def digest(folder: Path) -> str:
-    """Of all that a run recorded."""
+    """Digest of a run."""
     return json.loads((folder / "metrics.json").read_text())["digest"]
 
 
-def test_unchanged_it_is_the_same_run(recorded: Path, tmp_path: Path) -> None:
+def test_an_unchanged_replay_is_equal(recorded: Path, tmp_path: Path) -> None:
     replay(recorded, out=tmp_path / "again")
     assert files(tmp_path / "again", (*SAME, "run.mcap")) == files(recorded, (*SAME, "run.mcap"))
 
 
-def test_wherever_agents_run(recorded: Path) -> None:
+def test_equal_with_agents_in_processes(recorded: Path) -> None:
     patient = {"agents.deadline_s": 20.0}
     assert replay(recorded, agents="process", set=patient, mcap=False).metrics["digest"] == digest(recorded)
 
 
-def test_recorded_frames_make_the_same_run(recorded: Path, tmp_path: Path) -> None:
+def test_recorded_frames_make_an_equal_run(recorded: Path, tmp_path: Path) -> None:
     replay(recorded, radio="recorded", out=tmp_path / "again")
     assert files(tmp_path / "again") == files(recorded)
 
 
-def test_recorded_frames_fare_the_same_whatever_is_changed(recorded: Path) -> None:
-    """Another seed, another law, places further away; when drawn, frames then fare differently."""
+def test_recorded_frames_keep_their_outcomes(recorded: Path) -> None:
+    """With another seed, another gain and a place farther away; newly drawn frames have other outcomes."""
     changed = {"vehicle.car2.agent.k1": 0.3, "vehicle.car3.pose": [-30.0, 0.0, 0.0]}
     frozen = replay(recorded, radio="recorded", seed=99, set=changed, mcap=False)
     drawn = replay(recorded, seed=99, set=changed, mcap=False)
-    assert outcomes(frozen.radio) == then(recorded)
-    assert outcomes(drawn.radio) != then(recorded)
+    assert outcomes(frozen.radio) == recorded_outcomes(recorded)
+    assert outcomes(drawn.radio) != recorded_outcomes(recorded)
     assert frozen.metrics["digest"] != digest(recorded)
 
 
-def test_more_frames_than_were_recorded_are_drawn_and_that_is_told(recorded: Path) -> None:
+def test_frames_beyond_the_recording_are_drawn_and_reported(recorded: Path) -> None:
     told: list[str] = []
     again = replay(recorded, radio="recorded", set={"agents.period_s": 0.05}, tell=told.append, mcap=False)
-    before, now = then(recorded), outcomes(again.radio)
+    before, now = recorded_outcomes(recorded), outcomes(again.radio)
     assert {key: now[key] for key in before} == before
     assert len(now) == 2 * len(before)
     (line,) = told
@@ -106,14 +106,14 @@ def test_more_frames_than_were_recorded_are_drawn_and_that_is_told(recorded: Pat
     assert line.startswith(f"{frames} of {2 * frames} frames are not in the recording")
 
 
-def test_the_same_seed_draws_the_same_as_long_as_nothing_that_counts_changes(recorded: Path) -> None:
-    """The law of a follower moves it by centimetres: no frame is lost for that."""
+def test_an_equal_seed_draws_equal_outcomes(recorded: Path) -> None:
+    """Another gain moves a follower by centimetres only: it changes no outcome."""
     again = replay(recorded, set={"vehicle.car2.agent.k1": 0.3}, mcap=False)
-    assert outcomes(again.radio) == then(recorded)
+    assert outcomes(again.radio) == recorded_outcomes(recorded)
     assert again.metrics["digest"] != digest(recorded)
 
 
-def test_classes_in_files_are_those_that_the_run_kept(tmp_path: Path) -> None:
+def test_classes_are_read_from_the_files_of_the_run(tmp_path: Path) -> None:
     (tmp_path / "turn.py").write_text(OWN)
     (tmp_path / "own.toml").write_text(
         'name = "own"\nduration_s = 1.0\n[physics]\nkind = "kinematic"\n[[vehicle]]\nname = "car1"\nkind = "p2dx"\n'
@@ -173,7 +173,7 @@ fusion = { start_sigma_m = 0.1 }
 
 @pytest.fixture
 def real(tmp_path: Path) -> Path:
-    """A folder that tells of a real vehicle, but not what it did."""
+    """The folder of a run with a real vehicle, without its inputs."""
     (tmp_path / "scenario.toml").write_text(REAL.format(real=DRIVEN))
     return tmp_path
 
@@ -189,8 +189,8 @@ def test_a_twin_may_be_changed(real: Path) -> None:
     assert replay(real, twin=True, set=changed).metrics["digest"] == vcmvsp.run(simulated, set=changed).metrics["digest"]
 
 
-def test_a_twin_goes_on_to_fuse(real: Path) -> None:
-    """Where the real one took what is fused for its pose: with the same parameters."""
+def test_a_twin_keeps_its_fusion(real: Path) -> None:
+    """A real vehicle with fused pose: its twin fuses with equal parameters."""
     same = 'pose_source = "fusion"\nfusion = { start_sigma_m = 0.1 }\npositioning = { rate_hz = 10.0, sigma_m = 0.1 }\n'
     driven = same + 'driver = { kind = "bench" }\n'
     (real / "scenario.toml").write_text(REAL.format(real=driven))
@@ -203,7 +203,7 @@ def test_without_its_recording_a_real_vehicle_cannot_be_replayed(real: Path) -> 
         replay(real)
 
 
-def test_it_goes_beside_the_run() -> None:
+def test_the_folder_is_beside_the_run() -> None:
     assert beside(Path("runs/one-1")) == Path("runs/one-1-replay")
     assert beside(Path("one/")) == Path("one-replay")
 

@@ -1,4 +1,4 @@
-"""A run with a vehicle from outside again: what it did comes out of ``hardware.mcap``, and all else follows from that."""
+"""Replay of a run with an external vehicle: its inputs come from ``hardware.mcap``, and all else follows from them."""
 
 import io
 import tempfile
@@ -37,7 +37,7 @@ SCENARIO: dict[str, Any] = {
 
 
 class Robot:
-    """As unlike any other run as a robot is: it goes where chance leads it, at the instants that are asked for, and says so."""
+    """A robot whose runs all differ: it moves at random and logs its states at the requested instants."""
 
     name = "hardware"
     slot = Slot.WORLD
@@ -94,7 +94,7 @@ def opened_log() -> InputLog:
 
 
 def run(vehicles: Any, **changed: Any) -> tuple[bytes, str, list[Event]]:
-    """``run.mcap``, the digest, and what the agents and the radio gave."""
+    """``run.mcap``, the digest, and the events of a run."""
     parsed, source = scenarios.load(SCENARIO, settings=changed)
     stream, events = io.BytesIO(), list[Event]()
     with assemble(parsed, source, playback=vehicles) as assembled:
@@ -120,7 +120,7 @@ Recorded = tuple[list[Input], tuple[bytes, str, list[Event]]]
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
-    """What came from outside, out of the file, and what the run gave."""
+    """Inputs of the external vehicle, from the file, and the results of the run."""
     log, path = opened_log(), tmp_path_factory.mktemp("recorded") / "hardware.mcap"
     given = run(Robot(log))
     path.write_bytes(log.content)
@@ -131,16 +131,16 @@ def of(events: Sequence[Event], prefix: str) -> list[Any]:
     return [each for each in events if each.key.startswith(prefix)]
 
 
-def test_unchanged_it_is_the_same_run(recorded: Recorded) -> None:
+def test_an_unchanged_replay_is_equal(recorded: Recorded) -> None:
     inputs, (mcap, digest, events) = recorded
-    assert run(Robot(opened_log()))[1] != digest  # no two runs of a robot are the same
+    assert run(Robot(opened_log()))[1] != digest  # two runs of a robot differ
     again = run(Playback(("car1",), inputs))
     assert again[1] == digest
     assert again[0] == mcap
     assert [(each.key, each.time_ns) for each in again[2]] == [(each.key, each.time_ns) for each in events]
 
 
-def test_without_bodies_too() -> None:
+def test_equal_without_bodies() -> None:
     log = opened_log()
     first = run(Robot(log), **{"physics.kind": "kinematic"})
     with tempfile.NamedTemporaryFile() as file:
@@ -149,7 +149,7 @@ def test_without_bodies_too() -> None:
         assert run(Playback(("car1",), read_inputs(file.name)), **{"physics.kind": "kinematic"})[1] == first[1]
 
 
-def test_an_algorithm_that_is_changed_meets_the_same_robot(recorded: Recorded) -> None:
+def test_a_changed_algorithm_meets_the_recorded_robot(recorded: Recorded) -> None:
     inputs, (_, _, before) = recorded
     now = run(Playback(("car1",), inputs), **{"vehicle.car2.agent.k1": 0.2})[2]
     for topic in ("car1/estimate", "car1/odometry", "car1/fix", "car1/command"):
@@ -167,8 +167,8 @@ def test_the_robot_does_not_obey_in_a_replay(recorded: Recorded) -> None:
     assert of(now, "car1/estimate") == of(before, "car1/estimate")
 
 
-def test_agents_may_be_quicker_than_then(recorded: Recorded) -> None:
-    """Physics asks for instants between those that were recorded: the vehicle is on the way from one to the next."""
+def test_agents_may_have_shorter_periods(recorded: Recorded) -> None:
+    """Physics requests instants between the recorded ones: positions are interpolated."""
     inputs, _ = recorded
     shown = {
         e.time_ns: e.value.position[0]
@@ -179,8 +179,8 @@ def test_agents_may_be_quicker_than_then(recorded: Recorded) -> None:
         np.testing.assert_allclose(shown[now_ns + 50_000_000], between, atol=1e-12)
 
 
-def test_where_the_recording_ends_the_robot_stands(recorded: Recorded) -> None:
-    """As after a run that was interrupted; the others go on."""
+def test_after_the_recording_the_robot_stands(recorded: Recorded) -> None:
+    """As after an interrupted run; the other vehicles continue."""
     inputs, told = [each for each in recorded[0] if each[1] <= 1_500_000_000], list[str]()
     events = run(Playback(("car1",), inputs, tell=told.append))[2]
     assert told == ["the recording ends at 1.500 s: car1 stands still from then on"]

@@ -1,4 +1,4 @@
-"""``hardware.mcap``: every bit that went in comes out again, in order; damage costs what is behind it, a crash a second."""
+"""``hardware.mcap``: inputs are read back bit for bit and in order; damage costs what follows it, a crash one second."""
 
 import contextlib
 import io
@@ -27,14 +27,14 @@ from vcmvsp.cosim.util import codec
 pytestmark = pytest.mark.processes
 
 MS = 1_000_000
-numbers = st.floats(width=64)  # all of them: infinities, NaN, -0.0, the smallest
+numbers = st.floats(width=64)  # with infinities, NaN, -0.0, subnormals
 vectors = st.tuples(numbers, numbers, numbers)
 states = st.builds(VehicleState, position=vectors, velocity=vectors, angular_velocity=vectors)
 odometry = st.builds(Odometry, pose=vectors, v=numbers, w=numbers)
 fixes = st.builds(Fix, time_ns=st.integers(-(2**40), 2**62), position=vectors, yaw=st.none() | numbers, sigma_m=numbers)
 ranges = st.dictionaries(st.text(max_size=5), numbers, max_size=4)
 values = states | odometry | fixes | st.builds(Measured, time_ns=st.integers(0, 2**62), values=ranges)
-keys = st.sampled_from(["car1/estimate", "car1/reflected", "car2/sonar", "car2/fix"])  # of any type each
+keys = st.sampled_from(["car1/estimate", "car1/reflected", "car2/sonar", "car2/fix"])  # each of any type
 
 
 def written(inputs: list[Input]) -> bytes:
@@ -47,18 +47,18 @@ def written(inputs: list[Input]) -> bytes:
 
 
 def drive(count: int) -> list[Input]:
-    """An estimate each 0.1 s."""
+    """An estimate every 0.1 s."""
     return [("car1/estimate", k * 100 * MS, VehicleState(position=(0.1 * k, 1 / 3, 0.0))) for k in range(count)]
 
 
 def bits(inputs: list[Input]) -> list[tuple[str, int, type, bytes]]:
-    """What tells NaNs and zeros of either sign apart."""
+    """A form that distinguishes NaNs and the signs of zero."""
     return [(key, time_ns, type(value), codec.encode(value)) for key, time_ns, value in inputs]
 
 
 @settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(steps=st.lists(st.tuples(keys, st.integers(0, 10**9), values), max_size=30))
-def test_every_bit_comes_out_again_in_order(tmp_path: Path, steps: list[tuple[str, int, Any]]) -> None:
+def test_inputs_are_read_back_bit_for_bit(tmp_path: Path, steps: list[tuple[str, int, Any]]) -> None:
     inputs, now_ns = list[Input](), 0
     for key, step_ns, value in steps:
         now_ns += step_ns
@@ -83,8 +83,8 @@ def test_the_same_inputs_give_the_same_file() -> None:
     assert written(drive(50)) == written(drive(50))
 
 
-def test_others_can_read_it() -> None:
-    """By the MCAP library's own reader, through the index; a MessagePack map under a schema that names the fields."""
+def test_the_mcap_library_reads_it() -> None:
+    """The MCAP library reads it through the index: a MessagePack map under a schema with the names of the fields."""
     inputs: list[Input] = [*drive(25), ("car1/command", 2500 * MS, Velocity(linear=(0.5, 0.0, 0.0)))]
     reader = make_reader(io.BytesIO(written(inputs)), validate_crcs=True)
     found = list(reader.iter_messages())
@@ -104,10 +104,10 @@ def whole() -> bytes:
 
 @settings(deadline=None, max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_of_a_file_that_was_cut_the_beginning_is_left(tmp_path: Path, whole: bytes, data: st.DataObject) -> None:
+def test_a_cut_file_keeps_its_beginning(tmp_path: Path, whole: bytes, data: st.DataObject) -> None:
     path, told = tmp_path / "cut.mcap", list[str]()
     path.write_bytes(whole[: data.draw(st.integers(0, len(whole) - 1))])
-    with contextlib.suppress(UsageError):  # nothing is left
+    with contextlib.suppress(UsageError):  # nothing readable is left
         found = read_inputs(path, tell=told.append)
         assert bits(found) == bits(drive(60)[: len(found)])
         if len(found) < 60:
@@ -116,8 +116,8 @@ def test_of_a_file_that_was_cut_the_beginning_is_left(tmp_path: Path, whole: byt
 
 @settings(deadline=None, max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_a_file_with_a_flipped_bit_gives_nothing_that_was_not_in_it(tmp_path: Path, whole: bytes, data: st.DataObject) -> None:
-    """What is in chunks has checksums."""
+def test_a_flipped_bit_adds_no_input(tmp_path: Path, whole: bytes, data: st.DataObject) -> None:
+    """Chunks have checksums."""
     changed = bytearray(whole)
     changed[data.draw(st.integers(0, len(whole) - 1))] ^= 1 << data.draw(st.integers(0, 7))
     path = tmp_path / "flipped.mcap"
@@ -127,7 +127,7 @@ def test_a_file_with_a_flipped_bit_gives_nothing_that_was_not_in_it(tmp_path: Pa
 
 
 @pytest.mark.parametrize("content", [b"", b"hello", b"\x89MCAP0\r\n", struct.pack("<8B", *range(8)) * 100])
-def test_what_is_no_such_file_is_refused(tmp_path: Path, content: bytes) -> None:
+def test_foreign_files_are_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "hardware.mcap"
     with pytest.raises(UsageError, match="No such file"):
         read_inputs(path)
@@ -136,7 +136,7 @@ def test_what_is_no_such_file_is_refused(tmp_path: Path, content: bytes) -> None
         read_inputs(path)
 
 
-def test_what_has_no_type_of_ours_ends_the_file(tmp_path: Path) -> None:
+def test_an_unknown_type_ends_the_file(tmp_path: Path) -> None:
     class Unknown(msgspec.Struct, tag="unknown"):
         x: float = 0.0
 
@@ -160,7 +160,7 @@ with open(sys.argv[1], "wb") as stream:
 """
 
 
-def test_a_process_that_is_killed_takes_a_second_with_it(tmp_path: Path) -> None:
+def test_a_killed_process_loses_at_most_one_second(tmp_path: Path) -> None:
     path = tmp_path / "hardware.mcap"
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     with subprocess.Popen(

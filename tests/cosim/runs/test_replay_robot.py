@@ -1,4 +1,4 @@
-"""A run with a real vehicle (a robot in software, on the wall clock, in a process of its own) again, without it."""
+"""Replay of a run with a real vehicle (a robot in software, on the wall clock, in its own process), without the vehicle."""
 
 import os
 import signal
@@ -57,10 +57,10 @@ def files(folder: Path) -> dict[str, bytes]:
     return {name: (folder / name).read_bytes() for name in SAME}
 
 
-def test_unchanged_it_is_the_same_run_to_the_byte(recorded: Path, tmp_path: Path) -> None:
-    """And so is a replay of the replay."""
+def test_an_unchanged_replay_is_equal_to_the_byte(recorded: Path, tmp_path: Path) -> None:
+    """Also a replay of the replay."""
     first = replay(recorded, out=tmp_path / "again")
-    assert first.about["lateness"] is None  # it did not keep to the wall clock
+    assert first.about["lateness"] is None  # not paced by the wall clock
     assert files(tmp_path / "again") == files(recorded)
     assert replay(tmp_path / "again", agents="process", set={"agents.deadline_s": 20.0}).metrics == first.metrics
     assert first.metrics["hardware"]["car1"]["age_s"]["p50"] > 0.0
@@ -72,7 +72,7 @@ def test_its_twin_can_take_its_place(recorded: Path) -> None:
     assert twin.metrics["radio"]["losses"] == replay(recorded).metrics["radio"]["losses"]
 
 
-def test_of_a_run_that_was_killed_what_was_written_is_replayed(tmp_path: Path) -> None:
+def test_a_killed_run_is_replayed_as_far_as_written(tmp_path: Path) -> None:
     command = [*VCMVSP, "run", str(scenario(tmp_path, 60.0)), "--out", str(tmp_path / "run"), "-q"]
     path, told = tmp_path / "run" / "hardware.mcap", list[str]()
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}

@@ -1,4 +1,4 @@
-"""A run that its caller steps gives what `vcmvsp.run` gives with agents that do the same."""
+"""A run stepped by its caller is equal to `vcmvsp.run` with agents of equal behaviour."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,7 +19,7 @@ def _move(rng: np.random.Generator) -> Velocity:
 
 
 class Wanderer(vcmvsp.Agent):
-    """Moves at random and tells where it is and how much it has heard."""
+    """Moves at random; sends its position and the number of messages received."""
 
     def start(self, info: VehicleInfo) -> None:
         self.rng = np.random.default_rng([7, CARS.index(info.name)])
@@ -31,7 +31,7 @@ class Wanderer(vcmvsp.Agent):
 
 
 def _drive(run: SteppedRun, rngs: Mapping[str, np.random.Generator]) -> int:
-    """Drive the vehicles as `Wanderer` does, to the end; returns the number of steps."""
+    """Drive the vehicles like `Wanderer`, to the end; returns the number of steps."""
     steps, observations = 0, run.step()
     while observations:
         for name, obs in observations.items():
@@ -69,7 +69,7 @@ def test_vehicles_that_are_not_driven_keep_their_agents() -> None:
     assert result.metrics["digest"] == whole.metrics["digest"]
 
 
-def test_ticks_before_the_asked_time_keep_the_command_and_their_messages_wait() -> None:
+def test_skipped_ticks_keep_the_command_and_queue_messages() -> None:
     radio = {"radio.preset": "ideal", "radio.loss.probability": 0.0, "radio.delay.jitter_s": 0.0}
     with vcmvsp.start("formation-circle", set=radio, drives=["car2"]) as run:
         run.step()
@@ -90,14 +90,14 @@ def test_a_run_ends_where_its_caller_ends_it() -> None:
     assert result.states["time_ns"].to_numpy().max() == 1_000_000_000
 
 
-def test_the_last_observations_are_those_of_the_end() -> None:
+def test_the_last_observations_are_of_the_end() -> None:
     with vcmvsp.start("formation-circle", set=SHORT) as run:
         while run.step():
             assert not run.last
         assert {each.time_ns for each in run.last.values()} == {4_000_000_000}
 
 
-def test_a_vehicle_that_fails_is_not_asked_any_more() -> None:
+def test_a_failed_vehicle_has_no_more_observations() -> None:
     with vcmvsp.start("formation-circle", set={**SHORT, "vehicle.car3.agent.fails_s": 2.0}) as run:
         assert set(run.step(1.9)) == {*CARS}
         assert set(run.step()) == {"car1", "car2"}
@@ -111,7 +111,7 @@ def test_a_vehicle_that_fails_is_not_asked_any_more() -> None:
         ({"car2": Velocity(linear=(float("nan"), 0.0, 0.0))}, "not finite"),
     ],
 )
-def test_a_wrong_command_is_one_error_and_the_run_goes_on(commands: dict[str, Velocity], problem: str) -> None:
+def test_a_wrong_command_is_one_error_and_the_run_continues(commands: dict[str, Velocity], problem: str) -> None:
     with vcmvsp.start("formation-circle", set=SHORT, drives=["car2"]) as run:
         run.step()
         with pytest.raises((UsageError, AgentError), match=problem):

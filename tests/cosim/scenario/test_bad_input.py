@@ -1,6 +1,6 @@
-"""Bad scenarios through the command line: exit code 2 and one message that says where, what, and what is allowed instead.
+"""Bad scenarios through the command line: exit code 2 and one message with the place, the problem, and the allowed values.
 
-``check`` and ``run`` say the same, and nothing is written.
+``check`` and ``run`` print equal messages and write no file.
 """
 
 from pathlib import Path
@@ -14,17 +14,17 @@ pytestmark = pytest.mark.slow
 
 
 def case(name: str, text: str | bytes, *words: str, sets: tuple[str, ...] = ()) -> Any:
-    """A scenario, ``--set`` arguments, and the words that the message must hold."""
+    """A scenario, ``--set`` arguments, and words that the message must contain."""
     return pytest.param(text, sets, words, id=name.replace(" ", "-"))
 
 
-def lined(name: str, text: str, *words: str) -> Any:
+def case_with_line(name: str, text: str, *words: str) -> Any:
     """A scenario that is refused with the line of the key."""
     return case(name, text, "s.toml line", *words)
 
 
 def set_case(name: str, setting: str, *words: str, and_set: tuple[str, ...] = ()) -> Any:
-    """A good scenario with one bad ``--set``, whose argument the message must name."""
+    """A good scenario with one bad ``--set``, whose argument the message must contain."""
     key = setting.partition("=")[0]
     return case(name, two_cars(), f"--set {key}", *words, sets=(setting, *and_set))
 
@@ -51,16 +51,18 @@ def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 UNKNOWN_KEYS = [
-    lined("top", two_cars(top="durations = 1"), "durations", "did you mean 'duration_s'?", "allowed"),
-    lined("top table", two_cars(tail="[recrd]"), "recrd", "did you mean 'record'?"),
+    case_with_line("top", two_cars(top="durations = 1"), "durations", "did you mean 'duration_s'?", "allowed"),
+    case_with_line("top table", two_cars(tail="[recrd]"), "recrd", "did you mean 'record'?"),
     case("top table agents", two_cars(tail="[agent]"), "did you mean 'agents'?"),
     case("top table vehicles", two_cars(tail="[vehicels]"), "did you mean 'vehicles'?"),
-    lined("physics kinematic", two_cars(physics="gravty = 1"), "physics.gravty", "did you mean 'gravity'?"),
-    lined("world", two_cars(tail="[world]\nflor_friction = 1"), "world.flor_friction", "did you mean 'floor_friction'?"),
-    lined("radio", two_cars(tail="[radio]\nprest = 'wss'"), "radio.prest", "did you mean 'preset'?", "path_loss"),
-    lined("radio layer name", two_cars(tail="[radio.lost]\nprobability = 0"), "radio.lost", "did you mean 'loss'?"),
-    lined("radio layer", two_cars(tail="[radio.loss]\nprobabilty = 0"), "radio.loss.probabilty", "'probability'?"),
-    lined(
+    case_with_line("physics kinematic", two_cars(physics="gravty = 1"), "physics.gravty", "did you mean 'gravity'?"),
+    case_with_line(
+        "world", two_cars(tail="[world]\nflor_friction = 1"), "world.flor_friction", "did you mean 'floor_friction'?"
+    ),
+    case_with_line("radio", two_cars(tail="[radio]\nprest = 'wss'"), "radio.prest", "did you mean 'preset'?", "path_loss"),
+    case_with_line("radio layer name", two_cars(tail="[radio.lost]\nprobability = 0"), "radio.lost", "did you mean 'loss'?"),
+    case_with_line("radio layer", two_cars(tail="[radio.loss]\nprobabilty = 0"), "radio.loss.probabilty", "'probability'?"),
+    case_with_line(
         "agents",
         two_cars(agents="hroizon_s = 1"),
         "agents.hroizon_s",
@@ -68,28 +70,30 @@ UNKNOWN_KEYS = [
         "horizon_s",
         "did you mean 'horizon_s'?",
     ),
-    lined("agents own", two_cars(agents="perod_s = 1"), "agents.perod_s", "has no effect", "did you mean 'period_s'?"),
-    lined(
+    case_with_line("agents own", two_cars(agents="perod_s = 1"), "agents.perod_s", "has no effect", "did you mean 'period_s'?"),
+    case_with_line(
         "vehicles",
         two_cars(tail="[vehicles]\nmax_sped = 1"),
         "vehicles.max_sped",
         "no vehicle has this parameter",
         "did you mean 'max_speed'?",
     ),
-    lined("vehicle", two_cars(car2="max_sped = 1"), "vehicle.car2.max_sped", "did you mean 'max_speed'?"),
-    lined(
+    case_with_line("vehicle", two_cars(car2="max_sped = 1"), "vehicle.car2.max_sped", "did you mean 'max_speed'?"),
+    case_with_line(
         "vehicle own",
         two_cars(car2="pose_sorce = 'truth'"),
         "vehicle.car2.pose_sorce",
         "unknown key",
         "did you mean 'pose_source'?",
     ),
-    lined("positioning", two_cars(car2="positioning = { rate = 1 }"), "vehicle.car2.positioning.rate", "'rate_hz'?"),
-    lined("agent", two_cars(agent="kind='leader_follower', leader='car1', distanc=1"), "car2.agent.distanc", "'distance'?"),
+    case_with_line("positioning", two_cars(car2="positioning = { rate = 1 }"), "vehicle.car2.positioning.rate", "'rate_hz'?"),
+    case_with_line(
+        "agent", two_cars(agent="kind='leader_follower', leader='car1', distanc=1"), "car2.agent.distanc", "'distance'?"
+    ),
     case("agent own", two_cars(agent="kind='trajectory', latncy_s=1"), "did you mean 'latency_s'?"),
-    lined("record", two_cars(tail="[record]\nperiod = 1"), "record.period", "did you mean 'period_s'?"),
-    lined("metrics", two_cars(tail="[metrics]\nfrom = 1"), "metrics.from", "did you mean 'from_s'?"),
-    lined(
+    case_with_line("record", two_cars(tail="[record]\nperiod = 1"), "record.period", "did you mean 'period_s'?"),
+    case_with_line("metrics", two_cars(tail="[metrics]\nfrom = 1"), "metrics.from", "did you mean 'from_s'?"),
+    case_with_line(
         "box",
         two_cars(tail="[world]\nkind='boxes'\nboxes=[{center=[5,5,1], size=[1,1,1], yaw=1}]"),
         "world.boxes[0]: unknown key 'yaw'; did you mean 'yaw_rad'?",
@@ -119,16 +123,18 @@ WRONG_VALUES = [
     case("string pose", two_cars().replace("[-1.0, -0.5, 0.0]", "'here'"), "vehicle.car2.pose", "a list of 3 values"),
     case("choice", two_cars(agent="kind='trajectory', path='sqare'"), "car2.agent.path", "one of 'straight', 'circle'"),
     case("window", two_cars(tail="[metrics]\nfrom_s=3\nto_s=1"), "metrics.to_s", "earlier than metrics.from_s (3), not 1"),
-    lined("constructor", two_cars(agent="kind='trajectory', path='straight', yaw_rate=1.0"), "car2.agent", "yaw_rate = 1.0"),
-    lined(
+    case_with_line(
+        "constructor", two_cars(agent="kind='trajectory', path='straight', yaw_rate=1.0"), "car2.agent", "yaw_rate = 1.0"
+    ),
+    case_with_line(
         "missing", two_cars(agent="kind='leader_follower'"), "vehicle.car2.agent.leader", "is missing", "the name of a vehicle"
     ),
-    lined(
+    case_with_line(
         "box without size", two_cars(tail="[world]\nkind='boxes'\nboxes=[{center=[5,5,1]}]"), "world.boxes[0]: size is missing"
     ),
     case("boxes without boxes", two_cars(tail="[world]\nkind='boxes'"), "world.boxes", "is missing"),
-    lined("wheels too heavy", two_cars(car2="mass_kg = 0.1"), "vehicle.car2", "mass_kg = 0.1"),
-    lined(
+    case_with_line("wheels too heavy", two_cars(car2="mass_kg = 0.1"), "vehicle.car2", "mass_kg = 0.1"),
+    case_with_line(
         "no positioning sensor",
         two_cars(car2="pose_source = 'positioning'"),
         "car2",
@@ -144,18 +150,18 @@ WRONG_VALUES = [
     ),
     case("leader unknown", two_cars(agent="kind='leader_follower', leader='car9'"), "car2", "leader", "car9", "car1"),
     case("leader itself", two_cars(agent="kind='leader_follower', leader='car2'"), "car2", "leader", "car1"),
-    lined("name with a space", two_cars().replace('"car2"', '"car 2"'), "name", "[A-Za-z0-9_-]", "not 'car 2'"),
-    lined("name with a slash", two_cars().replace('"car2"', '"car/2"'), "name", "[A-Za-z0-9_-]"),
-    lined("empty name", two_cars().replace('"car2"', '""'), "name", "[A-Za-z0-9_-]"),
+    case_with_line("name with a space", two_cars().replace('"car2"', '"car 2"'), "name", "[A-Za-z0-9_-]", "not 'car 2'"),
+    case_with_line("name with a slash", two_cars().replace('"car2"', '"car/2"'), "name", "[A-Za-z0-9_-]"),
+    case_with_line("empty name", two_cars().replace('"car2"', '""'), "name", "[A-Za-z0-9_-]"),
     case("number for name", two_cars().replace('"car2"', "2"), "s.toml", "vehicle[1].name", "a string", "not 2"),
-    lined("name twice", two_cars().replace('"car2"', '"car1"'), "vehicle.car1.name", "two vehicles are named 'car1'"),
+    case_with_line("name twice", two_cars().replace('"car2"', '"car1"'), "vehicle.car1.name", "two vehicles are named 'car1'"),
     case("scenario name", two_cars().replace('"two-cars"', '"../x"'), "s.toml line 2: name", "[A-Za-z0-9_-]", "not '../x'"),
     case("no name", two_cars().replace('name = "car2"', ""), "s.toml", "vehicle[1].name", "is missing"),
-    lined("no kind", two_cars().replace('kind = "p2dx"\npose', "pose"), "vehicle.car2.kind", "is missing"),
-    lined("no agent kind", two_cars(agent="leader='car1'"), "vehicle.car2.agent.kind", "is missing"),
+    case_with_line("no kind", two_cars().replace('kind = "p2dx"\npose', "pose"), "vehicle.car2.kind", "is missing"),
+    case_with_line("no agent kind", two_cars(agent="leader='car1'"), "vehicle.car2.agent.kind", "is missing"),
     case("no duration", two_cars().replace("duration_s = 0.5", ""), "s.toml", "duration_s", "is missing", "a number >= 1e-06"),
-    lined("all kinds given", two_cars(tail="[vehicles]\nkind='lag'"), "vehicles.kind", "this default has no effect"),
-    lined("name for all", two_cars(tail="[vehicles]\nname='lag'"), "vehicles", "set it per vehicle"),
+    case_with_line("all kinds given", two_cars(tail="[vehicles]\nkind='lag'"), "vehicles.kind", "this default has no effect"),
+    case_with_line("name for all", two_cars(tail="[vehicles]\nname='lag'"), "vehicles", "set it per vehicle"),
     set_case("set negative", "radio.loss.probability=-0.1", "a number >= 0 and <= 1", "not -0.1"),
     set_case("set not finite", "radio.delay.seconds=inf", "radio.delay.seconds", "must be finite, not inf"),
     set_case("set not a number in a list", "vehicle.car2.pose=[0, nan, 0]", "vehicle.car2.pose", "must be finite, not nan"),
@@ -251,13 +257,13 @@ SHAPES = [
     case("set in a vehicle that is a number", "vehicle = 3\n" + without_vehicles(), "vehicle", sets=("vehicle.car1.kind=lag",)),
     case("no vehicle", without_vehicles(), "s.toml", "needs at least one [[vehicle]]"),
     case("empty", "", "s.toml", "needs at least one [[vehicle]]"),
-    lined("layer is a list", two_cars(tail="[[radio.loss]]\nkind='none'"), "radio.loss: must be a table"),
+    case_with_line("layer is a list", two_cars(tail="[[radio.loss]]\nkind='none'"), "radio.loss: must be a table"),
     case(
         "agent is a number",
         two_cars().replace('agent = { kind = "leader_follower", leader = "car1" }', "agent = 3"),
         "car2.agent",
     ),
-    lined("positioning is a number", two_cars(car2="positioning = 3"), "vehicle.car2.positioning", "a table"),
+    case_with_line("positioning is a number", two_cars(car2="positioning = 3"), "vehicle.car2.positioning", "a table"),
     case("not TOML", "name = \n", "s.toml", "is not valid TOML", "line 1"),
     case("key twice", "name = 'a'\nname = 'b'\n", "s.toml", "is not valid TOML", "line 2"),
     case("not UTF-8", b"name = '\xff'\n", "s.toml", "UTF-8"),
@@ -372,7 +378,7 @@ def test_a_setting_with_an_empty_part_of_a_key_is_refused(tmp_path: Path, settin
         ("folder.toml", ("folder.toml", "is a folder, not a scenario file")),
     ],
 )
-def test_a_scenario_that_is_not_there_is_refused(tmp_path: Path, name: str, words: tuple[str, ...]) -> None:
+def test_a_missing_scenario_is_refused(tmp_path: Path, name: str, words: tuple[str, ...]) -> None:
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder.toml").mkdir()
     outcomes = [

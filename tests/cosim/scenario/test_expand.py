@@ -1,4 +1,4 @@
-"""One [[vehicle]] for many."""
+"""One [[vehicle]] table for many vehicles."""
 
 from pathlib import Path
 
@@ -20,7 +20,7 @@ SWARM = {
 }
 
 
-def test_copies_stand_in_rows_and_others_are_left_alone() -> None:
+def test_copies_stand_in_rows_and_others_are_unchanged() -> None:
     parsed, _ = load(SWARM)
     assert [each.name for each in parsed.vehicle] == [*(f"uav{i}" for i in range(1, 7)), "car1"]
     places = [each.start[0] for each in parsed.vehicle]
@@ -35,14 +35,14 @@ def test_no_two_copies_share_a_name_or_a_place(count: int, columns: int | None) 
     assert len(copies) == count == len({each["name"] for each in copies}) == len({tuple(each["position"]) for each in copies})
 
 
-def test_one_of_many_can_be_set_by_its_name_and_all_by_theirs() -> None:
+def test_one_copy_or_all_can_be_set_by_name() -> None:
     parsed, _ = load(SWARM, settings={"vehicle.uav.count": 2, "vehicle.uav2.kind": "lag", "vehicle.uav.heading": 1.0})
     assert [each.kind for each in parsed.vehicle] == ["kinematic", "lag", "kinematic"]
     assert [each.heading for each in parsed.vehicle] == [1.0, 1.0, 0.0]
 
 
 @pytest.mark.parametrize("place", ["pose", "position"])
-def test_each_copy_is_turned_further_than_the_one_before(place: str) -> None:
+def test_each_copy_is_turned_further(place: str) -> None:
     start = {"pose": [0.0, 0.0, 0.5]} if place == "pose" else {"position": [0.0, 0.0, 0.0], "heading": 0.5}
     one = {"name": "v", "kind": "kinematic", "count": 4, "turn_rad": 2.4, **start}
     parsed, _ = load({"name": "x", "duration_s": 1.0, "vehicle": [one]})
@@ -60,7 +60,7 @@ def test_each_copy_is_turned_further_than_the_one_before(place: str) -> None:
         ({"count": 2, "position": "here"}, "vehicle.uav.position"),
     ],
 )
-def test_what_cannot_be_repeated_is_refused(keys: dict[str, object], key: str) -> None:
+def test_invalid_repetitions_are_refused(keys: dict[str, object], key: str) -> None:
     with pytest.raises(ScenarioError) as raised:
         load({**SWARM, "vehicle": [{"name": "uav", "kind": "kinematic", **keys}]})
     assert raised.value.key == key

@@ -1,4 +1,4 @@
-"""Pictures that a scenario names: found beside it or among those that come along, and kept with the run."""
+"""Pictures of a scenario: found beside it or among the shipped ones, and kept with the run."""
 
 import tomllib
 from pathlib import Path
@@ -66,7 +66,7 @@ sensors = ["camera"]
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A scenario with its files."""
+    """Folder of a scenario with its files."""
     for name, level in (("pics", 80), ("more", 200)):
         (tmp_path / name).mkdir()
         cv2.imwrite(str(tmp_path / name / "own.png"), np.full((16, 16, 3), level, np.uint8))
@@ -87,9 +87,9 @@ def test_a_run_keeps_the_pictures_of_its_world_and_of_its_agents(folder: Path) -
     ]
     listed = [resolved["agents"]["watching"], resolved["vehicle"][0]["agent"]["watching"]]
     assert [[each["picture"] for each in one["targets"]] for one in listed] == [["own.png", "alpha.png"], ["own-2.png"]]
-    assert "watching" not in resolved["vehicle"][1].get("agent", {})  # it takes that of all agents
+    assert "watching" not in resolved["vehicle"][1].get("agent", {})  # default of all agents
     moved = folder / "elsewhere"
-    first.rename(moved)  # all that it needs is in it
+    first.rename(moved)  # the folder is self-contained
     for name in ("pics", "more"):
         (folder / name).rename(folder / f"{name}-gone")
     vcmvsp.run(moved / "scenario.toml", out=folder / "again")
@@ -97,7 +97,7 @@ def test_a_run_keeps_the_pictures_of_its_world_and_of_its_agents(folder: Path) -
         assert (folder / "again" / name).read_bytes() == (moved / name).read_bytes(), name
 
 
-def test_a_picture_beside_the_scenario_comes_before_one_that_comes_along(folder: Path) -> None:
+def test_a_picture_beside_the_scenario_wins_over_a_shipped_one(folder: Path) -> None:
     assert registry.located("targets/alpha.png", folder) == registry.SHIPPED / "targets" / "alpha.png"
     (folder / "targets").mkdir()
     (folder / "targets" / "alpha.png").touch()
@@ -106,7 +106,7 @@ def test_a_picture_beside_the_scenario_comes_before_one_that_comes_along(folder:
         assert registry.located("targets/alpha.png") == folder / "targets" / "alpha.png"
 
 
-def test_a_picture_that_is_nowhere_is_said_to_be_missing_beside_the_scenario(folder: Path) -> None:
+def test_a_missing_picture_is_reported_beside_the_scenario(folder: Path) -> None:
     (folder / "pics" / "own.png").unlink()
     with pytest.raises(ScenarioError, match=f"there is no picture file {folder}/pics/own.png"):
         vcmvsp.run(folder / "s.toml")

@@ -1,4 +1,4 @@
-"""Reading scenarios: what a key means, which value wins, and where an error is said to be."""
+"""Reading scenarios: meaning of keys, precedence of values, and the place of an error."""
 
 from pathlib import Path
 from typing import Any
@@ -74,7 +74,7 @@ def test_a_mapping_is_read_like_a_file() -> None:
     assert source.of("vehicle.car1.kind") == "scenario"
 
 
-def test_a_mapping_is_left_as_it_is() -> None:
+def test_a_mapping_is_not_changed() -> None:
     content = minimal(radio={"loss": {"probability": 0.1}})
     load(content, settings={"radio.loss.probability": 0.5, "vehicle.car1.kind": "lag"}, seed=3)
     assert content == minimal(radio={"loss": {"probability": 0.1}})
@@ -90,7 +90,7 @@ def test_settings_reach_every_depth(file: Path) -> None:
     settings = {
         "duration_s": 3,
         "radio.loss.probability": 0.5,
-        "radio.delay.seconds": 0.1,  # a table that the file does not have
+        "radio.delay.seconds": 0.1,  # a table missing in the file
         "agents.k1": 0.1,
         "agents.period_s": 0.2,
         "vehicles.tau_v_s": 0.1,
@@ -110,7 +110,7 @@ def test_settings_reach_every_depth(file: Path) -> None:
     assert (two.name, two.agent.params) == ("last", {"leader": "car9"})
 
 
-def test_a_setting_is_its_own_place(file: Path) -> None:
+def test_a_setting_names_its_argument(file: Path) -> None:
     _, source = load(file, settings={"radio.loss": {"probability": 0.5}}, seed=2)
     assert source.of("radio.loss.probability") == "--set radio.loss={'probability': 0.5}"
     assert source.of("radio.preset") == f"{file} line 6"
@@ -118,7 +118,7 @@ def test_a_setting_is_its_own_place(file: Path) -> None:
 
 
 @given(st.text(max_size=60), st.text(max_size=20))
-def test_any_text_can_be_asked_for_lines(text: str, key: str) -> None:
+def test_lines_are_found_in_any_text(text: str, key: str) -> None:
     place = Source("s.toml", Path(), text).of(key)
     assert place == "s.toml" or place.startswith("s.toml line ")
 
@@ -141,7 +141,7 @@ def test_any_text_can_be_asked_for_lines(text: str, key: str) -> None:
         ("1e-3", 1e-3),
     ],
 )
-def test_a_setting_is_toml_if_it_can_be_and_else_a_word(text: str, value: Any) -> None:
+def test_a_setting_is_toml_or_a_string(text: str, value: Any) -> None:
     read = value_of(text)
     assert read == value
     assert type(read) is type(value)
@@ -152,7 +152,7 @@ def test_the_last_of_two_settings_wins() -> None:
     assert settings_of(["a=1", "b=2", "a=3"]) == {"a": 3, "b": 2}
 
 
-def test_not_finite_numbers_are_found_wherever_they_are(file: Path) -> None:
+def test_not_finite_numbers_are_found_at_every_depth(file: Path) -> None:
     nan = float("nan")
     cases: list[tuple[dict[str, Any], str]] = [
         ({"duration_s": nan}, "duration_s"),
@@ -168,7 +168,7 @@ def test_not_finite_numbers_are_found_wherever_they_are(file: Path) -> None:
         assert caught.value.source.startswith(f"--set {next(iter(settings))}=")
 
 
-def test_built_in_scenarios_are_named_by_their_files_and_say_what_they_show() -> None:
+def test_built_in_scenarios_have_their_files_name_and_a_description() -> None:
     names = scenarios.names()
     assert "formation-circle" in names
     for name in names:
@@ -193,7 +193,7 @@ def test_the_window_may_end_where_it_begins_but_not_before() -> None:
         load(minimal(metrics={"from_s": 1.5, "to_s": 1}))
 
 
-def test_numbers_and_arrays_of_numpy_are_taken_as_what_they_say() -> None:
+def test_numbers_and_arrays_of_numpy_count_like_plain_ones() -> None:
     plain = minimal(duration_s=2.0)
     numpys = minimal(duration_s=np.float64(2.0))
     numpys["vehicle"][0]["pose"] = np.array([1.0, 2.0, 0.5])

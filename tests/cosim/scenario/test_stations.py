@@ -22,7 +22,7 @@ BASE = {
 
 
 class Answer(vcmvsp.Agent):
-    """Answers each message, with its own place."""
+    """Replies to each message with its own height, m."""
 
     def act(self, obs: vcmvsp.Observation, radio: vcmvsp.Radio) -> None:
         for each in obs.heard:

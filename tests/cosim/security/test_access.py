@@ -1,4 +1,4 @@
-"""Who gets in to a run, with real certificates and real sessions, from here and from another machine, and who is told why."""
+"""Admission to a run, with real certificates and real sessions, from this and from another machine, with reasons of refusal."""
 
 import contextlib
 import datetime as dt
@@ -13,8 +13,8 @@ import pytest
 import zenoh
 
 from tests.support import requirements
-from tests.support.cosim.run_processes import reserved
-from tests.support.cosim.secure_hub import QUIET, Hub, bundle, dial, greet, issued, start, until
+from tests.support.cosim.run_processes import reserve_port
+from tests.support.cosim.secure_hub import QUIET, Hub, bundle, dial, greet, issue_certificates, start, until
 from tests.support.paths import ROOT
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.security import authority, certificates
@@ -27,12 +27,12 @@ pytestmark = [pytest.mark.processes, pytest.mark.sockets]
 
 @pytest.fixture(scope="module")
 def keys(tmp_path_factory: pytest.TempPathFactory) -> Keys:
-    return issued(tmp_path_factory.mktemp("network"))
+    return issue_certificates(tmp_path_factory.mktemp("network"))
 
 
 @pytest.fixture(scope="module")
 def foreign(tmp_path_factory: pytest.TempPathFactory) -> Keys:
-    """Another authority, which has given a certificate of the same name."""
+    """Another authority, with a certificate of an equal name."""
     folder = tmp_path_factory.mktemp("foreign") / "keys"
     authority.init(folder)
     authority.issue(folder, "car2", ["car2"])
@@ -44,15 +44,15 @@ def hub(keys: Keys, stack: contextlib.ExitStack) -> Hub:
     return stack.enter_context(Hub(access_control.hub_security(keys)))
 
 
-def lasting(folder: Path, name: str, seconds: float, monkeypatch: pytest.MonkeyPatch) -> Bundle:
-    """A certificate that ends so long from now."""
+def expiring_certificate(folder: Path, name: str, seconds: float, monkeypatch: pytest.MonkeyPatch) -> Bundle:
+    """A certificate that ends after ``seconds``."""
     with monkeypatch.context() as patch:
         real = certificates.now
         patch.setattr(certificates, "now", lambda: real() + dt.timedelta(days=-1, seconds=seconds))
         return authority.issue(folder, name, [name], days=1)
 
 
-def test_who_has_a_certificate_comes_in_and_both_know_the_other(hub: Hub, keys: Keys) -> None:
+def test_a_certificate_admits_and_both_ends_are_authenticated(hub: Hub, keys: Keys) -> None:
     with dial(hub.endpoint, bundle(keys, "car2")) as host:
         access_control.check_hub(link.auth_identifier for link in host.info.links())
         until(lambda: hub.links("car2"))
@@ -61,14 +61,14 @@ def test_who_has_a_certificate_comes_in_and_both_know_the_other(hub: Hub, keys: 
 
 
 def refused(endpoint: str, machine: Bundle | None) -> str:
-    """Why nothing came of dialling; the reason is found, and says that trying again is no use."""
+    """Reason of a failed connection; it is final: no retry helps."""
     with pytest.raises(zenoh.ZError, match="Unable to connect"):
         dial(endpoint, machine)
-    return diagnosed(endpoint, machine).why
+    return final_refusal(endpoint, machine).why
 
 
-def diagnosed(endpoint: str, machine: Bundle | None) -> zenoh_session.Refusal:
-    """What is final; a listener that takes its time is no reason, and whoever dials asks again."""
+def final_refusal(endpoint: str, machine: Bundle | None) -> zenoh_session.Refusal:
+    """The final refusal; a slow listener gives none, and is dialled again."""
     found: list[zenoh_session.Refusal] = []
 
     def is_final() -> bool:
@@ -82,20 +82,20 @@ def diagnosed(endpoint: str, machine: Bundle | None) -> zenoh_session.Refusal:
 def test_a_file_of_another_authority_is_refused(hub: Hub, keys: Keys, foreign: Keys) -> None:
     other = bundle(foreign, "car2")
     assert "another authority than" in refused(hub.endpoint, other)
-    half = foreign.folder / "half.keys"  # which trusts the run, but is not trusted by it
+    half = foreign.folder / "half.keys"  # trusts the run, but is not trusted by it
     half.write_text(other.key_pem + other.certificate_pem + keys.ca_pem)
     crossed = msgspec.structs.replace(other, path=half, ca_pem=keys.ca_pem)
     assert "the run does not" in refused(hub.endpoint, crossed)
 
 
-def test_an_expired_certificate_is_refused_though_the_clock_of_its_owner_is_late(
+def test_an_expired_certificate_is_refused_by_the_clock_of_the_run(
     hub: Hub, keys: Keys, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    old = lasting(keys.folder, "old", -5.0, monkeypatch)
+    old = expiring_certificate(keys.folder, "old", -5.0, monkeypatch)
     assert "by the clock of the run's machine" in refused(hub.endpoint, old)
 
 
-def test_without_a_certificate_nobody_comes_in(hub: Hub, keys: Keys) -> None:
+def test_no_admission_without_a_certificate(hub: Hub, keys: Keys) -> None:
     assert "requires certificates" in refused(hub.endpoint.replace("tls/", "tcp/"), None)
     rules = access_control.machine_security(bundle(keys, "car2"))
     for part in ("connect_private_key_base64", "connect_certificate_base64", "enable_mtls"):
@@ -106,7 +106,7 @@ def test_without_a_certificate_nobody_comes_in(hub: Hub, keys: Keys) -> None:
     assert hub.links("car2") == []
 
 
-def test_a_run_under_a_name_that_its_certificate_has_not_is_refused(keys: Keys, stack: contextlib.ExitStack) -> None:
+def test_a_run_under_a_name_without_certificate_is_refused(keys: Keys, stack: contextlib.ExitStack) -> None:
     elsewhere = stack.enter_context(Hub(access_control.hub_security(keys), ("tls/127.0.0.2:0",)))
     why = refused(elsewhere.endpoint, bundle(keys, "car2"))
     assert why == "the run's certificate is not for '127.0.0.2'; on its machine: vcmvsp keys hub --name 127.0.0.2 --keys DIR"
@@ -123,7 +123,7 @@ def test_a_host_cannot_pose_as_a_run(keys: Keys, stack: contextlib.ExitStack) ->
         access_control.check_hub(["hub", "car3"])
 
 
-def test_a_run_whose_certificate_has_expired_is_refused(
+def test_a_run_with_expired_certificate_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stack: contextlib.ExitStack
 ) -> None:
     folder = authority.init(tmp_path / "keys").folder
@@ -146,8 +146,8 @@ def test_tls_to_a_run_without_is_refused(keys: Keys, stack: contextlib.ExitStack
     assert zenoh_session.diagnose(plain.endpoint, None) is None
 
 
-def test_where_nobody_listens_one_may_wait(keys: Keys, stack: contextlib.ExitStack) -> None:
-    port = stack.enter_context(reserved())
+def test_a_missing_listener_is_not_final(keys: Keys, stack: contextlib.ExitStack) -> None:
+    port = stack.enter_context(reserve_port())
     for machine, protocol in ((bundle(keys, "car2"), "tls"), (None, "tcp")):
         found = zenoh_session.diagnose(f"{protocol}/127.0.0.1:{port}", machine)
         assert found == zenoh_session.Refusal("no program listens there (Connection refused)", final=False)
@@ -192,12 +192,12 @@ def hub_process(*arguments: str, before: tuple[str, ...] = ()) -> Iterator["subp
             process.stdout.close()
 
 
-def test_the_run_logs_whom_it_turns_away_and_why(
+def test_the_run_logs_refusals_with_reasons(
     keys: Keys, foreign: Keys, monkeypatch: pytest.MonkeyPatch, stack: contextlib.ExitStack
 ) -> None:
-    port = stack.enter_context(reserved())
+    port = stack.enter_context(reserve_port())
     mixed = msgspec.structs.replace(bundle(foreign, "car2"), ca_pem=keys.ca_pem)
-    expired = lasting(keys.folder, "older", -5.0, monkeypatch)
+    expired = expiring_certificate(keys.folder, "older", -5.0, monkeypatch)
     with hub_process(str(keys.folder), f"tls/127.0.0.1:{port}") as process:
         for machine, protocol in ((mixed, "tls"), (expired, "tls"), (None, "tcp")):
             with pytest.raises(zenoh.ZError):
@@ -211,7 +211,7 @@ def test_the_run_logs_whom_it_turns_away_and_why(
 
 
 def test_a_link_ends_with_its_certificate(hub: Hub, keys: Keys, monkeypatch: pytest.MonkeyPatch) -> None:
-    ending = lasting(keys.folder, "ending", 4.0, monkeypatch)
+    ending = expiring_certificate(keys.folder, "ending", 4.0, monkeypatch)
     with dial(hub.endpoint, ending):
         until(lambda: hub.links("ending") == [True, False])
 
@@ -221,7 +221,7 @@ def test_a_link_ends_with_its_certificate(hub: Hub, keys: Keys, monkeypatch: pyt
 
 @pytest.fixture
 def other_machine() -> Iterator[tuple[str, str]]:
-    """A network namespace and its address, linked to this one, which has the next; others who test here have other ones."""
+    """A network namespace linked to this one, and its address; name and address depend on the process id."""
     space, near, far = (f"vc{os.getpid()}{end}" for end in "snf")
     third, fourth = divmod(os.getpid() % 2**14 * 4, 256)
     there, here = f"10.214.{third}.{fourth + 1}", f"10.214.{third}.{fourth + 2}"

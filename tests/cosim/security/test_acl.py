@@ -1,4 +1,4 @@
-"""The network's rules with real certificates and real sessions: who can say and hear what of a run that let it in."""
+"""Access rules of the network with real certificates and real sessions: rights of admitted machines to send and receive."""
 
 import contextlib
 from collections import Counter
@@ -13,14 +13,14 @@ from tests.support.cosim.secure_hub import (
     PATIENCE_S,
     TOPIC,
     Hub,
-    answering,
-    asked,
+    answer_queries,
     bundle,
     dial,
     direct,
     greet,
     inquire,
-    issued,
+    issue_certificates,
+    replies_of,
     reply,
     settle,
     until,
@@ -36,7 +36,7 @@ ALL = frozenset({"greeted", "answered", "alive", "hub seen", "told", "topics", "
 
 @pytest.fixture(scope="module")
 def keys(tmp_path_factory: pytest.TempPathFactory) -> Keys:
-    return issued(tmp_path_factory.mktemp("network"))
+    return issue_certificates(tmp_path_factory.mktemp("network"))
 
 
 @pytest.fixture
@@ -45,7 +45,7 @@ def hub(keys: Keys, stack: contextlib.ExitStack) -> Hub:
 
 
 class Stage:
-    """A hub, the host of car2 and the observer anna, as a run has them; all they get is counted."""
+    """A hub, the host of car2 and the observer anna, as in a run; all received messages are counted."""
 
     def __init__(self, keys: Keys, rules: dict[str, Any], stack: contextlib.ExitStack) -> None:
         self.seen: Counter[str] = Counter()
@@ -54,7 +54,7 @@ class Stage:
         self.anna = stack.enter_context(dial(self.hub.endpoint, bundle(keys, "anna")))
         zid = str(self.host.zid())
         self.keys = key_names.host_key("car2", zid, "ask"), key_names.host_key("car2", zid, "alive")
-        answering(self.host, self.keys[0], self._asked)
+        answer_queries(self.host, self.keys[0], self._asked)
         self._token = self.host.liveliness().declare_token(self.keys[1])
         watch = direct(lambda sample: self.seen.update([f"car2 sees hub {sample.kind}"]))
         self.host.liveliness().declare_subscriber(key_names.HUB_ALIVE, watch, history=True)
@@ -69,7 +69,7 @@ class Stage:
         return b"answer"
 
     def everything(self, expected: frozenset[str] = ALL) -> set[str]:
-        """What works of all that a run needs; of what is expected, as soon as it does."""
+        """Which functions of a run work; waits for the expected ones."""
         checks: dict[str, Callable[[], object]] = {
             "greeted": lambda: greet(self.host, "car2") == [b"welcome"],
             "answered": lambda: self.hub.ask("car2", self.host) == [b"answer"],
@@ -78,7 +78,7 @@ class Stage:
             "told": lambda: inquire(self.host, "car2") == [b"welcome"],
             "topics": lambda: self._heard(TOPIC, "truth"),
             "page": lambda: self._heard(key_names.PAGE_UPDATE, "update"),
-            "scenery": lambda: asked(self.anna, key_names.PAGE_SCENERY, b"scene") == [b"welcome"],
+            "scenery": lambda: replies_of(self.anna, key_names.PAGE_SCENERY, b"scene") == [b"welcome"],
             "anna told": lambda: inquire(self.anna, "anna") == [b"welcome"],
             "anna sees hub": lambda: self.seen[f"anna sees hub {zenoh.SampleKind.PUT}"],
         }
@@ -131,7 +131,7 @@ def test_no_rule_allows_more_than_a_run_needs(keys: Keys, stack: contextlib.Exit
 
 
 def attack(stage: Stage, session: zenoh.Session, name: str) -> Counter[str]:
-    """All that a machine could try to hear others, to speak for them or to pose as the hub; what came of it on its side."""
+    """All attempts to receive from others, to send for them or to pose as the hub; returns the effects at the attacker."""
     got: Counter[str] = Counter()
     zid = str(session.zid())
 
@@ -175,13 +175,13 @@ def attack(stage: Stage, session: zenoh.Session, name: str) -> Counter[str]:
     for token in declared:
         token.undeclare()  # type: ignore[no-untyped-call]
     settle()
-    own = {"hears evil", *(f"token {token}" for token in tokens)}  # a session hears itself
+    own = {"hears evil", *(f"token {token}" for token in tokens)}  # a session receives its own
     return Counter({what: count for what, count in got.items() if what not in own})
 
 
 @pytest.mark.parametrize("mode", ["client", "peer", "router"])
 @pytest.mark.parametrize("name", ["car3", "anna", "gone"])
-def test_nobody_hears_others_speaks_for_them_or_poses_as_the_run(
+def test_no_machine_eavesdrops_or_poses_as_another_or_as_the_run(
     keys: Keys, stack: contextlib.ExitStack, name: str, mode: str
 ) -> None:
     stage = Stage(keys, access_control.hub_security(keys), stack)
@@ -197,7 +197,7 @@ def test_nobody_hears_others_speaks_for_them_or_poses_as_the_run(
     assert set(stage.hub.seen) == {*greetings, f"token {stage.keys[1]}", "sample truth", "sample update"}
 
 
-def test_without_the_rules_all_that_would_get_through(keys: Keys, stack: contextlib.ExitStack) -> None:
+def test_without_the_rules_all_attacks_succeed(keys: Keys, stack: contextlib.ExitStack) -> None:
     rules = access_control.hub_security(keys)
     del rules["access_control"]
     stage = Stage(keys, rules, stack)
@@ -208,7 +208,7 @@ def test_without_the_rules_all_that_would_get_through(keys: Keys, stack: context
     )
 
     def succeeds() -> bool:
-        """What is late, or was dropped, is tried again."""
+        """Late or dropped messages are sent again."""
         got = attack(stage, session, "car3")
         heard = all(got[f"hears {what}"] for what in ("question", "answer", "truth"))
         return heard and all(seen[what] for seen, what in gets_through)
@@ -216,16 +216,16 @@ def test_without_the_rules_all_that_would_get_through(keys: Keys, stack: context
     until(succeeds)
 
 
-def test_a_revoked_machine_is_answered_by_silence_that_has_words(hub: Hub, keys: Keys) -> None:
+def test_a_revoked_machine_gets_no_answer_but_a_reason(hub: Hub, keys: Keys) -> None:
     with dial(hub.endpoint, bundle(keys, "gone")) as session:
-        until(lambda: hub.links("gone"))  # so the run can name it
+        until(lambda: hub.links("gone"))  # now the run can name it
         assert greet(session, "gone") == []
         assert hub.seen == {}
     assert access_control.admission(keys, "gone", ["gone"]) == "the certificate of 'gone' has been revoked"
     assert "'gone' is unknown to this run: its certificate was revoked" in access_control.silence("gone")
 
 
-def test_where_all_are_revoked_nobody_is_let_in(keys: Keys, stack: contextlib.ExitStack) -> None:
+def test_with_all_revoked_none_is_admitted(keys: Keys, stack: contextlib.ExitStack) -> None:
     nobody = msgspec.structs.replace(keys, index=certificates.Index())
     empty = stack.enter_context(Hub(access_control.hub_security(nobody)))
     with dial(empty.endpoint, bundle(keys, "car2")) as session:
@@ -235,18 +235,18 @@ def test_where_all_are_revoked_nobody_is_let_in(keys: Keys, stack: contextlib.Ex
     assert empty.seen == {}
 
 
-def test_the_key_says_whose_vehicles_they_are(keys: Keys) -> None:
+def test_admission_is_by_certified_vehicles(keys: Keys) -> None:
     assert access_control.admission(keys, "car2", ["car2"]) is None
     assert access_control.admission(keys, "car2", ["car2", "car3"]) == "the certificate of 'car2' is for car2, not for car3"
     assert access_control.admission(keys, "anna", ["car2"]) == "the certificate of 'anna' is for watching only"
     assert access_control.admission(keys, "stranger", ["car2"]) == "'stranger' has no certificate of this run"
 
 
-def test_wildcards_of_ones_own_are_nobodys_key(hub: Hub, keys: Keys) -> None:
+def test_wildcard_keys_have_no_speaker(hub: Hub, keys: Keys) -> None:
     with dial(hub.endpoint, bundle(keys, "car2")) as host:
         wide = "vcmvsp/host/car2/*/alive"
         token = host.liveliness().declare_token(wide)
-        until(lambda: hub.seen[f"token {wide}"])  # Zenoh lets it through: it is within what car2 may say
+        until(lambda: hub.seen[f"token {wide}"])  # Zenoh accepts it: it is within car2's rights
         assert key_names.speaker(wide) is None
         token.undeclare()  # type: ignore[no-untyped-call]
 
@@ -256,7 +256,7 @@ def test_messages_beyond_the_limits_are_dropped_and_the_link_stays(hub: Hub, key
         assert greet(host, "car2", b"x" * access_control.MAX_JOIN) == [b"welcome"]
         assert greet(host, "car2", b"x" * (access_control.MAX_JOIN + 1)) == []
         key = key_names.host_key("car2", str(host.zid()), "ask")
-        answering(host, key, lambda question: b"answer".ljust(int(question)))
+        answer_queries(host, key, lambda question: b"answer".ljust(int(question)))
         assert greet(host, "car2") == [b"welcome"]
         assert hub.ask("car2", host, b"%d" % (access_control.MAX_MESSAGE + 1)) == []
         half = access_control.MAX_MESSAGE // 2
@@ -264,7 +264,7 @@ def test_messages_beyond_the_limits_are_dropped_and_the_link_stays(hub: Hub, key
     assert hub.seen == {"greeting vcmvsp/join/car2 xxxxx": 1, "greeting vcmvsp/join/car2 hello": 1}
 
 
-def test_nobody_reads_the_admin_space_of_the_hub(hub: Hub, keys: Keys) -> None:
+def test_the_hubs_admin_space_is_not_readable(hub: Hub, keys: Keys) -> None:
     with dial(hub.endpoint, bundle(keys, "car2")) as host:
         zid = str(hub.session.zid())
         for key in ("@/**", f"@/{zid}/**", f"@/{zid}/router"):

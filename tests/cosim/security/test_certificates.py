@@ -1,4 +1,4 @@
-"""An authority, and the files of machines: what they hold, who accepts them, and what they refuse."""
+"""An authority, and the files of machines: contents, acceptance, and refusals."""
 
 import base64
 import contextlib
@@ -39,13 +39,13 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def keys(tmp_path: Path) -> Path:
-    """An authority to change."""
+    """An authority that a test may change."""
     return authority.init(tmp_path / "keys").folder
 
 
 @pytest.fixture
 def at(monkeypatch: pytest.MonkeyPatch) -> Callable[[dt.timedelta], None]:
-    """Turns the clock."""
+    """Shifts the clock."""
     real = certificates.now
 
     def turn(by: dt.timedelta) -> None:
@@ -54,7 +54,7 @@ def at(monkeypatch: pytest.MonkeyPatch) -> Callable[[dt.timedelta], None]:
     return turn
 
 
-def test_a_key_goes_into_no_file_that_was_there_before(tmp_path: Path) -> None:
+def test_a_key_is_never_written_into_an_existing_file(tmp_path: Path) -> None:
     folder, before = tmp_path / "keys", os.umask(0)
     try:
         authority.init(folder)
@@ -78,8 +78,8 @@ def test_a_key_goes_into_no_file_that_was_there_before(tmp_path: Path) -> None:
         assert (folder / name).stat().st_mode & 0o777 == 0o600
 
 
-def shake(server_files: tuple[Path, Path], client_file: Path, ca: Path, host: str) -> str:
-    """A TLS handshake in memory, with certificates on both ends, by OpenSSL; empty: both ends accept."""
+def tls_handshake(server_files: tuple[Path, Path], client_file: Path, ca: Path, host: str) -> str:
+    """A TLS handshake in memory, with certificates on both ends, by OpenSSL; returns the error, or "" if both ends accept."""
     server = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     server.verify_mode = ssl.CERT_REQUIRED
     server.load_verify_locations(ca)
@@ -107,22 +107,24 @@ def shake(server_files: tuple[Path, Path], client_file: Path, ca: Path, host: st
 def test_openssl_accepts_both_ends(shared: Path) -> None:
     hub = (shared / "hub.pem", shared / "hub.key")
     for host in ("localhost", "127.0.0.1", "::1", "10.0.0.5", "lab.example.org"):
-        assert shake(hub, shared / "car2.keys", shared / "ca.pem", host) == ""
-    assert "not valid for '10.0.0.6'" in shake(hub, shared / "car2.keys", shared / "ca.pem", "10.0.0.6")
+        assert tls_handshake(hub, shared / "car2.keys", shared / "ca.pem", host) == ""
+    assert "not valid for '10.0.0.6'" in tls_handshake(hub, shared / "car2.keys", shared / "ca.pem", "10.0.0.6")
 
 
-def test_openssl_refuses_the_wrong_way_round_and_another_authority(shared: Path, keys: Path) -> None:
+def test_openssl_refuses_swapped_roles_and_another_authority(shared: Path, keys: Path) -> None:
     host = shared / "car2.keys"
     as_client = shared / "hub-as-client.pem"
     as_client.write_text((shared / "hub.key").read_text() + (shared / "hub.pem").read_text())
     hub = (shared / "hub.pem", shared / "hub.key")
-    assert "certificate purpose" in shake(hub, as_client, shared / "ca.pem", "localhost")
+    assert "certificate purpose" in tls_handshake(hub, as_client, shared / "ca.pem", "localhost")
     as_server = (host, host)
-    assert "certificate purpose" in shake(as_server, host, shared / "ca.pem", "localhost")
-    assert "certificate verify failed" in shake((keys / "hub.pem", keys / "hub.key"), host, shared / "ca.pem", "localhost")
+    assert "certificate purpose" in tls_handshake(as_server, host, shared / "ca.pem", "localhost")
+    assert "certificate verify failed" in tls_handshake(
+        (keys / "hub.pem", keys / "hub.key"), host, shared / "ca.pem", "localhost"
+    )
 
 
-def test_a_certificate_is_what_its_docstring_says(shared: Path) -> None:
+def test_a_certificate_is_as_documented(shared: Path) -> None:
     loaded = x509.load_pem_x509_certificate((shared / "laptop.keys").read_bytes().partition(b"-----END PRIVATE KEY-----\n")[2])
     key = loaded.public_key()
     assert isinstance(key, ec.EllipticCurvePublicKey)
@@ -139,7 +141,7 @@ def test_a_certificate_is_what_its_docstring_says(shared: Path) -> None:
     assert {"localhost", "127.0.0.1", "::1", "10.0.0.5", "lab.example.org"} <= set(hub.names)
 
 
-def test_valid_for_as_long_as_is_said(shared: Path, keys: Path) -> None:
+def test_periods_of_validity(shared: Path, keys: Path) -> None:
     now = certificates.now()
     near = dt.timedelta(minutes=2)
     assert abs(certificates.load(shared).until - now - 365 * DAY) < near
@@ -155,7 +157,7 @@ def test_only_the_owner_reads_keys(shared: Path) -> None:
         assert (shared / name).stat().st_mode & 0o777 == 0o600
 
 
-def test_a_file_says_itself_for_whom_it_is(shared: Path) -> None:
+def test_a_file_has_its_role_and_vehicles(shared: Path) -> None:
     laptop, anna = (certificates.load_bundle(shared / f"{name}.keys") for name in ("laptop", "anna"))
     assert (laptop.name, laptop.role, laptop.vehicles) == ("laptop", "host", ("car3", "car4"))
     assert (anna.name, anna.role, anna.vehicles) == ("anna", "observer", ())
@@ -166,20 +168,20 @@ def test_a_file_says_itself_for_whom_it_is(shared: Path) -> None:
         anna.speaks_for(["car2"])
 
 
-def test_the_index_knows_who_may_come(shared: Path) -> None:
+def test_the_index_lists_its_members(shared: Path) -> None:
     held = certificates.load(shared)
     assert [entry.name for entry in held.members] == ["car2", "laptop", "anna"]
     assert held.lacking(["car1", "car2", "car3", "car5"]) == ["car1", "car5"]
 
 
-def test_a_machine_that_expired_serves_nobody(keys: Path, at: Callable[[dt.timedelta], None]) -> None:
+def test_an_expired_machine_serves_no_vehicle(keys: Path, at: Callable[[dt.timedelta], None]) -> None:
     authority.issue(keys, "car2", ["car2"], days=1)
     assert certificates.load(keys).lacking(["car2"]) == []
     at(2 * DAY)
     assert certificates.load(keys).lacking(["car2"]) == ["car2"]
 
 
-def test_nothing_is_written_over_unless_that_is_wanted(keys: Path, tmp_path: Path) -> None:
+def test_nothing_is_overwritten_without_force(keys: Path, tmp_path: Path) -> None:
     ca = (keys / "ca.pem").read_text()
     with pytest.raises(UsageError, match="already contains an authority; --force"):
         authority.init(keys)
@@ -204,16 +206,16 @@ def test_nothing_is_written_over_unless_that_is_wanted(keys: Path, tmp_path: Pat
     assert certificates.load(keys).index.issued == ()
 
 
-def test_the_hubs_certificate_again_voids_no_other(keys: Path) -> None:
+def test_renewing_the_hub_keeps_other_certificates(keys: Path) -> None:
     authority.issue(keys, "car2", ["car2"])
     again = authority.renew_hub(keys, ["10.0.0.9"])
     assert again.names[-1] == "10.0.0.9"
     assert [entry.name for entry in again.members] == ["car2"]
     assert authority.renew_hub(keys).names == again.names
-    assert shake((keys / "hub.pem", keys / "hub.key"), keys / "car2.keys", keys / "ca.pem", "10.0.0.9") == ""
+    assert tls_handshake((keys / "hub.pem", keys / "hub.key"), keys / "car2.keys", keys / "ca.pem", "10.0.0.9") == ""
 
 
-def test_a_name_means_one_thing_for_good(keys: Path) -> None:
+def test_a_names_meaning_is_permanent(keys: Path) -> None:
     authority.issue(keys, "laptop", ["car3", "car4"])
     with pytest.raises(UsageError, match="is for car3, car4: choose another name"):
         authority.issue(keys, "laptop", ["car3", "car5"], force=True)
@@ -230,7 +232,7 @@ def test_a_name_means_one_thing_for_good(keys: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["", "a b", "../x", "car*", "a/b", "\u00e4", "x" * 65, "a\n", "@a", "$*"])
-def test_names_that_could_be_more_than_a_name_are_refused(keys: Path, name: str) -> None:
+def test_names_with_special_characters_are_refused(keys: Path, name: str) -> None:
     before = sorted(path.name for path in keys.iterdir())
     with pytest.raises(UsageError, match="is not a valid name"):
         authority.issue(keys, name)
@@ -239,7 +241,7 @@ def test_names_that_could_be_more_than_a_name_are_refused(keys: Path, name: str)
     assert sorted(path.name for path in keys.iterdir()) == before
 
 
-def test_the_hubs_name_is_nobody_elses(keys: Path) -> None:
+def test_the_hubs_name_is_reserved(keys: Path) -> None:
     with pytest.raises(UsageError, match="'hub' is reserved for the run"):
         authority.issue(keys, "hub", ["hub"])
     for name in ("tls/10.0.0.1:7447", "a b", "-x", "10.0.0.1:7447", "*.example.org"):
@@ -257,7 +259,7 @@ def test_no_certificate_outlives_the_authority(keys: Path, at: Callable[[dt.time
         authority.issue(keys, "car3", ["car3"], days=51)
 
 
-def test_expiry_is_told_before_and_named_after(shared: Path, at: Callable[[dt.timedelta], None]) -> None:
+def test_expiry_is_announced_then_an_error(shared: Path, at: Callable[[dt.timedelta], None]) -> None:
     hub, host, anna = (
         certificates.load(shared),
         certificates.load_bundle(shared / "laptop.keys"),
@@ -281,11 +283,11 @@ def test_expiry_is_told_before_and_named_after(shared: Path, at: Callable[[dt.ti
         hub.check()
 
 
-def test_a_clock_that_is_wrong_is_named(shared: Path, at: Callable[[dt.timedelta], None]) -> None:
+def test_a_wrong_clock_is_named(shared: Path, at: Callable[[dt.timedelta], None]) -> None:
     host = certificates.load_bundle(shared / "car2.keys")
     at(-30 * dt.timedelta(minutes=1))
     assert host.check() is None
-    at(-20000 * DAY)  # a robot that has no battery for its clock
+    at(-20000 * DAY)  # a robot without a battery for its clock
     with pytest.raises(UsageError, match=r"valid only from .* is the clock of this machine right"):
         host.check()
 
@@ -317,7 +319,7 @@ def test_parts_that_do_not_belong_together_are_refused(shared: Path, keys: Path,
         authority.issue(keys, "car5", ["car5"])
 
 
-def test_a_curve_that_nobody_knows_is_damage(shared: Path, tmp_path: Path) -> None:
+def test_an_unknown_curve_is_damage(shared: Path, tmp_path: Path) -> None:
     damaged = tmp_path / "damaged.keys"
     for number, block in enumerate(parts := certificates.blocks((shared / "laptop.keys").read_text())):
         head, *lines, tail = block.split("\n")[:-1]

@@ -1,4 +1,4 @@
-"""What programs and runs say to each other: whole messages however they are cut, and nothing else."""
+"""Messages between programs and runs: whole for every cut of the stream, and nothing else."""
 
 import contextlib
 from typing import Any
@@ -52,7 +52,7 @@ DOWNS = st.one_of(
 )
 
 
-def given_by(frames: Frames) -> list[bytes]:
+def messages_of(frames: Frames) -> list[bytes]:
     found = []
     while (message := frames.next()) is not None:
         found.append(message)
@@ -60,12 +60,12 @@ def given_by(frames: Frames) -> list[bytes]:
 
 
 @given(st.lists(UPS | DOWNS, max_size=6), st.lists(st.integers(1, 40), max_size=30))
-def test_messages_are_whole_however_they_are_cut(messages: list[Any], cuts: list[int]) -> None:
+def test_messages_are_whole_for_any_cut(messages: list[Any], cuts: list[int]) -> None:
     rest, frames, came = b"".join(map(framed, messages)), Frames(MOST_DOWN), []
     for cut in [*cuts, len(rest)]:
         piece, rest = rest[:cut], rest[cut:]
         frames.feed(piece)
-        came += given_by(frames)
+        came += messages_of(frames)
     assert not frames
     assert [
         (down if isinstance(sent, Welcome | Refused | Go | Over) else up)(message)
@@ -74,16 +74,16 @@ def test_messages_are_whole_however_they_are_cut(messages: list[Any], cuts: list
 
 
 @given(st.binary(max_size=200))
-def test_bytes_are_a_word_or_an_error(noise: bytes) -> None:
+def test_noise_is_a_message_or_an_error(noise: bytes) -> None:
     for read, kinds in ((up, Hello | Send | Wait), (down, Welcome | Refused | Go | Over)):
         try:
             assert isinstance(read(noise), kinds)
         except WireError as error:
-            assert str(error)  # noqa: PT017  most noise is no word, but some is
+            assert str(error)  # noqa: PT017  some noise is a message
 
 
 @given(UPS, st.data())
-def test_a_damaged_word_is_a_word_or_an_error(word: Any, data: st.DataObject) -> None:
+def test_damage_is_a_message_or_an_error(word: Any, data: st.DataObject) -> None:
     content = bytearray(framed(word)[4:])
     content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
     with contextlib.suppress(WireError):

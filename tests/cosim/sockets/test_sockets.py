@@ -1,4 +1,4 @@
-"""The author's side of programs in the time of a run, where there is no run, or one that says what makes no sense."""
+"""Sockets for programs in the time of a run: without a run, and with one that sends nonsense."""
 
 import socket
 import subprocess
@@ -26,7 +26,7 @@ def server() -> Iterator[socket.socket]:
 
 
 def serve(server: socket.socket, *says: bytes) -> str:
-    """Whoever dials is told all this at once, and that there is no more; where that is."""
+    """Send ``says`` and an end of stream to the first client; returns the endpoint."""
 
     def answer() -> None:
         end, _ = server.accept()
@@ -40,7 +40,7 @@ def serve(server: socket.socket, *says: bytes) -> str:
     return f"tcp/127.0.0.1:{server.getsockname()[1]}"
 
 
-def test_where_no_run_is_it_says_so_and_how_to_say_where_one_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_run_the_error_names_endpoint_and_variable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ConnectionRefusedError, match=rf"no run waits for programs at unix/{tmp_path}/s .*\$VCMVSP_SOCKETS"):
         connect("a", f"unix/{tmp_path}/s", timeout_s=0.0)
     monkeypatch.setenv("VCMVSP_SOCKETS", f"unix/{tmp_path}/other")
@@ -52,30 +52,28 @@ def test_where_no_run_is_it_says_so_and_how_to_say_where_one_is(tmp_path: Path, 
 
 
 @pytest.mark.parametrize("says", [b"", b"HTTP/1.1 400 Bad Request\r\n\r\n", framed(Over()), GO, b"\x00\x00\x00\x09x"])
-def test_who_listens_and_is_no_run_is_told_from_one(server: socket.socket, says: bytes) -> None:
+def test_a_listener_that_is_no_run_is_recognised(server: socket.socket, says: bytes) -> None:
     endpoint = serve(server, says)
     with pytest.raises(ConnectionError, match="is not a run that waits for programs"):
         connect("a", endpoint, timeout_s=0.0)
 
 
-def test_the_words_of_a_refusal(server: socket.socket) -> None:
+def test_a_refusal_contains_its_reason(server: socket.socket) -> None:
     with pytest.raises(ConnectionRefusedError, match="the run rejects the program of 'a': full"):
         connect("a", serve(server, framed(Refused("full"))))
 
 
 @pytest.mark.parametrize("call", [lambda end: end.sleep(0.5), lambda end: end.recvfrom(0.1), lambda end: end.recvfrom()])
-def test_a_run_that_goes_is_an_error_and_one_that_ends_is_its_end(
-    server: socket.socket, call: Callable[[Socket], object]
-) -> None:
+def test_a_lost_run_is_an_error_and_an_ended_one_is_run_over(server: socket.socket, call: Callable[[Socket], object]) -> None:
     for says, error in (((), ConnectionError), ((framed(Over()),), RunOver), ((WELCOME,), ConnectionError)):
         end = connect("a", serve(server, WELCOME, GO, *says))
-        for _ in range(2):  # and stays so
+        for _ in range(2):  # also on repetition
             with pytest.raises(error):
                 call(end)
         end.close()
 
 
-def test_what_it_was_given_and_has_not_taken_is_said_to_the_run(server: socket.socket) -> None:
+def test_unread_bytes_are_reported_to_the_run(server: socket.socket) -> None:
     said = list[object]()
 
     def answer() -> None:
@@ -103,9 +101,9 @@ def test_what_it_was_given_and_has_not_taken_is_said_to_the_run(server: socket.s
     assert said[1:] == [Wait(10**9, hears=False, held=517), Wait(1, hears=True, held=0)]
 
 
-def test_a_run_that_goes_on_though_nothing_was_heard_is_none(server: socket.socket) -> None:
+def test_a_run_that_does_not_wait_for_answers_is_an_error(server: socket.socket) -> None:
     end = connect("a", serve(server, WELCOME, GO, GO))
-    for _ in range(2):  # and stays so
+    for _ in range(2):  # also on repetition
         with pytest.raises(ConnectionError, match="without an answer to this program"):
             end.recvfrom()
     end.close()
@@ -116,10 +114,10 @@ def test_a_run_that_goes_on_though_nothing_was_heard_is_none(server: socket.sock
     st.lists(st.binary(max_size=40) | st.just(GO) | st.just(framed(Go(9, None, [(b"x", "b")]))) | st.just(WELCOME), max_size=4),
     st.sampled_from([None, 0.1]),
 )
-def test_whatever_a_run_says_a_program_gets_one_of_its_errors(pieces: list[bytes], timeout: float | None) -> None:
+def test_any_bytes_from_a_run_give_a_connection_error(pieces: list[bytes], timeout: float | None) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         endpoint = serve(server, WELCOME, GO, *pieces)
-        with pytest.raises(ConnectionError), connect("a", endpoint) as end:  # noqa: PT012  how many calls it takes, depends
+        with pytest.raises(ConnectionError), connect("a", endpoint) as end:  # noqa: PT012  number of calls varies
             while True:
                 try:
                     end.recvfrom(timeout)

@@ -1,4 +1,4 @@
-"""Bad studies through the command line: exit code 2 and one line that says what and where; nothing is run or written."""
+"""Bad studies through the command line: exit code 2 and one line with place and problem; nothing is run or written."""
 
 from pathlib import Path
 
@@ -94,7 +94,7 @@ def test_without_a_folder_a_bad_study_makes_none(tmp_path: Path) -> None:
     assert not (tmp_path / "runs").exists()
 
 
-def test_a_study_of_which_every_run_failed_says_so(tmp_path: Path) -> None:
+def test_a_study_of_failed_runs_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "no.py").write_text(
         "from vcmvsp import Agent\nclass No(Agent):\n    def act(self, obs, radio):\n        1 / 0\n"
     )
@@ -107,7 +107,7 @@ def test_a_study_of_which_every_run_failed_says_so(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("options", [(), ("--quiet",), ("--json",), ("--quiet", "--json")])
-def test_a_study_of_which_some_runs_failed_says_so_in_its_last_words(options: tuple[str, ...], tmp_path: Path) -> None:
+def test_failed_runs_are_reported_in_the_last_line(options: tuple[str, ...], tmp_path: Path) -> None:
     scenario = str(mine(tmp_path))
     grid = ("--vary", "agents.nap_s=0", "--seeds", "3", "--set", "vehicle.car1.agent.bad_seed=1", "--metric", "radio.frames")
     found = vcmvsp_command("study", scenario, *grid, "--jobs", "1", "--out", "o", *options)

@@ -25,7 +25,7 @@ VARY: dict[str, list[Any]] = {LOSS: [0.0, 0.4], ESTIMATOR: ["hold", "dr"]}
 pytestmark = [
     pytest.mark.processes,
     pytest.mark.sockets,
-    pytest.mark.filterwarnings("ignore"),  # those of the library are not ours to mend
+    pytest.mark.filterwarnings("ignore"),  # warnings of the library
 ]
 
 
@@ -34,12 +34,12 @@ def dask() -> Iterator[Any]:
     import dask as library
     import distributed
 
-    library.config.set({"distributed.scheduler.allowed-failures": 0})  # a death is enough: each costs a new worker
+    library.config.set({"distributed.scheduler.allowed-failures": 0})  # one death is enough: each costs a new worker
     with distributed.LocalCluster(n_workers=2, threads_per_worker=2, processes=True, dashboard_address=None) as cluster:  # type: ignore[no-untyped-call]
         yield cluster
 
 
-def test_rows_are_those_of_this_machine_byte_for_byte(dask: Any, tmp_path: Path) -> None:
+def test_rows_equal_this_machines_byte_for_byte(dask: Any, tmp_path: Path) -> None:
     for where, chosen in (("here", {"jobs": 2}), ("there", {"cluster": dask.scheduler_address})):
         study(two(), vary=VARY, seeds=5, out=tmp_path / where, **chosen)
     here, there = ((tmp_path / where / "study.parquet").read_bytes() for where in ("here", "there"))
@@ -76,7 +76,7 @@ def test_a_run_that_kills_its_workers_is_a_row(dask: Any, tmp_path: Path) -> Non
 
 
 class Future:
-    """A future of Dask's that has gone through some states."""
+    """A future of Dask's that passes through ``states``."""
 
     def __init__(self, key: str, *states: str) -> None:
         self.key, self._states = key, list(states)
@@ -97,8 +97,8 @@ class Future:
         return f"row of {self.key}, {self.status}".encode()
 
 
-class Done(list[Future]):
-    """Futures in the order in which they are said to be done: one that is added again, later."""
+class CompletedFutures(list[Future]):
+    """Futures in the order of completion; a future that is added again is in its next state."""
 
     def __init__(self, *, loop: object) -> None:
         self._seen: set[str] = set()
@@ -117,11 +117,11 @@ def cluster_of(client: Any) -> clusters.Cluster:
     cluster = object.__new__(clusters.Cluster)
     work = Work("", "", "")
     cluster.__dict__.update(_client=client, _name="tcp://there:1", _work=work, _looked=math.inf, _capacity=clusters.LEAST)
-    cluster._distributed = types.SimpleNamespace(as_completed=Done, KilledWorker=RuntimeError)
+    cluster._distributed = types.SimpleNamespace(as_completed=CompletedFutures, KilledWorker=RuntimeError)
     return cluster
 
 
-def test_an_answer_that_was_lost_with_its_worker_is_waited_for_again() -> None:
+def test_an_answer_lost_with_its_worker_is_awaited_again() -> None:
     states = iter([("finished",), ("lost", "pending", "finished"), ("finished",)])
     client = types.SimpleNamespace(loop=None, submit=lambda *_, key, pure: Future(key, *next(states)))
     answers = list(cluster_of(client).answers(((number, None) for number in range(3)), 3))
@@ -137,7 +137,7 @@ def test_a_run_that_the_scheduler_has_cancelled_ends_the_study() -> None:
 
 @pytest.mark.parametrize("call", ["submit", "nthreads"])
 @pytest.mark.parametrize("error", [OSError("in <TCP>: Stream is closed"), TimeoutError(), RuntimeError("closed")])
-def test_a_scheduler_that_dies_is_named_with_what_goes_on(
+def test_a_dead_scheduler_is_named_with_the_way_to_resume(
     call: str, error: Exception, dask: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls = list[str]()
@@ -168,15 +168,15 @@ def test_a_cluster_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch
         study(two(), vary=VARY, seeds=1, cluster="tcp://127.0.0.1:1")
 
 
-def test_a_cluster_that_says_nothing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_silent_cluster_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clusters, "TIMEOUT_S", 1)
-    with socket.create_server(("127.0.0.1", 0)) as silent:  # it accepts
+    with socket.create_server(("127.0.0.1", 0)) as silent:  # accepts, but never answers
         address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
         with pytest.raises(UsageError, match=rf"--cluster {address}: no Dask scheduler answers there within 1 s"):
             study(two(), vary={LOSS: [0.0]}, seeds=1, cluster=address)
 
 
-def test_without_dask_it_is_said_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_dask_installation_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(UsageError, match=r"in the checkout, pip install .*\[cluster\]"):
         study(two(), vary=VARY, seeds=1, cluster="tcp://127.0.0.1:1")

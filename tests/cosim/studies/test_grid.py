@@ -1,4 +1,4 @@
-"""What ``--vary KEY=...`` says."""
+"""Values of ``--vary KEY=...``."""
 
 import json
 import math
@@ -19,7 +19,7 @@ values = st.one_of(scalars, st.lists(scalars, max_size=3), st.lists(st.lists(tex
 decimals = st.decimals(-1000, 1000, allow_nan=False, places=3)
 
 
-def same(one: Any, other: Any) -> bool:
+def equal_with_type(one: Any, other: Any) -> bool:
     return type(one) is type(other) and bool(one == other)
 
 
@@ -27,7 +27,7 @@ def same(one: Any, other: Any) -> bool:
 def test_values_written_with_commas_between_them_are_read_back(listed: list[Any]) -> None:
     read = values_of(" , ".join(json.dumps(value, ensure_ascii=False) for value in listed))
     assert len(read) == len(listed)
-    assert all(map(same, read, listed))
+    assert all(map(equal_with_type, read, listed))
 
 
 @given(decimals, st.integers(0, 200), st.decimals("0.001", 10, places=3))
@@ -45,7 +45,7 @@ def test_a_range_of_whole_numbers_gives_whole_numbers(start: int, span: int, ste
 
 
 @given(scalars, scalars)
-def test_labels_are_equal_for_what_is_equal_to_a_scenario(one: Any, other: Any) -> None:
+def test_labels_are_equal_exactly_for_equal_values(one: Any, other: Any) -> None:
     numbers = all(isinstance(each, int | float) and not isinstance(each, bool) for each in (one, other))
     if numbers or type(one) is type(other):
         assert (label(one) == label(other)) == (one == other)
@@ -71,7 +71,7 @@ def test_labels_are_equal_for_what_is_equal_to_a_scenario(one: Any, other: Any) 
 def test_values(text: str, expected: list[Any]) -> None:
     read = values_of(text)
     assert len(read) == len(expected)
-    assert all(map(same, read, expected))
+    assert all(map(equal_with_type, read, expected))
 
 
 @pytest.mark.parametrize(

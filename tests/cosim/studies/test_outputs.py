@@ -1,4 +1,4 @@
-"""What a study leaves: figures that show the summary's numbers, the same bytes again, and a page that says how to repeat it."""
+"""Outputs of a study: figures of the summary's numbers, equal bytes every time, and a page with the command that repeats it."""
 
 import csv
 import html
@@ -30,7 +30,7 @@ LOSS, DELAY, WHO, METRIC = "radio.loss.probability", "radio.delay.seconds", "age
 
 
 def study(vary: Mapping[str, Any], seeds: int = 3, fails: bool = False, **changed: Any) -> tuple[pa.Table, Plan]:
-    """A study whose metric is the sum of all numbers that were varied, and a hundredth of the seed."""
+    """A study whose metric is the sum of all varied numbers and a hundredth of the seed."""
     points = [dict(zip(vary, values, strict=True)) for values in itertools.product(*vary.values())]
     rows = []
     for point in points:
@@ -60,7 +60,7 @@ def figure_of(vary: Mapping[str, Any], metrics: tuple[str, ...] = (METRIC,)) -> 
 
 
 def test_lines_go_through_the_means_and_bands_through_their_ends() -> None:
-    vary = {WHO: ["hold", "dr"], LOSS: [0.9, 0.1, 0.5]}  # not in their order
+    vary = {WHO: ["hold", "dr"], LOSS: [0.9, 0.1, 0.5]}  # unsorted
     table, _ = study(vary)
     summary = summarise(table, list(vary), [METRIC])
     (axes,) = study_plot.lines(summary, list(vary), [METRIC]).axes
@@ -88,7 +88,7 @@ def test_names_alone_are_points_with_error_bars() -> None:
     assert len(set(places)) == 6  # beside each other
 
 
-def test_truths_are_names_and_no_numbers() -> None:
+def test_booleans_count_as_names() -> None:
     (axes,) = figure_of({"record.sensors": [True, False]}).axes
     assert [text.get_text() for text in axes.get_xticklabels()] == ["true", "false"]
 
@@ -133,7 +133,7 @@ def test_the_map_has_the_mean_of_each_point_in_its_cell() -> None:
     assert numbers[1, 2] == pytest.approx(means[2.0, 0.9], rel=0.05)
 
 
-def test_a_large_map_has_no_numbers_in_it_and_without_two_numbers_there_is_none() -> None:
+def test_a_large_map_has_no_numbers_and_a_map_needs_two_numeric_keys() -> None:
     vary = {DELAY: [0.1 * i for i in range(8)], LOSS: [0.1 * i for i in range(8)]}
     table, _ = study(vary, seeds=1)
     figure = study_plot.heat_map(summarise(table, list(vary), [METRIC]), list(vary), METRIC)
@@ -155,7 +155,7 @@ def test_a_third_key_gives_a_map_for_each_of_its_values() -> None:
 # --- files -------------------------------------------------------------------------------------------------------------------
 
 
-def test_the_page_tells_what_was_varied_and_what_came_of_it(tmp_path: Path) -> None:
+def test_the_page_contains_points_failures_and_command(tmp_path: Path) -> None:
     table, spec = study({WHO: ["hold", "dr"], LOSS: [0.1, 0.5]}, fails=True)
     write(tmp_path, table, spec)
     text = html.unescape((tmp_path / "report.html").read_text("utf-8"))
@@ -169,7 +169,7 @@ def test_the_page_tells_what_was_varied_and_what_came_of_it(tmp_path: Path) -> N
         assert [row["failed"] for row in csv.DictReader(file)] == ["1"] * 4
 
 
-def test_a_study_of_which_nothing_succeeded_has_a_page_all_the_same(tmp_path: Path) -> None:
+def test_a_study_without_successful_runs_has_a_page(tmp_path: Path) -> None:
     table, spec = study({LOSS: [0.1]}, seeds=1)
     failed = table.drop_columns([METRIC, "radio.delivery_ratio", "error"]).append_column("error", pa.array(["no"]))
     write(tmp_path, failed, spec)
@@ -192,7 +192,7 @@ values = st.recursive(
 
 @settings(max_examples=150, deadline=None)
 @given(values)
-def test_a_value_is_read_again_as_it_was(value: Any) -> None:
+def test_a_value_is_read_back_unchanged(value: Any) -> None:
     assert vary_of([f"a.b={toml_of(value)}"]) == {"a.b": [value]}
     assert settings_of([f"a.b={toml_of(value)}"]) == {"a.b": value}
 
@@ -213,7 +213,7 @@ def test_a_scenario_that_has_no_name_has_no_command(tmp_path: Path) -> None:
     assert "vcmvsp study" not in (tmp_path / "whole" / "report.html").read_text("utf-8")
 
 
-def test_the_command_says_everything_that_the_study_was() -> None:
+def test_the_command_describes_the_whole_study() -> None:
     vary = {
         WHO: ["hold", "true", "a, b", "0:1"],
         "radio.mac": [{"kind": "dcf", "cw_min": 7}, {"kind": "ideal"}],

@@ -1,4 +1,4 @@
-"""Studies through ``vcmvsp.study``: what the rows are does not depend on how they were made."""
+"""Studies through ``vcmvsp.study``: rows do not depend on the way of making them."""
 
 import errno
 import functools
@@ -47,7 +47,7 @@ def test_there_is_a_row_per_run_in_the_order_of_the_grid(table: pa.Table) -> Non
     assert table.column_names[-2:] == ["error", "digest"]
 
 
-def test_each_row_is_what_a_single_run_gives(table: pa.Table) -> None:
+def test_each_row_equals_a_single_run(table: pa.Table) -> None:
     for row in table.to_pylist()[::4]:
         alone = flat(vcmvsp.run(two(), seed=row["seed"], set={LOSS: row[LOSS], ESTIMATOR: row[ESTIMATOR]}).metrics)
         absent = {name for name in row if name not in alone} - {LOSS, ESTIMATOR, "error"}
@@ -62,7 +62,7 @@ def test_the_order_of_values_changes_the_order_of_rows_alone(table: pa.Table) ->
 
 
 def test_points_share_their_draws() -> None:
-    """Common random numbers: what is lost at a probability of 0.1 is lost at 0.3 too, and at 0.3 whoever follows how."""
+    """Common random numbers: frames lost at a probability of 0.1 are lost at 0.3 too, and at 0.3 with either estimator."""
     delivered = []
     for probability, estimator in ((0.1, "hold"), (0.3, "hold"), (0.3, "dr")):
         settings = {"duration_s": 20.0, LOSS: probability, ESTIMATOR: estimator}
@@ -86,7 +86,7 @@ def test_a_run_that_fails_is_a_row(tmp_path: Path) -> None:
         vcmvsp.run(mine(tmp_path), seed=1, set={"vehicle.car1.agent.bad_seed": 1})
 
 
-def test_losses_that_did_not_happen_are_none() -> None:
+def test_causes_without_losses_are_zero() -> None:
     found = study(two(), vary={LOSS: [0.0, 1.0]}, seeds=1, metrics=["radio.losses.walls"])
     assert columns(found, "radio.losses.random loss", "radio.losses.walls") == [(0, 0), (10, 0)]
 
@@ -124,7 +124,7 @@ def wait_for(condition: Any, seconds: float = 30.0) -> None:
 
 
 def pool_and_job(folder: Path) -> tuple[Pool, Job]:
-    """A pool of one worker, and a run that leaves a mark and then waits for as long as there is a file, ``held``."""
+    """A pool of one worker, and a run that leaves a mark and then waits while the file ``held`` exists."""
     work = Work(mine(folder).read_text(), str(folder), version())
     (folder / "held").touch()
     held = {"vehicle.car1.agent.mark": str(folder / "mark"), "vehicle.car1.agent.held_by": str(folder / "held")}
@@ -183,12 +183,12 @@ def test_leaving_a_pool_ends_its_workers_in_the_middle_of_a_run(tmp_path: Path) 
     assert worker._process.returncode == -signal.SIGKILL
 
 
-def test_what_a_worker_raises_is_raised_here() -> None:
+def test_an_error_of_a_worker_is_raised_here() -> None:
     with Pool(int, 2, died=None) as pool:
         assert sorted(pool.answers(enumerate(["1", "2"]), 2)) == [(0, 1), (1, 2)]
         with pytest.raises(ValueError, match="invalid literal") as error:
             list(pool.answers([(0, "x")], 1))
-    assert "Traceback" in error.value.__notes__[0]  # with the place where it arose
+    assert "Traceback" in error.value.__notes__[0]  # traceback of the worker
 
 
 def test_a_worker_that_cannot_be_started_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -200,13 +200,13 @@ def test_a_worker_that_cannot_be_started_is_named(monkeypatch: pytest.MonkeyPatc
         study(two(), vary={LOSS: [0.0]}, seeds=1, out=tmp_path / "s")
 
 
-def test_what_a_worker_that_cannot_begin_ended_with_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_workers_exit_code_at_start_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vcmvsp.cosim.processes.child_process.BOOT", "raise SystemExit(7)  # {module}")
     with pytest.raises(VcmvspError, match=r"ended while it started \(exit code 7\)"):
         study(two(), vary={LOSS: [0.0]}, seeds=1)
 
 
-def test_what_agents_print_is_no_answer(tmp_path: Path) -> None:
+def test_output_of_agents_is_no_answer(tmp_path: Path) -> None:
     (tmp_path / "loud.py").write_text(
         "import os\nprint('module')\nos.write(1, b'raw')\n" + (mine(tmp_path).parent / "mine.py").read_text()
     )
@@ -221,12 +221,12 @@ def test_another_version_makes_no_rows(tmp_path: Path) -> None:
     assert b"this worker has vcmvsp" in row
 
 
-def test_progress_in_a_log_tells_the_time_left(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_progress_in_a_log_has_the_time_left(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     now = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     for quiet in (False, True):
         with StudyProgress(quiet=quiet) as progress:
-            progress.on_run(10, 0, 50)  # done before: they say nothing of how long a run takes
+            progress.on_run(10, 0, 50)  # done before: not timed
             for done in (11, 12, 13, 14):
                 now[0] += 2.0
                 progress.on_run(done, done - 11, 50)
@@ -236,7 +236,7 @@ def test_progress_in_a_log_tells_the_time_left(monkeypatch: pytest.MonkeyPatch, 
 # --- what is checked before the first run ------------------------------------------------------------------------------------
 
 
-def test_of_many_points_each_value_of_each_key_is_checked_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_many_points_each_value_is_checked_once(monkeypatch: pytest.MonkeyPatch) -> None:
     base = plans.base_of(two())
     seen: list[tuple[Any, ...]] = []
     told: list[tuple[int, int]] = []
@@ -258,7 +258,7 @@ def test_of_many_points_each_value_of_each_key_is_checked_once(monkeypatch: pyte
         assert [{point[key] for point in seen} for key in (0, 1)] == [{*values} for values in vary.values()]
 
 
-def test_the_check_tells_how_far_it_is(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_checking_shows_its_progress(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     now = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     with StudyProgress(quiet=False) as progress:
@@ -269,7 +269,7 @@ def test_the_check_tells_how_far_it_is(monkeypatch: pytest.MonkeyPatch, capsys: 
 
 
 @pytest.mark.parametrize(("error", "shown"), [(AgentError(("car1",), "a", "no"), True), (FederateError("air", "no"), False)])
-def test_what_breaks_a_start_is_said_at_once_unless_it_is_an_agent(
+def test_an_error_of_the_start_is_raised_unless_it_is_an_agents(
     monkeypatch: pytest.MonkeyPatch, error: FederateError, shown: bool
 ) -> None:
     def start(run: AssembledRun, kernel: Any) -> None:
@@ -277,7 +277,7 @@ def test_what_breaks_a_start_is_said_at_once_unless_it_is_an_agent(
 
     monkeypatch.setattr(AssembledRun, "start", start)
     if shown:
-        assert study(two(), vary={LOSS: [0.0]}, seeds=1)["error"].to_pylist() == [None]  # workers start as ever
+        assert study(two(), vary={LOSS: [0.0]}, seeds=1)["error"].to_pylist() == [None]  # workers start normally
     else:
         with pytest.raises(FederateError, match="air: no"):
             study(two(), vary={LOSS: [0.0]}, seeds=1)
@@ -290,7 +290,7 @@ def test_only_finite_values_are_varied_over(value: Any) -> None:
 
 
 @pytest.mark.parametrize("seeds", [float("nan"), float("inf"), 2.5])
-def test_seeds_are_counted(seeds: float) -> None:
+def test_seeds_are_a_whole_number(seeds: float) -> None:
     with pytest.raises(VcmvspError, match="--seeds"):
         study(two(), vary={LOSS: [0.0]}, seeds=seeds)  # type: ignore[arg-type]
 
@@ -306,6 +306,6 @@ def test_a_file_that_changes_while_the_study_runs_makes_no_rows(tmp_path: Path) 
 @pytest.mark.parametrize(
     ("given", "says"), [({"vary": "a=0,1"}, "vary: must be a mapping"), ({"metrics": "age"}, "--metric age:")]
 )
-def test_words_in_place_of_lists_are_understood_or_named(given: dict[str, Any], says: str) -> None:
+def test_strings_in_place_of_lists_are_refused(given: dict[str, Any], says: str) -> None:
     with pytest.raises(UsageError, match=says):
         vcmvsp.study("study-delay", seeds=1, **given)

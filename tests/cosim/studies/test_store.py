@@ -1,4 +1,4 @@
-"""A study's folder: readable at any moment, the same whatever ended the study in between."""
+"""A study's folder: readable at any moment, with equal bytes after any interruption."""
 
 import errno
 import json
@@ -37,7 +37,7 @@ def plan_of(**more: Any) -> Plan:
 
 
 def fill(store: Store, skip: int = 0, stop: int | None = None) -> None:
-    """Rows that are odd in every way: a metric in few runs only, numbers without a value, failures."""
+    """Add rows of all odd kinds: a metric in few runs only, numbers without a value, failures."""
     for number, run in enumerate(store.plan.runs):
         if skip <= number < (stop or store.plan.size):
             values: dict[str, Any] = {"a": 0.1 * run.seed, "none": None, "whole": run.seed, "digest": run.key}
@@ -65,16 +65,14 @@ def test_the_table_is_there_from_the_start_and_grows(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("written", [0, 1, 4, 8])
 @pytest.mark.parametrize("torn", [b"", b'{"run":"0\\n1\\n3","row":{"val', bytes(60) + b"\n", bytes(60), b"\xff\n[1]\n"])
-def test_whatever_is_in_table_and_journal_when_it_ends_the_rest_gives_the_same_bytes(
-    tmp_path: Path, written: int, torn: bytes
-) -> None:
+def test_resuming_any_table_and_journal_gives_equal_bytes(tmp_path: Path, written: int, torn: bytes) -> None:
     expected = whole(tmp_path / "whole", plan_of())
     store = Store(tmp_path / "s", plan_of(), resume=False, force=False)
     with store:
         fill(store, stop=written or None)
         if written:
             store.write()
-        fill(store, skip=2, stop=6)  # some twice, and in another order than the plan's
+        fill(store, skip=2, stop=6)  # some twice, and not in the plan's order
         saved = tmp_path / "as killed"
         shutil.copytree(tmp_path / "s", saved)
     with (saved / "study.journal").open("ab") as journal:
@@ -87,8 +85,8 @@ def test_whatever_is_in_table_and_journal_when_it_ends_the_rest_gives_the_same_b
     assert not (saved / "study.journal").exists()
 
 
-def test_lines_after_one_that_a_power_cut_spoilt_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vcmvsp.cosim.studies.store.SHARE", 1e-9)  # it is not time for another table, however long this takes
+def test_lines_after_a_damaged_one_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vcmvsp.cosim.studies.store.SHARE", 1e-9)  # no other table is due, however long this takes
     with Store(tmp_path / "s", plan_of(), resume=False, force=False) as store:
         store.write()
         fill(store)
@@ -99,7 +97,7 @@ def test_lines_after_one_that_a_power_cut_spoilt_count(tmp_path: Path, monkeypat
     journal.write_bytes(b"\n".join(lines))
     with Store(tmp_path / "cut", plan_of(), resume=True, force=False) as again:
         missing = [number for number, run in enumerate(plan_of().runs) if run.key not in again.rows]
-    assert missing == [2, 5]  # and the one that failed
+    assert missing == [2, 5]  # and the failed one
 
 
 def test_plan_and_table_are_on_the_disk_before_they_replace_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -126,7 +124,7 @@ def test_plan_and_table_are_on_the_disk_before_they_replace_others(tmp_path: Pat
     assert done == expected
 
 
-def test_more_values_and_seeds_may_be_asked_for_later(tmp_path: Path) -> None:
+def test_values_and_seeds_may_be_added_later(tmp_path: Path) -> None:
     more = plan_of(vary={LOSS: [0.25, 0.0, 0.5], "n": [2, 1, 3.5]}, seeds=[2, 3, 4, 5])
     expected = whole(tmp_path / "whole", more)
     whole(tmp_path / "s", plan_of())
@@ -150,14 +148,14 @@ def test_more_values_and_seeds_may_be_asked_for_later(tmp_path: Path) -> None:
         ({"seeds": [3]}, "seeds may be added, not left out: they were 3 to 4"),
     ],
 )
-def test_another_study_is_not_gone_on_with(tmp_path: Path, change: dict[str, Any], words: str) -> None:
+def test_another_study_is_not_continued(tmp_path: Path, change: dict[str, Any], words: str) -> None:
     before = whole(tmp_path, plan_of(files={"mine.py": "0", "two.py": "1 2"}))
     with pytest.raises(UsageError, match=words), Store(tmp_path, plan_of(**change), resume=True, force=False):
         pass
     assert (tmp_path / "study.parquet").read_bytes() == before
 
 
-def test_a_file_that_came_with_a_new_value_does_not_make_it_another(tmp_path: Path) -> None:
+def test_a_file_of_a_new_value_keeps_the_study(tmp_path: Path) -> None:
     whole(tmp_path, plan_of(files={"mine.py": "0"}))
     more = plan_of(files={"mine.py": "0 1", "new.py": "2"})
     with Store(tmp_path, more, resume=True, force=False) as store:
@@ -167,8 +165,8 @@ def test_a_file_that_came_with_a_new_value_does_not_make_it_another(tmp_path: Pa
 PREDICTOR = "from vcmvsp.agents.formation.reports.prediction import DeadReckoning\n\n\nclass Own(DeadReckoning):\n    pass\n"
 
 
-def with_own(folder: Path, what: str) -> tuple[dict[str, Any], str]:
-    """Values that name two files of one basename, an agent's or an estimator's, and a key for them."""
+def scenario_with_own_files(folder: Path, what: str) -> tuple[dict[str, Any], str]:
+    """A scenario, and a key for two files of one basename with an agent or an estimator."""
     for name in ("one", "other"):
         (folder / name).mkdir()
         text = PREDICTOR if what == "estimator" else (mine(folder).parent / "mine.py").read_text()
@@ -179,11 +177,9 @@ def with_own(folder: Path, what: str) -> tuple[dict[str, Any], str]:
 
 
 @pytest.mark.parametrize("what", ["agent", "estimator"])
-def test_rows_of_code_that_has_changed_since_are_not_mixed_with_new_ones(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str
-) -> None:
+def test_rows_of_changed_code_are_not_mixed_with_new_ones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str) -> None:
     monkeypatch.chdir(tmp_path)
-    scenario, key = with_own(tmp_path, what)
+    scenario, key = scenario_with_own_files(tmp_path, what)
     name = "Own" if what == "estimator" else "Mine"
     values = [f"one/own.py:{name}", f"other/own.py:{name}"]
     given: dict[str, Any] = {"seeds": 1, "jobs": 1, "out": tmp_path / "s"}
@@ -198,13 +194,13 @@ def test_rows_of_code_that_has_changed_since_are_not_mixed_with_new_ones(
         path.write_text(before)
 
 
-def test_comments_and_the_study_table_of_a_scenario_do_not_make_it_another(tmp_path: Path) -> None:
+def test_comments_and_the_study_table_keep_the_study(tmp_path: Path) -> None:
     whole(tmp_path, plan_of())
     with Store(tmp_path, plan_of(scenario_toml='name = "two" # 2\n[study]\nseeds = 3\n'), resume=True, force=False) as store:
         assert len(store.rows) == 7
 
 
-def test_a_folder_that_holds_something_needs_a_word(tmp_path: Path) -> None:
+def test_a_folder_with_contents_needs_an_option(tmp_path: Path) -> None:
     whole(tmp_path / "s", plan_of())
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "notes.txt").touch()
@@ -230,7 +226,7 @@ def test_a_folder_that_cannot_be_read_is_named_in_a_line(tmp_path: Path, monkeyp
         study(two(), vary={LOSS: [0.0]}, seeds=1, out=tmp_path)
 
 
-def test_only_what_is_written_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_write_errors_are_reported_as_such(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def gone(*counts: int) -> None:
         raise BrokenPipeError(32, "Broken pipe")
 
@@ -247,8 +243,8 @@ def test_only_what_is_written_cannot_be_written(tmp_path: Path, monkeypatch: pyt
                 study(two(), vary={LOSS: [0.0]}, seeds=1, jobs=1, out=tmp_path / name)
 
 
-def test_a_folder_that_cannot_be_written_to_any_more_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What root may not do either: nothing in the folder can be made, renamed or removed."""
+def test_a_folder_that_becomes_unwritable_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also for root: nothing in the folder can be made, renamed or removed."""
     folder = tmp_path / "study"
     refused = PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
@@ -273,7 +269,7 @@ def test_two_studies_never_share_a_folder(tmp_path: Path) -> None:
             words = f"another study is writing there .process {os.getpid()} on"
             with pytest.raises(UsageError, match=words), Store(tmp_path, plan_of(), resume=resume, force=force):
                 pass
-    (tmp_path / "study.lock").write_text("process 1 on this machine")  # whose holder is dead
+    (tmp_path / "study.lock").write_text("process 1 on this machine")  # its process is dead
     with Store(tmp_path, plan_of(), resume=True, force=False):
         pass
     assert not (tmp_path / "study.lock").exists()
@@ -290,7 +286,7 @@ def test_a_link_in_the_place_of_a_file_is_not_written_through(tmp_path: Path, na
     assert victim.read_bytes() == b"mine"
 
 
-def test_what_is_written_down_is_read_back(tmp_path: Path) -> None:
+def test_a_plan_is_read_back_unchanged(tmp_path: Path) -> None:
     for text in ('name = "two"\n', "a = '''x'''\n", 'b = "\\\\ \\u0001"', "\n\nname = 1"):
         plan = plan_of(scenario_toml=text, set={"a.b": [1, {"c": "d"}]}, files={"f": "0"}, versions={"vcmvsp": "1"})
         (tmp_path / "study.toml").write_text(plan.to_toml(), "utf-8")
@@ -298,9 +294,9 @@ def test_what_is_written_down_is_read_back(tmp_path: Path) -> None:
         assert text in plan.to_toml() or "'''" in text
 
 
-def test_a_study_begun_with_cosim_is_gone_on_with_as_it_was(tmp_path: Path) -> None:
+def test_a_started_study_is_resumed_with_its_own_settings(tmp_path: Path) -> None:
     settings: dict[str, Any] = {"vary": {LOSS: [0.5]}, "seed": 7, "metrics": ["radio.frames"], "jobs": 1}
-    with Store(tmp_path / "s", first_of(settings), resume=False, force=False):
+    with Store(tmp_path / "s", started_plan(settings), resume=False, force=False):
         pass
     again = study(two(), out=tmp_path / "s", resume=True, seeds=2, jobs=1)
     assert again["seed"].to_pylist() == [7, 8]
@@ -310,15 +306,15 @@ def test_a_study_begun_with_cosim_is_gone_on_with_as_it_was(tmp_path: Path) -> N
     assert (about["runs"], about["runs_made"]) == (2, 2)
 
 
-def first_of(settings: dict[str, Any]) -> Plan:
-    """The plan of a study of one run that was begun and got no further."""
+def started_plan(settings: dict[str, Any]) -> Plan:
+    """The plan of a study of one run that was started and got no further."""
     base = plans.base_of(two())
     asked = {"vary": settings["vary"], "seed": settings["seed"], "metrics": settings["metrics"]}
     return examined(plans.make(base, seeds=1, settings={}, stored=None, **asked), base)
 
 
 def done(folder: Path) -> int:
-    """How many runs a folder holds: rows that were in the table before, and lines."""
+    """Number of finished runs in the journal of a folder."""
     journal = folder / "study.journal"
     return journal.read_bytes().count(b"\n") if journal.exists() else 0
 
@@ -333,13 +329,11 @@ def wait_for_lines(run: "subprocess.Popen[str]", folder: Path) -> None:
         time.sleep(0.005)
 
 
-HOLD = ("--set", "agents.held_by=held", "--set", "agents.held_from=5")  # no run of the last seed goes on while it is there
+HOLD = ("--set", "agents.held_by=held", "--set", "agents.held_from=5")  # no run of the last seed continues while it exists
 ARGUMENTS = ("mine.toml", "--vary", f"{NAP}=0.1,0.101,0.102", "--seeds", "6", "--jobs", "2", "--json", "--quiet", *HOLD)
 
 
-def test_a_study_that_is_killed_goes_on_to_the_same_bytes_and_leaves_no_process(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_killed_study_resumes_to_equal_bytes_and_leaves_no_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mine(tmp_path)
     (tmp_path / "held").touch()
     killed = start(tmp_path, *ARGUMENTS, "--out", "killed")
@@ -367,7 +361,7 @@ def test_a_study_that_is_killed_goes_on_to_the_same_bytes_and_leaves_no_process(
     assert (found["runs"], found["failed"], len(found["rows"])) == (18, 0, 3)
 
 
-def test_ctrl_c_says_how_far_it_got_and_how_to_go_on(tmp_path: Path) -> None:
+def test_ctrl_c_reports_progress_and_resuming(tmp_path: Path) -> None:
     mine(tmp_path)
     (tmp_path / "held").touch()
     run = start(tmp_path, *ARGUMENTS, "--out", "s")
@@ -382,9 +376,9 @@ def test_ctrl_c_says_how_far_it_got_and_how_to_go_on(tmp_path: Path) -> None:
     assert psutil.wait_procs(workers, timeout=500)[1] == []
 
 
-def test_a_page_that_is_made_while_the_table_is_written_lacks_no_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_page_made_during_writing_lacks_no_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with Store(tmp_path / "s", plan_of(), resume=False, force=False) as store:
-        fill(store, stop=3)  # in the journal alone
+        fill(store, stop=3)  # only in the journal
 
         def read(path: Path) -> Any:
             found = read_table(path)

@@ -1,4 +1,4 @@
-"""Mean and band of each point: exact where they can be, right as often as they should be, blind to the order of runs."""
+"""Mean and band of each point: exact where possible, with the right coverage, independent of the order of runs."""
 
 import csv
 import io
@@ -33,7 +33,7 @@ def runs(values: dict[float, list[float | None]]) -> list[dict[str, Any]]:
     ]
 
 
-@settings(max_examples=40, deadline=None)  # the first one imports SciPy
+@settings(max_examples=40, deadline=None)  # the first example imports SciPy
 @given(st.lists(numbers, min_size=1, max_size=12))
 def test_the_mean_is_exact_to_the_last_bit(values: list[float]) -> None:
     mean, low, high = band(values)
@@ -48,9 +48,9 @@ def test_the_mean_is_exact_to_the_last_bit(values: list[float]) -> None:
 
 
 @pytest.mark.parametrize("n", [5, 10, 30])
-def test_the_band_holds_the_true_mean_as_often_as_a_bootstrap_of_so_many_normal_values_does(n: int) -> None:
-    # Resampled means have the variance (n - 1)/n s^2 / n, so the band is mean +- 1.96 sqrt((n - 1)/n) s/sqrt(n), and Student's
-    # t with n - 1 degrees of freedom says how often that holds the truth.
+def test_the_coverage_of_the_band_is_that_of_a_bootstrap(n: int) -> None:
+    # Resampled means have the variance (n - 1)/n s^2 / n, so the band is mean +- 1.96 sqrt((n - 1)/n) s/sqrt(n). Student's t
+    # with n - 1 degrees of freedom gives its coverage of the true mean.
     expected = 2.0 * stats.t.cdf(1.95996 * math.sqrt((n - 1) / n), n - 1) - 1.0
     draws, trials = np.random.default_rng(3), 500
     bands = [band(draws.normal(7.0, 2.0, n)) for _ in range(trials)]
@@ -117,7 +117,7 @@ def test_the_file_holds_every_digit(values: list[list[float]]) -> None:
         assert {name: float(text) for name, text in row.items()} == point
 
 
-def test_what_the_file_has_no_value_for_is_empty() -> None:
+def test_missing_values_are_empty_in_the_file() -> None:
     summary = summarise(table(runs({0.1: [1.0]})), ["radio.loss.probability"], [METRIC])
     (row,) = csv.DictReader(io.StringIO(to_csv(summary)))
     assert row == {

@@ -1,4 +1,4 @@
-"""Frames that a recorder keeps: packed as they come, they make the table that row after row would make, in little memory."""
+"""Frames kept by a recorder: packed on arrival, they give the table of row after row, in little memory."""
 
 import gc
 import tracemalloc
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.slow
 
 NAMES = ("a", "b", "c", "d")
 FACTS = RunFacts(scenario="test", seed=1, end_ns=10**9, vehicles=NAMES)
-VALUES: dict[str, tuple[Any, ...]] = {  # of the parts of a link budget
+VALUES: dict[str, tuple[Any, ...]] = {  # parts of a link budget
     "copy_ns": (-1, 9),
     "snr_db": (4.5, 8.0),
     "sinr_db": (3.0, np.inf),
@@ -41,7 +41,7 @@ def report(number: int, receivers: tuple[str, ...] = NAMES[1:]) -> FrameReport:
 
 @st.composite
 def reports(draw: st.DrawFn) -> list[FrameReport]:
-    """Frames of any receivers and fates, in any order; parts of the link budget where there are such layers."""
+    """Frames with any receivers and outcomes, in any order, with or without parts of the link budget."""
     told = []
     for number in draw(st.permutations(range(draw(st.integers(0, 12))))):
         receivers = tuple(draw(st.lists(st.sampled_from(NAMES), unique=True)))
@@ -84,11 +84,11 @@ def row_by_row(told: list[FrameReport]) -> Iterator[dict[str, Any]]:
 
 
 @given(reports())
-def test_the_table_is_that_of_row_after_row(told: list[FrameReport]) -> None:
+def test_the_table_is_as_made_row_by_row(told: list[FrameReport]) -> None:
     assert repr(radio_table(told, FACTS).to_pylist()) == repr(list(row_by_row(told)))
 
 
-def test_paths_are_columns_where_some_channel_knows_them() -> None:
+def test_paths_are_columns_if_a_channel_reports_them() -> None:
     delay_ns = np.array([3.5, 4.0, 1e3])
     known = msgspec.structs.replace(report(1), path_delay_ns=delay_ns, delay_spread_ns=0.1 * delay_ns)
     table = radio_table([report(0), known], FACTS)
@@ -98,7 +98,7 @@ def test_paths_are_columns_where_some_channel_knows_them() -> None:
 
 
 @given(reports(), st.sampled_from((1, 3, 7)))
-def test_how_many_are_packed_together_changes_no_byte(told: list[FrameReport], rows: int) -> None:
+def test_the_size_of_chunks_changes_no_byte(told: list[FrameReport], rows: int) -> None:
     streams = []
     for size in (radio_frames.CHUNK_ROWS, rows):
         with pytest.MonkeyPatch.context() as patch:
@@ -111,7 +111,7 @@ def test_how_many_are_packed_together_changes_no_byte(told: list[FrameReport], r
 
 
 @pytest.mark.parametrize(("receivers", "most"), [(NAMES[1:], 60_000 * 50), ((), 20_000 * 100)])
-def test_what_is_kept_of_a_frame_is_its_numbers(receivers: tuple[str, ...], most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frames_are_kept_as_numbers_only(receivers: tuple[str, ...], most: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of 20,000 frames to three receivers each, or to none: the columns that differ from row to row, and no objects."""
     monkeypatch.setattr(radio_frames, "CHUNK_ROWS", 3000)
     kept = radio_frames.Frames(NAMES)

@@ -1,4 +1,4 @@
-"""The vehicles of a run as lines: the newest of each, those that are worst off where there are too many, never too wide."""
+"""The table of a run's vehicles: newest values, the worst vehicles where there are too many, never too wide."""
 
 import math
 
@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.cosim.recordings import Pose, follows, frame, note, recorded, states
+from tests.support.cosim.recordings import Pose, follows, frame, note, recorder_after, states
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.received import receptions_at
@@ -34,7 +34,7 @@ def table_of(*events: Event, **agents: str) -> LiveTable:
 
 
 def rows(table: LiveTable, now_ns: int = SECOND_NS, height: int = 40) -> dict[str, dict[str, str]]:
-    """Cells by vehicle and title, as they stand below their titles."""
+    """Cells by vehicle and title, from the columns below the titles."""
     head, *lines = (line.text for line in table.lines(now_ns, WIDE, height))
     titles = [title for title in table._widths if title in head]
     found = {}
@@ -51,7 +51,7 @@ def many(count: int) -> dict[str, Pose]:
     return {f"uav{i}": (float(i), 2.0 * i, 0.1) for i in range(count)}
 
 
-def test_it_shows_where_vehicles_are_and_who_commands_them() -> None:
+def test_it_shows_positions_and_commanders() -> None:
     table = table_of(
         states(0, {"car1": (1.0, 2.0, 0.0), "car2": (3.0, -4.0, 0.0)}), note("car2", 0, commander="avoid1"), car1="goal"
     )
@@ -65,7 +65,7 @@ def test_it_shows_where_vehicles_are_and_who_commands_them() -> None:
     assert rows(table)["car2"]["by"] == "search"
 
 
-def test_speed_is_that_of_all_axes_and_heights_are_shown_of_those_who_fly() -> None:
+def test_speed_covers_all_axes_and_flyers_have_a_height() -> None:
     value = States(
         names=("uav1",),
         position=frozen([(1.0, 2.0, 7.5)]),
@@ -80,15 +80,15 @@ def test_speed_is_that_of_all_axes_and_heights_are_shown_of_those_who_fly() -> N
 
 @given(st.lists(st.tuples(*[st.floats(-20.0, 20.0)] * 2, st.floats(-math.pi, math.pi)), min_size=2, max_size=2))
 @settings(max_examples=20)
-def test_the_error_is_that_of_the_metrics(poses: list[Pose]) -> None:
+def test_the_error_equals_the_metric(poses: list[Pose]) -> None:
     events = [states(0, dict(zip(("car1", "car2"), poses, strict=True))), follows("car2", "car1", (-1.0, 0.5), 0.2)]
-    metric = recorded(("car1", "car2"), events, 0).metrics(window=(0.0, None))["formation"]["final_m"]
+    metric = recorder_after(("car1", "car2"), events, 0).metrics(window=(0.0, None))["formation"]["final_m"]
     shown = rows(table_of(*events))
     assert float(shown["car2"]["error [m]"]) == pytest.approx(metric, abs=0.00051)
     assert shown["car1"]["error [m]"] == ""
 
 
-def test_of_messages_it_shows_the_share_that_came_and_how_long_ago() -> None:
+def test_it_shows_share_and_age_of_messages() -> None:
     frames = [frame(k, "car1", k, {"car2": None if k % 4 == 0 else k, "car3": None}) for k in range(8)]
     shown = rows(
         table_of(
@@ -99,14 +99,14 @@ def test_of_messages_it_shows_the_share_that_came_and_how_long_ago() -> None:
     assert [shown[name]["heard [s ago]"] for name in shown] == ["", "0.5", "never"]
 
 
-def test_what_is_kept_of_frames_does_not_grow_with_the_run() -> None:
+def test_memory_for_frames_does_not_grow_with_the_run() -> None:
     table = table_of(*(frame(k, "car1", k, {"car2": k}) for k in range(500)))
     table.lines(0, WIDE, 10)
     assert rows(table)["car2"]["delivered"] == "100 %"
     assert len(table._run.tallies) == 1
 
 
-def test_it_shows_who_is_lost_gone_back_or_halted() -> None:
+def test_it_shows_lost_gone_back_and_halted() -> None:
     def present(vehicle: str, state: str) -> Event:
         return Event(f"{vehicle}/host", 0, Presence(state=state, since_ns=0))  # type: ignore[arg-type]
 
@@ -119,7 +119,7 @@ def test_it_shows_who_is_lost_gone_back_or_halted() -> None:
     assert rows(table)["uav3"]["state"] == "ok"
 
 
-def test_of_too_many_those_that_are_worst_off_are_shown() -> None:
+def test_of_too_many_vehicles_the_worst_are_shown() -> None:
     table = table_of(states(0, many(100)), *(heard(f"uav{i}", 0 if i == 77 else 9 * SECOND_NS) for i in range(100)))
     table.on(Event("uav50/host", 0, Presence(state="lost", since_ns=0)))
     table.on(Event("operator/halted", 0, Halted(vehicles=("uav60",), halted=True)))
@@ -131,7 +131,7 @@ def test_of_too_many_those_that_are_worst_off_are_shown() -> None:
 
 @given(st.integers(0, 150), st.integers(-3, 40), st.integers(0, 40))
 @settings(max_examples=60)
-def test_it_never_is_wider_or_higher_than_it_may(width: int, height: int, count: int) -> None:
+def test_it_stays_within_width_and_height(width: int, height: int, count: int) -> None:
     table = (
         LiveTable({})
         if not count
@@ -145,7 +145,7 @@ def test_it_never_is_wider_or_higher_than_it_may(width: int, height: int, count:
         assert lines[0].text.split()[:2] == ["vehicle", "state"]
 
 
-def test_what_agents_note_cannot_speak_to_the_terminal() -> None:
+def test_notes_of_agents_cannot_control_the_terminal() -> None:
     table = table_of(states(0, many(1)), note("uav0", 0, commander="\x1b[2J\x1b]0;x\x07" + "y" * 500))
     assert rows(table)["uav0"]["by"].startswith("yyy")
     assert all(line.text.isprintable() for line in table.lines(0, WIDE, 10))

@@ -1,4 +1,4 @@
-"""What is shown while something goes on: on a terminal a bar and a table that leave nothing behind, in a log file lines."""
+"""Progress display: on a terminal a bar and a table that leave nothing behind, in a log file lines."""
 
 import contextlib
 import fcntl
@@ -33,7 +33,7 @@ POSES = {"car1": (1.0, 2.0, 0.0), "car2": (3.0, 4.0, 0.0)}
 
 
 class Terminal:
-    """A pseudo-terminal, and what would stand on its screen. Within it, it is stderr."""
+    """A pseudo-terminal and the contents of its screen. Within it, it is stderr."""
 
     def __init__(self, columns: int, lines: int) -> None:
         self._ours, theirs = os.openpty()
@@ -49,7 +49,7 @@ class Terminal:
         saved = os.dup(2)
         self._stack.callback(os.close, saved)
         self._stack.callback(os.dup2, saved, 2)
-        os.dup2(self.file.fileno(), 2)  # how wide it is is asked of this
+        os.dup2(self.file.fileno(), 2)  # source of the terminal's width
 
     def __exit__(self, *_: object) -> None:
         self._stack.close()
@@ -58,12 +58,12 @@ class Terminal:
         fcntl.ioctl(self.file.fileno(), termios.TIOCSWINSZ, struct.pack("HHHH", lines, columns, 0, 0))
 
     def _read(self) -> None:
-        with contextlib.suppress(OSError):  # the other end was closed
+        with contextlib.suppress(OSError):  # the other end is closed
             while data := os.read(self._ours, 65536):
                 self._data += data
 
     def sent(self) -> bytes:
-        """All that was written; it is complete: the last byte read is a mark of ours."""
+        """All written bytes; complete: they end with a mark of this call, which is removed."""
         mark = b"\x00%d\x00" % len(self._data)
         os.write(self.file.fileno(), mark)
         until = time.monotonic() + 60.0
@@ -74,7 +74,7 @@ class Terminal:
         return bytes(self._data)
 
     def screen(self) -> list[str]:
-        """The lines that stand there now."""
+        """Current lines of the screen."""
         rows, row, column = [""], 0, 0
         for part in re.split(rb"(\x1b\[[0-9;?]*[A-Za-z]|\r|\n)", self.sent()):
             found = SEQUENCE.fullmatch(part)
@@ -101,7 +101,7 @@ class Terminal:
 
 @pytest.fixture
 def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[Terminal]:
-    """One on which everything is drawn at once."""
+    """A terminal on which everything is drawn at once."""
     shown = Terminal(100, 30)
     for name in ("NO_COLOR", "FORCE_COLOR", "COLUMNS", "LINES", "TTY_COMPATIBLE", "TTY_INTERACTIVE"):
         monkeypatch.delenv(name, raising=False)
@@ -112,8 +112,8 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[Terminal]:
     shown.close()
 
 
-def started(shown: Progress) -> None:
-    """Have it show two vehicles half-way."""
+def show_vehicles(shown: Progress) -> None:
+    """Show two vehicles half-way through a run."""
     observer = shown.observer(lambda: {"car1": "trajectory"})
     assert observer is not None
     observer(states(0, POSES))
@@ -123,9 +123,9 @@ def started(shown: Progress) -> None:
 # --- on a terminal -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_bar_stands_above_the_vehicles_and_nothing_is_left_of_them(terminal: Terminal) -> None:
+def test_a_bar_is_above_the_vehicles_and_all_is_erased_at_the_end(terminal: Terminal) -> None:
     with terminal, Progress(quiet=False) as shown:
-        started(shown)
+        show_vehicles(shown)
         bar, head, *vehicles = [line for line in terminal.screen() if line]
         assert "5.0 of 10 s" in bar
         assert head.startswith("vehicle  state")
@@ -137,10 +137,10 @@ def test_a_bar_stands_above_the_vehicles_and_nothing_is_left_of_them(terminal: T
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
-def test_the_cursor_comes_back_whatever_happens(terminal: Terminal, error: type[BaseException]) -> None:
+def test_the_cursor_comes_back_after_any_error(terminal: Terminal, error: type[BaseException]) -> None:
     def stopped() -> None:
         with terminal, Progress(quiet=False) as shown:
-            started(shown)
+            show_vehicles(shown)
             assert terminal.sent().rfind(b"\x1b[?25l") > terminal.sent().rfind(b"\x1b[?25h")  # hidden
             raise error
 
@@ -152,7 +152,7 @@ def test_the_cursor_comes_back_whatever_happens(terminal: Terminal, error: type[
 
 def test_lines_for_the_user_stay_above_the_bar(terminal: Terminal) -> None:
     with terminal, Progress(quiet=False) as shown:
-        started(shown)
+        show_vehicles(shown)
         shown.tell("car2 is [bold]lost[/bold]")
         shown.on_instant(6 * SECOND_NS, 10 * SECOND_NS)
         lines = [line.rstrip() for line in terminal.screen() if line]
@@ -162,9 +162,9 @@ def test_lines_for_the_user_stay_above_the_bar(terminal: Terminal) -> None:
 
 
 @pytest.mark.parametrize("columns", [20, 40, 60, 80])
-def test_nothing_is_wider_than_a_narrow_terminal_or_one_that_became_so(terminal: Terminal, columns: int) -> None:
+def test_lines_fit_a_terminal_that_becomes_narrow(terminal: Terminal, columns: int) -> None:
     with terminal, Progress(quiet=False) as shown:
-        started(shown)
+        show_vehicles(shown)
         before = len(terminal.sent())
         terminal.resize(columns, 12)
         shown.on_instant(6 * SECOND_NS, 10 * SECOND_NS)
@@ -174,10 +174,10 @@ def test_nothing_is_wider_than_a_narrow_terminal_or_one_that_became_so(terminal:
     assert max(map(len, drawn)) <= columns
 
 
-def test_without_colours_there_are_none(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_color_removes_colours(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NO_COLOR", "1")
     with terminal, Progress(quiet=False) as shown:
-        started(shown)
+        show_vehicles(shown)
     kinds = {found[1] + found[2] for found in SEQUENCE.finditer(terminal.sent())}
     assert kinds <= {b"?25l", b"?25h", b"1A", b"2K"}
     assert terminal.sent().count(b"\x1b") == len(SEQUENCE.findall(terminal.sent()))
@@ -202,25 +202,25 @@ def test_drawing_takes_a_bounded_share_of_the_time(terminal: Terminal, monkeypat
     assert len(draws) >= 9
 
 
-def test_the_last_speed_that_is_shown_is_that_of_the_whole_run(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_last_shown_speed_is_of_the_whole_run(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
     now = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     monkeypatch.setattr(progress, "DRAW_EVERY_S", 0.25)
     words: list[str] = []
     monkeypatch.setattr(Progress, "_draw_on", lambda _shown, _screen, _completed, _total, text: words.append(text))
     with terminal, Progress(quiet=False) as shown:
-        for tenths in (0, 3, 4):  # the last comes too soon to be drawn but for its being the last
+        for tenths in (0, 3, 4):  # too early to be drawn, except as the last
             now[0] = 100.0 + 0.1 * tenths
             shown.on_instant(tenths * SECOND_NS // 2, 2 * SECOND_NS)
     assert words == ["1.5 of 2 s, 5.0x, 0 s left", "2.0 of 2 s, 5.0x, writing"]
 
 
-def test_a_terminal_that_goes_away_ends_nothing(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lost_terminal_does_not_end_the_run(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
     def gone(*_: object) -> None:
         raise OSError(5, "Input/output error")
 
     with terminal, Progress(quiet=False) as shown:
-        started(shown)
+        show_vehicles(shown)
         monkeypatch.setattr(Progress, "_draw_on", gone)
         for now_ns in (6, 7):
             shown.on_instant(now_ns * SECOND_NS, 10 * SECOND_NS)
@@ -242,10 +242,10 @@ def test_a_run_shows_its_vehicles_and_keeps_its_answer_for_stdout(
     assert answer.getvalue().endswith("results:   out\n")
 
 
-def test_what_is_printed_while_it_is_shown_leaves_stdout_as_it_was(terminal: Terminal) -> None:
+def test_printing_during_progress_keeps_stdout(terminal: Terminal) -> None:
     before = sys.stdout
     with terminal, stdout_to_stderr(), Progress(quiet=False) as shown:
-        started(shown)
+        show_vehicles(shown)
         print("an agent says so")  # noqa: T201
         shown.on_instant(6 * SECOND_NS, 10 * SECOND_NS)
     assert sys.stdout is before
@@ -255,7 +255,7 @@ def test_what_is_printed_while_it_is_shown_leaves_stdout_as_it_was(terminal: Ter
 # --- elsewhere ---------------------------------------------------------------------------------------------------------------
 
 
-def test_a_terminal_that_cannot_go_back_is_written_to_like_a_file(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_dumb_terminal_gets_lines_like_a_file(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TERM", "dumb")
     monkeypatch.setattr(progress, "LOG_EVERY_S", 0.0)
     with terminal, Progress(quiet=False) as shown:
@@ -286,7 +286,7 @@ def test_quiet_is_quiet_on_a_terminal(terminal: Terminal) -> None:
     assert terminal.sent() == b""
 
 
-def test_a_study_tells_within_which_bounds_its_first_metric_lies(terminal: Terminal) -> None:
+def test_a_study_shows_the_range_of_its_first_metric(terminal: Terminal) -> None:
     with terminal, StudyProgress(quiet=False) as shown:
         shown.on_run(0, 0, 4)
         for done, value in enumerate((0.25, 0.0123456, 0.5), 1):
@@ -299,7 +299,7 @@ def test_a_study_tells_within_which_bounds_its_first_metric_lies(terminal: Termi
 # --- in the end --------------------------------------------------------------------------------------------------------------
 
 
-def test_what_a_run_tells_in_the_end_stands_in_columns() -> None:
+def test_the_summary_of_a_run_has_columns() -> None:
     result = vcmvsp.run(tomllib.loads(two_cars()), mcap=False)
     result.metrics["safety"]["collisions"] = 2
     result.metrics["agents"]["car2"]["lost_s"] = 0.25
@@ -313,12 +313,12 @@ def test_what_a_run_tells_in_the_end_stands_in_columns() -> None:
     assert list(told)[-1] == "results"
 
 
-def test_a_run_whose_frames_all_are_under_way_at_its_end_is_told_all_the_same() -> None:
+def test_the_summary_reports_frames_all_under_way() -> None:
     result = vcmvsp.run(two(duration_s=0.05, radio={"preset": "ideal", "delay": {"seconds": 0.3}}), mcap=False)
     assert "radio:     1 frames, all still under way\n" in progress.summary(result)
 
 
-def test_a_run_of_one_vehicle_with_routing_has_nobody_to_deliver_to() -> None:
+def test_routing_with_one_vehicle_has_no_delivery_ratio() -> None:
     content = {**tomllib.loads(two_cars()), "routing": {"kind": "flooding"}}
     told = progress.summary(vcmvsp.run(content, mcap=False))
     assert "routing:   5 messages, 100.0 % delivered over 1.0 hops (1 at most), 5 frames passed on\n" in told

@@ -1,4 +1,4 @@
-"""Keys of the network, which say who speaks, and endpoints, which say where a run listens and what it then needs."""
+"""Keys of the network and their speakers; endpoints of a run and the certificates that they require."""
 
 import pytest
 import zenoh
@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support import requirements
-from tests.support.cosim.secure_hub import Hub, bundle, dial, issued, until
+from tests.support.cosim.secure_hub import Hub, bundle, dial, issue_certificates, until
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.security.certificates import Keys
 from vcmvsp.cosim.transport import access_control, key_names, zenoh_session
@@ -20,7 +20,7 @@ zids = st.from_regex(r"\A[0-9a-f]{1,32}\Z")
 
 @pytest.fixture(scope="module")
 def keys(tmp_path_factory: pytest.TempPathFactory) -> Keys:
-    return issued(tmp_path_factory.mktemp("network"))
+    return issue_certificates(tmp_path_factory.mktemp("network"))
 
 
 @given(names, zids)
@@ -32,7 +32,7 @@ def test_the_speaker_of_a_key_is_the_name_in_it(name: str, zid: str) -> None:
 
 
 @given(names, zids, st.sampled_from(["/", "*", "**", "$*", "?", "#", "@", " ", "\n", "\u0661", "/.."]), st.integers(0, 40))
-def test_what_could_be_another_key_is_none(name: str, zid: str, evil: str, where: int) -> None:
+def test_special_characters_give_no_key(name: str, zid: str, evil: str, where: int) -> None:
     bad_name, bad_zid = (each[: where % (len(each) + 1)] + evil + each[where % (len(each) + 1) :] for each in (name, zid))
     for key in (
         key_names.join_key(bad_name),
@@ -80,7 +80,7 @@ def test_zenoh_dials_no_ipv6_address_with_tls(keys: Keys) -> None:
         requirements.not_allowed("IPv6")
     with hub:
         until(lambda: zenoh_session.diagnose(hub.endpoint, bundle(keys, "car2")) is None)
-        with pytest.raises(zenoh.ZError):  # where this no longer holds, endpoint_rules need not refuse it
+        with pytest.raises(zenoh.ZError):  # if this fails, endpoint_rules need not refuse it
             dial(hub.endpoint, bundle(keys, "car2"))
     endpoint_rules(hub.endpoint, keys)
     for side in ("host", "observer"):

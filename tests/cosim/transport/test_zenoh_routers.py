@@ -1,4 +1,4 @@
-"""A Zenoh router of somebody else's between a run and its hosts: the page's own configuration of it."""
+"""A foreign Zenoh router between a run and its hosts, with the page's configuration."""
 
 import json
 from collections.abc import Iterator
@@ -11,7 +11,7 @@ import zenoh
 import vcmvsp
 from tests.cosim.hosts.test_remote_hosts import far
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.run_processes import Stage, ended, ended_with
+from tests.support.cosim.run_processes import Stage, exit_of, output_at_exit
 from tests.support.docs.readme_pages import blocks_of
 from tests.support.paths import ROOT
 from vcmvsp.cosim.security import certificates
@@ -30,7 +30,7 @@ def stage(tmp_path: Path) -> Iterator[Stage]:
 
 
 def configuration(run: int, listen: int) -> str:
-    """The page's, with other ports."""
+    """The page's configuration with other ports."""
     page = "cosim/SCALING.md"
     (text,) = (each.text for each in blocks_of(page, (ROOT / page).read_text("utf-8")) if each.language == "json5")
     assert text.count("192.168.1.10:7447") == text.count("0.0.0.0:7448") == 1
@@ -47,15 +47,15 @@ def test_a_router_between_a_run_and_its_hosts_changes_no_bit(stage: Stage) -> No
         run = stage.start("run", "far.toml", "--listen", f"tcp/127.0.0.1:{stage.port}", "--insecure", "--out", "out")
         dialled = f"tcp/127.0.0.1:{beyond}"
         hosts = [stage.start("agent", "--vehicle", name, "--connect", dialled, "--insecure") for name in HOSTED]
-        ended_with(0, run)
-        assert [ended(host)[0] for host in hosts] == [0, 0]
+        output_at_exit(0, run)
+        assert [exit_of(host)[0] for host in hosts] == [0, 0]
         assert not router.is_closed()
     alone = vcmvsp.run(stage.folder / "far.toml", agents="inprocess", mcap=False).metrics["digest"]
     assert digest_of(stage.out) == alone
 
 
-def test_with_certificates_a_router_is_no_way_in(stage: Stage) -> None:
-    """Not even one with the run's own certificate for those who dial it, and theirs for the run."""
+def test_with_certificates_routers_are_refused(stage: Stage) -> None:
+    """Not even a router with the run's own certificate for its clients, and the certificate of the hosts for the run."""
     keys = stage.folder / "keys"
     assert vcmvsp_command("keys", "init", str(keys)).code == 0
     assert vcmvsp_command("keys", "vehicle", *HOSTED, "--keys", str(keys), "--as", "both").code == 0
@@ -67,7 +67,7 @@ def test_with_certificates_a_router_is_no_way_in(stage: Stage) -> None:
     config.insert_json5("transport/link/tls", json.dumps(secure["transport"]["link"]["tls"]))
     with zenoh.open(config):
         host = stage.start("agent", "--vehicle", "car2", "--connect", f"tls/127.0.0.1:{beyond}", "--keys", "keys/both.keys")
-        code, said = ended(host)
+        code, said = exit_of(host)
         assert run.poll() is None
     assert code == 2
     assert "'both' is unknown to this run" in said

@@ -1,4 +1,4 @@
-"""Everything that travels comes back bit for bit; what must not travel is refused."""
+"""Values are read back bit for bit; invalid values are refused."""
 
 import random
 import struct
@@ -41,7 +41,7 @@ PLAIN = st.recursive(
     max_leaves=6,
 )
 
-# By annotation, so that a new field of a value is tried without a new line here.
+# By annotation: a new field of a value is tested without a new line here.
 BY_ANNOTATION: dict[Any, st.SearchStrategy[Any]] = {
     Vec3: VEC3,
     Quaternion: QUATERNION,
@@ -77,7 +77,7 @@ def instances(kind: Any) -> st.SearchStrategy[Any]:
 
 
 def bits(value: Any) -> Any:
-    """A form in which only values that are equal to the last bit are equal (NaN and -0.0 among them)."""
+    """A form in which only bit-equal values are equal (also NaN and -0.0)."""
     if isinstance(value, msgspec.Struct):
         return type(value).__name__, [bits(getattr(value, name)) for name in value.__struct_fields__]
     if isinstance(value, np.ndarray):
@@ -122,7 +122,7 @@ def test_events_come_back_in_order(content: list[tuple[str, int, types.VehicleSt
 
 
 @given(ARRAYS)
-def test_an_array_does_not_depend_on_how_it_lies_in_memory(value: Array) -> None:
+def test_the_encoding_is_independent_of_memory_layout(value: Array) -> None:
     strided = np.repeat(value[..., None], 2, axis=-1)[..., 0]
     for write in (encode, codec.pack):
         assert write([np.array(value, order="F"), strided]) == write([value, value])
@@ -165,10 +165,10 @@ def test_only_numbers_and_booleans_travel_in_arrays(bad: Array) -> None:
         ([["a", "<f8"]], [1], b"\0" * 8),
         ("<f8", "x", b""),
         ("<f8", [1]),
-        ("<f8", [-1], b"\0" * 16),  # a size for NumPy to work out
+        ("<f8", [-1], b"\0" * 16),  # a size left to NumPy
         ("<f8", 1, b"\0" * 8),
         ("<f8", None, b"\0" * 8),
-        ("f8", [1], b"\0" * 8),  # of this machine's own byte order
+        ("f8", [1], b"\0" * 8),  # native byte order
         ("|b1", [2], b"\1\2"),
         ("<f8", [2**63], b""),
         ("<f8", [0, 2**62], b""),
@@ -194,7 +194,7 @@ def test_noise_is_a_decoding_error(noise: bytes) -> None:
             value = decoder.decode(noise)
         except ValueError:  # msgspec's errors, and UnicodeDecodeError
             continue
-        encode(value)  # a few bytes may happen to be a value
+        encode(value)  # some noise is a value
 
 
 @given(st.text(max_size=12), st.lists(st.integers(-2, 5), max_size=3), st.binary(max_size=32))
@@ -212,7 +212,7 @@ def test_numpy_numbers_travel_as_plain_ones(number: Any) -> None:
 
 
 @pytest.mark.parametrize("bad", [object(), 1j, {1, 2}.__iter__(), lambda: None], ids=lambda bad: type(bad).__name__)
-def test_what_is_no_value_is_not_sent(bad: Any) -> None:
+def test_foreign_objects_are_not_sent(bad: Any) -> None:
     with pytest.raises(ValueError, match="cannot send"):
         encode(bad)
 
@@ -222,8 +222,8 @@ SCAN = Scan(ranges=np.linspace(0.1, 9.9, 16, dtype=np.float32), angle_min=-2.0, 
 STATE = VehicleState(position=(1.0, -0.0, 5e-324))
 
 
-def packed(*kinds: Any, content: Any = (0,), raw: bytes = b"") -> bytes:
-    """A message as somebody may forge it."""
+def forged_message(*kinds: Any, content: Any = (0,), raw: bytes = b"") -> bytes:
+    """A forged message."""
     value, table = msgspec.msgpack.encode(content), msgspec.msgpack.encode(kinds)
     return b"\xc1" + len(value).to_bytes(8, "little") + len(table).to_bytes(8, "little") + value + table + raw
 
@@ -239,24 +239,24 @@ def test_arrays_come_back_in_order_and_cannot_be_written(arrays: list[Array]) ->
 
 
 @given(st.lists(ARRAYS, max_size=6))
-def test_arrays_in_their_places_are_read_as_well(arrays: list[Array]) -> None:
+def test_inline_arrays_are_read_too(arrays: list[Array]) -> None:
     assert bits(LISTS.decode(codec.encode(arrays))) == bits(arrays)
 
 
 @pytest.mark.parametrize("vehicles", [1, 20])
-def test_a_step_of_few_and_of_many_is_read_as_it_was_sent(vehicles: int) -> None:
+def test_a_step_of_few_and_of_many_is_read_back_unchanged(vehicles: int) -> None:
     inbox = [Event(f"car{n}/scan", 5, SCAN) for n in range(vehicles)]
     read = protocol.questions.decode(protocol.encode(protocol.Act(5, inbox)))
     assert isinstance(read, protocol.Act)
     assert codec.encode(read) == codec.encode(protocol.Act(5, inbox))
 
 
-def test_they_lie_where_numpy_works_quickest() -> None:
+def test_arrays_are_aligned_and_contiguous() -> None:
     arrays: list[Array] = [np.zeros(3, np.uint8), *np.arange(12.0).reshape(4, 3), np.zeros(1, np.int16), np.arange(3.0)]
     assert all(each.flags.aligned and each.flags.c_contiguous for each in LISTS.decode(codec.pack(arrays)))
 
 
-def test_questions_and_answers_carry_them() -> None:
+def test_questions_and_answers_have_arrays() -> None:
     later: Any = Later(lambda: SCAN)
     asked = protocol.Act(7, [Event("a/scan", 7, SCAN), Event("a/estimate", 7, STATE), Event("b/scan", 7, later)])
     back = protocol.questions.decode(protocol.encode(asked))
@@ -272,42 +272,42 @@ def test_a_message_without_arrays_is_plain() -> None:
 
 
 FORGED = {
-    "a head that breaks off": packed(("<f8", [1], 1), raw=b"\0" * 8)[:16],
-    "a value that breaks off": packed(("<f8", [1], 1), raw=b"\0" * 8)[:17],
-    "too few bytes": packed(("<f8", [2], 1), raw=b"\0" * 8),
-    "too many bytes": packed(("<f8", [1], 1), raw=b"\0" * 9),
-    "too few arrays": packed(("<f8", [1], 1), content=(0, 0), raw=b"\0" * 8),
-    "too many arrays": packed(("<f8", [1], 2), raw=b"\0" * 16),
-    "too many of none": packed(content=(0,)),
-    "an array in its place": packed(("<f8", [1], 1), content=[("<f8", [1], b"\0" * 8)], raw=b"\0" * 8),
-    "another number in its place": packed(("<f8", [1], 1), content=(1,), raw=b"\0" * 8),
-    "no dtype": packed(("no dtype", [1], 1), raw=b"\0" * 8),
-    "objects": packed(("|O", [1], 1), raw=b"\0" * 8),
-    "this machine's own order of bytes": packed(("f8", [1], 1), raw=b"\0" * 8),
-    "a size for NumPy to work out": packed(("<f8", [-1], 1), raw=b"\0" * 8),
-    "no arrays of a kind": packed(("<f8", [1], 0), content=()),
-    "a boolean that is none": packed(("|b1", [2], 1), raw=b"\1\2"),
-    "more dimensions than there are": packed(("<f8", [1] * 65, 1), raw=b"\0" * 8),
-    "sizes beyond all memory": packed(("<f8", [2**40, 2**40], 1), raw=b"\0" * 8),
-    "sizes beyond all memory, of nothing": packed(("<f8", [0, 2**48, 2**48], 2**48)),
-    "as many of nothing": packed(("<f8", [0], 2**48)),
-    "numbers beyond 64 bits": packed(("<f8", [2**64 - 1], 2**64 - 1)),
-    "a table that is none": packed(3),
+    "a head that breaks off": forged_message(("<f8", [1], 1), raw=b"\0" * 8)[:16],
+    "a value that breaks off": forged_message(("<f8", [1], 1), raw=b"\0" * 8)[:17],
+    "too few bytes": forged_message(("<f8", [2], 1), raw=b"\0" * 8),
+    "too many bytes": forged_message(("<f8", [1], 1), raw=b"\0" * 9),
+    "too few arrays": forged_message(("<f8", [1], 1), content=(0, 0), raw=b"\0" * 8),
+    "too many arrays": forged_message(("<f8", [1], 2), raw=b"\0" * 16),
+    "too many of none": forged_message(content=(0,)),
+    "an array in its place": forged_message(("<f8", [1], 1), content=[("<f8", [1], b"\0" * 8)], raw=b"\0" * 8),
+    "another number in its place": forged_message(("<f8", [1], 1), content=(1,), raw=b"\0" * 8),
+    "no dtype": forged_message(("no dtype", [1], 1), raw=b"\0" * 8),
+    "objects": forged_message(("|O", [1], 1), raw=b"\0" * 8),
+    "this machine's own order of bytes": forged_message(("f8", [1], 1), raw=b"\0" * 8),
+    "a size for NumPy to work out": forged_message(("<f8", [-1], 1), raw=b"\0" * 8),
+    "no arrays of a kind": forged_message(("<f8", [1], 0), content=()),
+    "a boolean that is none": forged_message(("|b1", [2], 1), raw=b"\1\2"),
+    "more dimensions than there are": forged_message(("<f8", [1] * 65, 1), raw=b"\0" * 8),
+    "sizes beyond all memory": forged_message(("<f8", [2**40, 2**40], 1), raw=b"\0" * 8),
+    "sizes beyond all memory, of nothing": forged_message(("<f8", [0, 2**48, 2**48], 2**48)),
+    "as many of nothing": forged_message(("<f8", [0], 2**48)),
+    "numbers beyond 64 bits": forged_message(("<f8", [2**64 - 1], 2**64 - 1)),
+    "a table that is none": forged_message(3),
 }
 
 
 @pytest.mark.parametrize("forged", FORGED.values(), ids=FORGED.keys())
-def test_what_is_forged_is_a_value_error(forged: bytes) -> None:
+def test_forged_messages_are_value_errors(forged: bytes) -> None:
     with pytest.raises(ValueError, match=r".+"):
         LISTS.decode(forged)
     assert LISTS.decode(codec.pack([np.zeros(1)])) == [0.0]  # the next message is read
 
 
-def test_what_a_message_says_of_itself_takes_no_memory() -> None:
+def test_claimed_sizes_take_no_memory() -> None:
     tracemalloc.start()
     for kind in (("<f8", [0], 2**48), ("<f8", [2**20, 2**20], 1), ("|u1", [], 2**40)):
         with pytest.raises(ValueError, match=r".+"):
-            LISTS.decode(packed(kind))
+            LISTS.decode(forged_message(kind))
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 100_000

@@ -1,4 +1,4 @@
-"""Files that are there as a whole or not at all, by whatever command they are written."""
+"""Files are whole or absent, with every command that writes them."""
 
 import math
 import os
@@ -18,27 +18,27 @@ pytestmark = pytest.mark.processes
 ROOM = 60  # bytes
 
 
-def plotted(run: Path, out: Path) -> list[str]:
+def plot_command(run: Path, out: Path) -> list[str]:
     return ["plot", str(run), "--out", str(out)]
 
 
-def drawn(run: Path, out: Path) -> list[str]:
+def svg_command(run: Path, out: Path) -> list[str]:
     return ["plot", str(run), "--svg", "--out", str(out)]
 
 
-def reported(run: Path, out: Path) -> list[str]:
+def report_command(run: Path, out: Path) -> list[str]:
     return ["report", str(run), "--out", str(out / "report.html")]
 
 
-def covered(run: Path, out: Path) -> list[str]:
+def coverage_command(run: Path, out: Path) -> list[str]:
     return ["radio", "formation-circle", "--coverage", "car1", "--resolution", "2", "--out", str(out / "map.png")]
 
 
-def pictured(run: Path, out: Path) -> list[str]:
+def picture_command(run: Path, out: Path) -> list[str]:
     return ["world", "corridor", "--png", str(out / "world.png")]
 
 
-def calibrated(run: Path, out: Path) -> list[str]:
+def calibrate_command(run: Path, out: Path) -> list[str]:
     links = out.parent / "links.csv"
     rows = "".join(f"{d},0,0,1,{d},0,1,{-40 - 20 * math.log10(d) + d % 3}\n" for d in range(1, 80))
     links.write_text(f"time,ax,ay,az,bx,by,bz,rssi_dbm\n{rows}")
@@ -53,8 +53,10 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.usefixtures("figures")
-@pytest.mark.parametrize("command", [plotted, drawn, reported, covered, pictured, calibrated])
-def test_a_command_on_a_full_disk_says_so_once_and_leaves_what_was_there(
+@pytest.mark.parametrize(
+    "command", [plot_command, svg_command, report_command, coverage_command, picture_command, calibrate_command]
+)
+def test_a_full_disk_is_one_error_and_keeps_earlier_files(
     command: Callable[[Path, Path], list[str]], run: Path, tmp_path: Path
 ) -> None:
     whole, out = tmp_path / "whole", tmp_path / "out"
@@ -75,7 +77,7 @@ def test_a_command_on_a_full_disk_says_so_once_and_leaves_what_was_there(
 
 
 @pytest.mark.usefixtures("figures")
-def test_the_files_of_a_study_on_a_full_disk_are_those_of_before(tmp_path: Path) -> None:
+def test_a_full_disk_keeps_the_files_of_a_study(tmp_path: Path) -> None:
     out = tmp_path / "study"
     vcmvsp.study(two(), vary={LOSS: [0.0, 0.5]}, seeds=1, metrics=["formation.rms_m"], jobs=1, out=out)
     before = {path.name: path.read_bytes() for path in out.iterdir()}
@@ -85,7 +87,7 @@ def test_the_files_of_a_study_on_a_full_disk_are_those_of_before(tmp_path: Path)
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
 
 
-def test_what_fails_leaves_what_was_there(tmp_path: Path) -> None:
+def test_failing_keeps_the_earlier_file(tmp_path: Path) -> None:
     path = tmp_path / "file.txt"
     path.write_text("of before")
 
@@ -100,7 +102,7 @@ def test_what_fails_leaves_what_was_there(tmp_path: Path) -> None:
     assert path.read_text() == "of before"
 
 
-def test_what_a_process_that_was_killed_has_left_is_in_nobodys_way(tmp_path: Path) -> None:
+def test_files_of_a_killed_process_do_not_disturb(tmp_path: Path) -> None:
     left = tmp_path / f".vcmvsp-left{PART}"
     left.mkdir()
     write_whole(tmp_path / "file.txt", "all of it")
@@ -125,7 +127,7 @@ def test_links_are_replaced_and_pipes_are_written_to(tmp_path: Path) -> None:
         assert pipe.read() == "into it"
 
 
-def test_nobody_else_can_enter_the_place_where_a_file_is_written(tmp_path: Path) -> None:
+def test_the_folder_of_a_file_being_written_is_private(tmp_path: Path) -> None:
     places = []
     for _ in range(2):
         with replacing(tmp_path / "file.txt") as place:
@@ -135,12 +137,14 @@ def test_nobody_else_can_enter_the_place_where_a_file_is_written(tmp_path: Path)
     assert places[0] != places[1]
 
 
-def exported(run: Path, out: Path) -> list[str]:
+def export_command(run: Path, out: Path) -> list[str]:
     return ["export", str(run), "--csv", "--layout", "--force", "--out", str(out)]
 
 
 @pytest.mark.usefixtures("figures")
-@pytest.mark.parametrize("command", [plotted, drawn, reported, covered, pictured, exported])
+@pytest.mark.parametrize(
+    "command", [plot_command, svg_command, report_command, coverage_command, picture_command, export_command]
+)
 def test_a_command_replaces_links_in_a_folder_that_may_be_a_link(
     command: Callable[[Path, Path], list[str]], run: Path, tmp_path: Path
 ) -> None:

@@ -1,4 +1,4 @@
-"""Films: what browsers play, the same bytes every time, and nothing left of one that failed."""
+"""Films: playable in browsers, equal bytes every time, and nothing left of a failed one."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,7 +22,7 @@ COUNT, FPS = 25, 10
 
 
 def pictures(count: int = COUNT) -> Iterator[Array]:
-    """Noise that a film cannot make small, and a white bar that wanders."""
+    """Incompressible noise, and a white bar that moves."""
     for number in range(count):
         picture = np.random.default_rng(number).integers(0, 60, (120, 160, 3)).astype(np.uint8)
         picture[:, 5 * number : 5 * number + 20] = 255

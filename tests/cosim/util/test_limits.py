@@ -1,4 +1,4 @@
-"""What a legitimate recording takes, scaled to ten million receptions, is within the limits of readers."""
+"""A legitimate recording, scaled to ten million receptions, is within the limits of readers."""
 
 from pathlib import Path
 

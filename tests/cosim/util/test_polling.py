@@ -1,4 +1,4 @@
-"""Waiting for descriptors, also for those above 1023, which select() does not take."""
+"""Waiting for descriptors, also for numbers above 1023, which select() does not support."""
 
 import fcntl
 import os
@@ -13,7 +13,7 @@ from vcmvsp.cosim.util.polling import readable, writable
 
 
 @pytest.mark.parametrize("least", [0, 1024])
-def test_what_can_be_read_and_written(least: int) -> None:
+def test_readable_and_writable(least: int) -> None:
     limits = resource.getrlimit(resource.RLIMIT_NOFILE)
     with ExitStack() as stack:
         resource.setrlimit(resource.RLIMIT_NOFILE, (min(4096, limits[1]), limits[1]))
@@ -32,7 +32,7 @@ def test_what_can_be_read_and_written(least: int) -> None:
         assert not writable(number, 0.0)
 
 
-def test_nothing_else_selects() -> None:
+def test_nothing_else_calls_select() -> None:
     tops = ("agents", "cosim", "hardware", "netsim", "physics")
     files = [path for top in tops for path in (ROOT / top).rglob("*.py") if "select.select(" in path.read_text()]
     assert files == [ROOT / "cosim/util/polling.py"]

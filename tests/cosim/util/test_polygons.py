@@ -1,4 +1,4 @@
-"""Convex parts against point-in-polygon tests, areas and winding; outlines that are none; overlap of convex polygons."""
+"""Convex parts against point-in-polygon tests, areas and winding; invalid outlines; overlap of convex polygons."""
 
 import itertools
 import math
@@ -28,13 +28,13 @@ grid_points = st.lists(st.tuples(st.integers(0, 6), st.integers(0, 6)), min_size
 
 
 def star(lengths: list[float], at: tuple[float, float] = (0.0, 0.0)) -> list[Point]:
-    """A star-shaped polygon: corners at these distances, in equal steps of direction."""
+    """A star-shaped polygon: corners at distances ``lengths``, in equal steps of direction."""
     angles = math.tau * np.arange(len(lengths)) / len(lengths)
     return [(at[0] + r * math.cos(a), at[1] + r * math.sin(a)) for r, a in zip(lengths, angles, strict=True)]
 
 
-def uncrossed(points: list[tuple[int, int]]) -> list[Point]:
-    """A simple polygon through points of a grid, by turning crossings round (2-opt): full of corners in a line."""
+def simple_polygon(points: list[tuple[int, int]]) -> list[Point]:
+    """A simple polygon through points of a grid, by reversing at crossings (2-opt): with many corners in a line."""
     ring = [(float(x), float(y)) for x, y in points]
     for _ in range(200):
         worse = False
@@ -48,8 +48,8 @@ def uncrossed(points: list[tuple[int, int]]) -> list[Point]:
     return ring
 
 
-def holds(ring: Array, points: Array) -> Array:
-    """Which points lie in a polygon, convex or not: an odd number of edges to the east of them."""
+def inside_polygon(ring: Array, points: Array) -> Array:
+    """Which points are inside a polygon, convex or not: an odd number of edges to the east of them."""
     odd = np.zeros(len(points), bool)
     for (ax, ay), (bx, by) in zip(ring, np.roll(ring, -1, axis=0), strict=True):
         if ay != by:
@@ -58,8 +58,8 @@ def holds(ring: Array, points: Array) -> Array:
     return odd
 
 
-def check(outline: list[Point] | tuple[Point, ...], holes: tuple[tuple[Point, ...], ...] = ()) -> list[Array]:
-    """The parts are convex, run counter-clockwise, have all the area, and hold each sample as often as the polygon does."""
+def checked_parts(outline: list[Point] | tuple[Point, ...], holes: tuple[tuple[Point, ...], ...] = ()) -> list[Array]:
+    """The parts are convex, run counter-clockwise, have the whole area, and contain each sample as often as the polygon."""
     parts = convex_parts(outline, holes)
     ring = np.array(outline, float)
     wanted = abs(area_m2(ring)) - sum(abs(area_m2(np.array(hole, float))) for hole in holes)
@@ -71,11 +71,11 @@ def check(outline: list[Point] | tuple[Point, ...], holes: tuple[tuple[Point, ..
         assert (turns >= -1e-9).all()
     low, high = ring.min(axis=0), ring.max(axis=0)
     points = low + SAMPLES * (high - low)
-    inside = holds(ring, points)
+    inside = inside_polygon(ring, points)
     for hole in holes:
-        inside &= ~holds(np.array(hole, float), points)
-    count = np.sum([holds(part, points) for part in parts], axis=0)
-    assert (count == inside).all()  # never two parts at one place
+        inside &= ~inside_polygon(np.array(hole, float), points)
+    count = np.sum([inside_polygon(part, points) for part in parts], axis=0)
+    assert (count == inside).all()  # parts do not overlap
     return parts
 
 
@@ -84,16 +84,16 @@ def check(outline: list[Point] | tuple[Point, ...], holes: tuple[tuple[Point, ..
 def test_stars(lengths: list[float], clockwise: bool, at: tuple[float, float]) -> None:
     outline = star(lengths, at)[:: -1 if clockwise else 1]
     assume(not problem_of(outline))
-    check(outline)
+    checked_parts(outline)
 
 
 @settings(deadline=None)
 @given(points=grid_points)
 def test_polygons_on_a_grid(points: list[tuple[int, int]]) -> None:
-    outline = uncrossed(points)
+    outline = simple_polygon(points)
     assume(not problem_of(outline))
-    assert is_convex(outline) == is_convex(outline[::-1]) == (len(check(outline)) == 1)
-    check(outline[::-1])
+    assert is_convex(outline) == is_convex(outline[::-1]) == (len(checked_parts(outline)) == 1)
+    checked_parts(outline[::-1])
 
 
 @settings(deadline=None)
@@ -103,30 +103,30 @@ def test_holes(lengths: list[float], places: int, share: float) -> None:
     middles = [(x, y) for k, (x, y) in enumerate(((0.8, 0.8), (-0.8, 0.8), (-0.8, -0.8), (0.8, -0.8))) if places >> k & 1]
     holes = tuple(tuple(star([0.7 * share, 0.7, 0.4 * share, 0.6, 0.7], at)) for at in middles)
     assert not problem_of(ring, holes)
-    check(ring, holes)
+    checked_parts(ring, holes)
 
 
 def test_many_holes_in_a_row_need_bridges_at_the_same_corner() -> None:
     holes = tuple(((x, 1.0), (x + 0.5, 1.0), (x + 0.5, 2.0), (x, 2.0)) for x in (1.0, 2.0, 3.0, 4.0))
-    check(((0.0, 0.0), (6.0, 1.5), (0.0, 3.0)), holes[:3])
-    check(((0.0, 0.0), (6.0, 0.0), (6.0, 3.0), (0.0, 3.0)), holes)
+    checked_parts(((0.0, 0.0), (6.0, 1.5), (0.0, 3.0)), holes[:3])
+    checked_parts(((0.0, 0.0), (6.0, 0.0), (6.0, 3.0), (0.0, 3.0)), holes)
 
 
 @pytest.mark.parametrize(("outline", "most"), [(L_SHAPE, 2), (COMB, 7), (SPIRAL, 6), (PLUS, 5)])
 def test_shapes_of_right_angles(outline: tuple[Point, ...], most: int) -> None:
-    assert len(check(outline)) <= most
-    check(outline[::-1])
+    assert len(checked_parts(outline)) <= most
+    checked_parts(outline[::-1])
 
 
-def test_a_convex_outline_is_its_own_part_and_corners_in_a_line_go() -> None:
-    (part,) = check(((0, 0), (1, 0), (2, 0), (2, 1), (2, 2), (0, 2)))
+def test_a_convex_outline_is_one_part_without_corners_in_a_line() -> None:
+    (part,) = checked_parts(((0, 0), (1, 0), (2, 0), (2, 1), (2, 2), (0, 2)))
     assert part.tolist() == [[0, 0], [2, 0], [2, 2], [0, 2]]
 
 
 def test_corners_within_rounding_of_a_line() -> None:
     step = np.linspace(0.0, 1.0, 9)
     upper = [(x, 0.1 * x + 1e-17 * (-1) ** k) for k, x in enumerate(step.tolist())]
-    check([*upper, (1.0, 1.0), (0.5, 0.7), (0.0, 1.0)])
+    checked_parts([*upper, (1.0, 1.0), (0.5, 0.7), (0.0, 1.0)])
 
 
 @pytest.mark.parametrize(
@@ -144,7 +144,7 @@ def test_corners_within_rounding_of_a_line() -> None:
         (PLUS, (((1.1, 1.1), (1.9, 1.1), (1.5, 1.9)), ((1.4, 1.2), (1.6, 1.2), (1.5, 1.4))), "hole (number 1) outside"),
     ],
 )
-def test_outlines_that_are_none(outline: tuple[Point, ...], holes: tuple[tuple[Point, ...], ...], problem: str) -> None:
+def test_invalid_outlines(outline: tuple[Point, ...], holes: tuple[tuple[Point, ...], ...], problem: str) -> None:
     assert problem in problem_of(outline, holes)
 
 
@@ -171,5 +171,5 @@ def test_outward_normals_are_upright_on_the_edges_and_point_away(sides: int, tur
     normals, along = outward(corners), np.roll(corners, -1, axis=0) - corners
     assert np.hypot(*normals.T) == pytest.approx(1.0)
     assert (normals * along).sum(axis=1) == pytest.approx(0.0, abs=1e-9)
-    assert (normals * corners).sum(axis=1) == pytest.approx(radius * math.cos(math.pi / sides))  # how far off each edge is
+    assert (normals * corners).sum(axis=1) == pytest.approx(radius * math.cos(math.pi / sides))  # distance of each edge
     assert (outward(np.stack([corners, 2.0 * corners]))[0] == normals).all()

@@ -1,4 +1,4 @@
-"""The gate before the page: who brings the token comes in, nobody else, and none can spoil it for the others."""
+"""Access to the page: only with the token, and no client can spoil it for the others."""
 
 import contextlib
 import http.client
@@ -33,7 +33,7 @@ VERSION = Subprotocol(f"viser-v{viser.__version__}")
 
 
 class Page:
-    """What a browser does with a server."""
+    """A browser's requests to a server."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         self.server, self.port = server, server.get_port()
@@ -59,7 +59,7 @@ class Page:
         return connect(f"ws://{self.host}/", **own | changed)
 
     def hears(self, client: Connection) -> bool:
-        """Whether what the server adds now reaches this client."""
+        """Whether an addition by the server reaches this client."""
         label = f"hello {time.monotonic_ns()}"
         folder = self.server.gui.add_folder(label)
         try:
@@ -75,7 +75,7 @@ class Page:
 
 @pytest.fixture(scope="module")
 def page() -> Iterator[Page]:
-    """A page that is served."""
+    """A served page."""
     server = web_server.open_server("127.0.0.1", 0, TOKEN)
     yield Page(server)
     web_server.close_server(server)
@@ -85,7 +85,7 @@ def page() -> Iterator[Page]:
     ("path", "expected"),
     [(f"/?token={TOKEN}", 200), ("/", 403), ("/?token=", 403), ("/?token=wrong", 403), (f"/?token=wrong&token={TOKEN}", 403)],
 )
-def test_the_entry_tells_nothing_and_leaves_no_cookie(page: Page, path: str, expected: int) -> None:
+def test_the_entry_has_no_secret_and_no_cookie(page: Page, path: str, expected: int) -> None:
     status, headers, body = page.get(path)
     assert status == expected
     assert "Set-Cookie" not in headers
@@ -94,7 +94,7 @@ def test_the_entry_tells_nothing_and_leaves_no_cookie(page: Page, path: str, exp
     assert TOKEN.encode() not in body
 
 
-def test_the_page_is_given_for_the_token_and_runs_no_scripts_but_its_own(page: Page) -> None:
+def test_the_page_requires_the_token_and_runs_only_its_own_scripts(page: Page) -> None:
     status, headers, body = page.get("/page", Authorization=page.key)
     assert status == HTTPStatus.OK
     assert "Set-Cookie" not in headers
@@ -107,7 +107,7 @@ def test_the_page_is_given_for_the_token_and_runs_no_scripts_but_its_own(page: P
     assert headers["Referrer-Policy"] == "no-referrer"
 
 
-def test_the_scripts_of_each_entry_have_a_name_of_their_own(page: Page) -> None:
+def test_the_scripts_of_each_entry_have_their_own_nonce(page: Page) -> None:
     nonces = []
     for _ in range(2):
         _, headers, body = page.get("/")
@@ -137,7 +137,7 @@ def test_the_scripts_of_each_entry_have_a_name_of_their_own(page: Page) -> None:
         (f"/?token={TOKEN}", {"Host": "evil.example:PORT"}),
     ],
 )
-def test_a_request_that_is_not_ours_is_refused(page: Page, path: str, headers: dict[str, str]) -> None:
+def test_a_foreign_request_is_refused(page: Page, path: str, headers: dict[str, str]) -> None:
     filled = {name: value.replace("KEY", page.key).replace("PORT", str(page.port)) for name, value in headers.items()}
     status, _, body = page.get(path, **filled)
     assert status == HTTPStatus.FORBIDDEN
@@ -145,7 +145,7 @@ def test_a_request_that_is_not_ours_is_refused(page: Page, path: str, headers: d
 
 
 @pytest.mark.parametrize("name", ["localhost", "LOCALHOST", "127.0.0.1"])
-def test_the_machine_has_more_names_than_one(page: Page, name: str) -> None:
+def test_all_own_names_are_accepted(page: Page, name: str) -> None:
     assert page.get("/page", Authorization=page.key, Host=f"{name}:{page.port}")[0] == HTTPStatus.OK
 
 
@@ -163,7 +163,7 @@ def test_the_machine_has_more_names_than_one(page: Page, name: str) -> None:
         ({"subprotocols": None}, 403),
     ],
 )
-def test_a_connection_that_is_not_ours_is_refused(page: Page, changed: dict[str, Any], status: int) -> None:
+def test_a_foreign_connection_is_refused(page: Page, changed: dict[str, Any], status: int) -> None:
     with pytest.raises(InvalidStatus) as caught:
         page.connect(**changed).close()
     assert caught.value.response.status_code == status
@@ -194,7 +194,7 @@ def test_no_file_is_served_but_the_page(page: Page, path: str) -> None:
     ],
     ids=range(12),
 )
-def test_what_is_no_message_ends_its_own_connection_quietly(
+def test_an_invalid_message_ends_its_connection_quietly(
     page: Page, message: bytes | str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     with page.connect() as good, page.connect() as bad:
@@ -206,7 +206,7 @@ def test_what_is_no_message_ends_its_own_connection_quietly(
     assert [line for line in said if "zenoh" not in line] == []  # sessions of other tests may end late
 
 
-def test_frames_that_break_the_protocol_end_their_own_connection_quietly(page: Page, capfd: pytest.CaptureFixture[str]) -> None:
+def test_invalid_frames_end_their_connection_quietly(page: Page, capfd: pytest.CaptureFixture[str]) -> None:
     with page.connect() as good, page.connect() as bad:
         bad.socket.sendall(b"\xff\xff\xff\xff\xff")
         assert _is_closed(bad)
@@ -219,7 +219,7 @@ def test_frames_that_break_the_protocol_end_their_own_connection_quietly(page: P
     assert capfd.readouterr() == ("", "")
 
 
-def test_there_are_no_more_pages_than_can_be_served(page: Page) -> None:
+def test_the_number_of_pages_is_limited(page: Page) -> None:
     with contextlib.ExitStack() as stack:
         first = stack.enter_context(page.connect())
         refused = []
@@ -235,11 +235,11 @@ def test_there_are_no_more_pages_than_can_be_served(page: Page) -> None:
 
 
 @pytest.mark.parametrize("said", [b"", b"GET / HTTP/1.1\r\nHost: "], ids=["nothing", "half a request"])
-def test_half_open_sockets_keep_nobody_out(page: Page, said: bytes) -> None:
+def test_half_open_sockets_block_no_page(page: Page, said: bytes) -> None:
     with contextlib.ExitStack() as stack:
         first = stack.enter_context(page.connect())
         for _ in range(2 * web_server.MOST_SOCKETS):
-            with contextlib.suppress(ConnectionError):  # it has been the oldest
+            with contextlib.suppress(ConnectionError):  # closed as the oldest
                 stack.enter_context(socket.create_connection(("127.0.0.1", page.port))).sendall(said)
         assert page.get("/page", Authorization=page.key)[0] == HTTPStatus.OK
         later = stack.enter_context(page.connect())
@@ -247,7 +247,7 @@ def test_half_open_sockets_keep_nobody_out(page: Page, said: bytes) -> None:
         assert page.hears(later)
 
 
-def test_a_port_that_is_taken_is_said() -> None:
+def test_a_taken_port_is_reported() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(UsageError, match=f"cannot listen on 127.0.0.1:{port}: Address already in use; .*--view-port"):
@@ -255,24 +255,24 @@ def test_a_port_that_is_taken_is_said() -> None:
 
 
 @pytest.mark.parametrize(("host", "port"), [("no such host", 0), ("192.0.2.1", 0), ("127.0.0.1", 65536), ("127.0.0.1", -1)])
-def test_a_place_that_is_none_is_said(host: str, port: int) -> None:
+def test_a_bad_address_is_reported(host: str, port: int) -> None:
     with pytest.raises(UsageError, match="the view cannot listen on"):
         web_server.open_server(host, port, TOKEN)
 
 
-def test_a_gate_that_does_not_hold_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_gate_that_lets_all_pass_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(web_server.Gate, "_answer", lambda *_: None)
     with pytest.raises(UsageError, match=r"cannot protect its page \(426\)"):
         web_server.open_server("127.0.0.1", 0, TOKEN)
 
 
-def test_viser_says_nothing_on_the_terminal(capfd: pytest.CaptureFixture[str]) -> None:
+def test_viser_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:
     web_server.close_server(web_server.open_server("127.0.0.1", 0, TOKEN))
     assert capfd.readouterr() == ("", "")
 
 
-class Asked:
-    """As much of a connection as the rules look at."""
+class FakeConnection:
+    """The part of a connection that the rules use."""
 
     class server:  # noqa: N801
         connections: frozenset[object] = frozenset()
@@ -295,9 +295,9 @@ parts = st.sampled_from([TOKEN, "Bearer ", "token.", ",", VERSION, "localhost", 
     ),
     values | st.lists(parts | st.just("?token="), max_size=4).map("".join),
 )
-def test_whatever_is_asked_only_the_token_passes(headers: list[tuple[str, str]], path: str) -> None:
+def test_only_requests_with_the_token_pass(headers: list[tuple[str, str]], path: str) -> None:
     gate = web_server.Gate("127.0.0.1", 8080, TOKEN, VERSION, "the page")
-    response = gate.answer(Asked(), Request("/" + path, Headers(headers)))  # type: ignore[arg-type]
+    response = gate.answer(FakeConnection(), Request("/" + path, Headers(headers)))  # type: ignore[arg-type]
     if response is None or response.body == b"the page":
         name, brings = ("Authorization", f"Bearer {TOKEN}") if response else ("Sec-WebSocket-Protocol", f"token.{TOKEN}")
         assert any(given == name and brings in value for given, value in headers)
@@ -313,7 +313,7 @@ things = st.recursive(
 
 
 @given(st.binary(max_size=200) | things.map(msgspec.msgpack.encode))
-def test_of_any_bytes_only_a_message_passes(message: bytes) -> None:
+def test_only_valid_messages_pass(message: bytes) -> None:
     if is_fit(message):
         content = msgspec.msgpack.decode(message)
         assert content["type"] == "GuiUpdateMessage"
@@ -333,16 +333,16 @@ def test_of_any_bytes_only_a_message_passes(message: bytes) -> None:
         ("::1", "[::1]", True),
     ],
 )
-def test_by_which_names_a_page_may_be_dialled(host: str, name: str, let_in: bool) -> None:
+def test_host_names_of_a_page(host: str, name: str, let_in: bool) -> None:
     gate = web_server.Gate(host, 8080, TOKEN, VERSION, "the page")
     request = Request("/page", Headers({"Host": f"{name}:8080", "Authorization": f"Bearer {TOKEN}"}))
-    response = gate.answer(Asked(), request)  # type: ignore[arg-type]
+    response = gate.answer(FakeConnection(), request)  # type: ignore[arg-type]
     assert response is not None
     assert (response.body == b"the page") == let_in
 
 
 def _is_closed(client: Connection) -> bool:
-    """Whether the server ends a connection soon, whatever it says before."""
+    """Whether the server ends a connection soon, after any messages."""
     until_s = time.monotonic() + PATIENCE_S
     with contextlib.suppress(TimeoutError):
         while time.monotonic() < until_s:
@@ -354,7 +354,7 @@ def _is_closed(client: Connection) -> bool:
 
 
 def _words(message: object) -> str:
-    """What can be read in a message of viser's: its names are compressed."""
+    """Readable text of a message of viser's: its names are compressed."""
     import zstandard
 
     assert isinstance(message, bytes)

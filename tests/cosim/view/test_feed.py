@@ -1,4 +1,4 @@
-"""What a run hands to who looks on: the newest, whole, and without ever waiting for him."""
+"""The feed from a run to a page: newest values, whole messages, and the run never waits for the reader."""
 
 import gc
 import tracemalloc
@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import vcmvsp
-from tests.support.cosim.feeds import NAMES, SCENERY, Counted, Reader, at, frame_of, receptions
+from tests.support.cosim.feeds import NAMES, SCENERY, CountedReadings, Reader, at, frame_of, receptions
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.frames import quaternion_from_yaw
@@ -46,26 +46,26 @@ SCAN = Scan(ranges=frozen([1.0, 2.0], np.float32), angle_min=0.0, angle_step=0.1
 
 @pytest.fixture
 def reader() -> Iterator[Reader]:
-    """One who has read everything whenever he looks."""
+    """A reader that has read everything at each look."""
     with Reader() as made:
         yield made
 
 
 @pytest.fixture
 def slow() -> Iterator[Reader]:
-    """One whom little can be sent before he reads."""
+    """A reader with the smallest socket buffer."""
     with Reader(buffer_bytes=1) as made:
         yield made
 
 
 def counts(shown: PageUpdate) -> tuple[list[list[int]], list[list[int]]]:
-    """Frames that were sent and received, so far."""
+    """Numbers of sent and received frames so far, by sender and receiver."""
     assert shown.sent is not None
     assert shown.received is not None
     return shown.sent.tolist(), shown.received.tolist()
 
 
-def test_of_everything_the_newest_is_shown(reader: Reader) -> None:
+def test_the_newest_values_are_shown(reader: Reader) -> None:
     for k in range(5):
         reader.on(k, "world/states", at(float(k)))
         reader.on(k, "a/follows", Follows(leader="b", slot=(float(k), 0.0)))
@@ -86,7 +86,7 @@ def test_of_everything_the_newest_is_shown(reader: Reader) -> None:
     assert counts(shown) == ([[0, 5, 5], [0, 0, 0], [0, 0, 0]], [[0, 5, 0], [0, 0, 0], [0, 0, 0]])
 
 
-def test_what_was_shown_is_not_shown_again(reader: Reader) -> None:
+def test_shown_values_are_not_shown_again(reader: Reader) -> None:
     reader.on(0, "world/states", at(0.0))
     reader.on(0, "radio/frame", frame_of(0, "a", {"b": 1}))
     reader.wait()
@@ -99,14 +99,14 @@ def test_what_was_shown_is_not_shown_again(reader: Reader) -> None:
     assert (shown.states, shown.sent, shown.links, [*shown.places]) == (None, None, (), ["a"])
 
 
-def test_no_more_is_told_than_thirty_times_a_second(reader: Reader) -> None:
+def test_updates_are_limited_to_thirty_per_second(reader: Reader) -> None:
     for k in range(1000):
         reader.on(k, "world/states", at(float(k)))
         reader.now_s += 0.001
     assert 25 <= len(reader.read()) <= 31
 
 
-def test_a_reader_that_stands_still_costs_no_memory_and_then_gets_whole_messages(slow: Reader) -> None:
+def test_a_stalled_reader_costs_no_memory_and_then_gets_whole_messages(slow: Reader) -> None:
     everyone: dict[str, int | None] = {"b": 1, "c": None}
 
     def go_on(first: int, last: int) -> None:
@@ -126,8 +126,8 @@ def test_a_reader_that_stands_still_costs_no_memory_and_then_gets_whole_messages
     gc.collect()
     after, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert after - before < 2000 * 50  # the smallest object takes more
-    assert slow.read()[-1].time_ns < 100  # those are what lay in the socket
+    assert after - before < 2000 * 50  # the smallest object is larger
+    assert slow.read()[-1].time_ns < 100  # content of the socket
     shown = slow.read_all()
     assert shown.time_ns == 2999
     sent, received = counts(shown)
@@ -135,8 +135,8 @@ def test_a_reader_that_stands_still_costs_no_memory_and_then_gets_whole_messages
     assert shown.lines[-1].text == "a touches 2999"
 
 
-class Truth:
-    """All that has been, beside the feed that is told of it."""
+class ExpectedContents:
+    """The expected contents, beside a feed that gets the events."""
 
     def __init__(self, reader: Reader) -> None:
         self._reader, self._k = reader, -1
@@ -195,9 +195,9 @@ steps = st.lists(
 
 @given(steps)
 @settings(max_examples=100)
-def test_whoever_reads_as_he_likes_ends_up_with_the_newest_of_everything(taken: list[tuple[str, Any]]) -> None:
+def test_any_pattern_of_reading_ends_with_the_newest_values(taken: list[tuple[str, Any]]) -> None:
     with Reader(buffer_bytes=1) as reader:
-        truth = Truth(reader)
+        truth = ExpectedContents(reader)
         for what, value in taken:
             truth.go_on()
             getattr(truth, what)(value)
@@ -215,7 +215,7 @@ def test_whoever_reads_as_he_likes_ends_up_with_the_newest_of_everything(taken: 
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.4])
-def test_the_counts_are_those_of_the_recording_and_the_run_is_the_same(loss: float) -> None:
+def test_the_counts_equal_the_recording_and_the_run_is_unchanged(loss: float) -> None:
     changed: dict[str, Any] = {"duration_s": 5.0, "radio.loss": {"kind": "bernoulli", "probability": loss}}
     parsed, source = scenarios.load("study-loss", settings=changed)
     with Reader(scenery=scenery_of(parsed, source)) as reader:
@@ -241,8 +241,8 @@ def test_the_counts_are_those_of_the_recording_and_the_run_is_the_same(loss: flo
     assert vcmvsp.run("study-loss", set=changed, mcap=False).metrics["digest"] == result.metrics["digest"]
 
 
-def test_readings_are_worked_out_only_if_somebody_asks_and_then_in_turn(reader: Reader) -> None:
-    scans, pictures = Counted(SCAN), Counted(Image(pixels=frozen(np.zeros((2, 2, 3), np.uint8))))
+def test_readings_are_computed_only_on_request_and_in_turn(reader: Reader) -> None:
+    scans, pictures = CountedReadings(SCAN), CountedReadings(Image(pixels=frozen(np.zeros((2, 2, 3), np.uint8))))
 
     def go_on(seconds: float) -> Sequence[PageUpdate]:
         for _ in range(round(seconds / 0.01)):
@@ -267,7 +267,7 @@ def test_readings_are_worked_out_only_if_somebody_asks_and_then_in_turn(reader: 
     assert scans.times + pictures.times == before
 
 
-def test_a_reading_that_fails_is_said_and_hurts_nobody(reader: Reader) -> None:
+def test_a_failed_reading_is_reported(reader: Reader) -> None:
     def fail() -> Reading:
         raise RuntimeError("no light")
 
@@ -278,7 +278,7 @@ def test_a_reading_that_fails_is_said_and_hurts_nobody(reader: Reader) -> None:
     assert [line.text for line in reader.known().lines] == ["a/scan could not be computed: RuntimeError: no light"]
 
 
-def test_orders_come_in_order_and_what_is_none_is_said(reader: Reader) -> None:
+def test_orders_keep_order_and_bad_ones_are_reported(reader: Reader) -> None:
     orders: list[Order] = [Go(paused=True), End(), Go(speed=2.0)]
     for each in orders:
         reader.order(codec.encode(each))
@@ -290,7 +290,7 @@ def test_orders_come_in_order_and_what_is_none_is_said(reader: Reader) -> None:
     assert {line.text for line in reader.known().lines} == {"the control station sent an invalid command"}
 
 
-def test_orders_that_nobody_takes_do_not_pile_up(reader: Reader) -> None:
+def test_unread_orders_do_not_pile_up(reader: Reader) -> None:
     for k in range(1000):
         reader.order(codec.encode(Go(speed=float(k))))
         reader.wait()
@@ -299,7 +299,7 @@ def test_orders_that_nobody_takes_do_not_pile_up(reader: Reader) -> None:
     assert orders[-1] == Go(speed=999.0)
 
 
-def test_a_stream_of_no_messages_ends_the_view_and_not_the_run(reader: Reader) -> None:
+def test_an_invalid_stream_ends_the_view_and_not_the_run(reader: Reader) -> None:
     reader.sock.sendall(b"\xff" * 100)
     assert reader.feed.orders() == []
     assert not reader.feed.open
@@ -308,13 +308,13 @@ def test_a_stream_of_no_messages_ends_the_view_and_not_the_run(reader: Reader) -
     reader.wait()
 
 
-def test_why_the_page_is_gone_is_known(reader: Reader) -> None:
+def test_a_pages_problem_is_kept(reader: Reader) -> None:
     reader.order(codec.encode(protocol.Down(problem="no memory")))
     assert reader.feed.orders() == []
     assert (reader.feed.open, reader.feed.problem) == (False, "no memory")
 
 
-def test_who_has_gone_is_not_waited_for(reader: Reader) -> None:
+def test_a_closed_reader_is_not_awaited(reader: Reader) -> None:
     reader.sock.close()
     for k in range(3):
         reader.on(k, "world/states", at(0.0))
@@ -323,7 +323,7 @@ def test_who_has_gone_is_not_waited_for(reader: Reader) -> None:
     reader.feed.close("the run is complete")
 
 
-def test_the_end_is_told_even_to_one_who_was_slow(slow: Reader) -> None:
+def test_a_slow_reader_gets_the_end(slow: Reader) -> None:
     for k in range(200):
         slow.on(k, "world/states", at(float(k)))
         slow.wait()
@@ -333,7 +333,7 @@ def test_the_end_is_told_even_to_one_who_was_slow(slow: Reader) -> None:
     assert (shown.pace.over, shown.time_ns) == ("the run is complete", 199)
 
 
-def test_obstacles_and_targets_are_where_they_are() -> None:
+def test_obstacles_and_targets_have_positions() -> None:
     door = {"door": lambda time_s: (time_s, 0.0, 1.0, 0.5)}
     with Reader(moving=door, targets={"alpha": lambda time_s: (0.0, 2.0 * time_s)}) as reader:
         turn = quaternion_from_yaw(0.25)
@@ -344,7 +344,7 @@ def test_obstacles_and_targets_are_where_they_are() -> None:
     assert shown.targets == {"alpha": (0.0, 2.0)}
 
 
-def test_a_reader_that_joins_late_is_shown_everything() -> None:
+def test_a_reader_that_joins_late_gets_everything() -> None:
     with Reader(whole_s=1.0) as early, Reader() as reader:
         for each in (early, reader):
             each.on(0, "world/states", at(1.0))
@@ -363,7 +363,7 @@ def test_a_reader_that_joins_late_is_shown_everything() -> None:
             assert codec.encode(msgspec.structs.replace(whole, pace=known.pace)) == codec.encode(known)
 
 
-def test_what_befalls_is_told_in_words(reader: Reader) -> None:
+def test_events_are_lines_of_the_log(reader: Reader) -> None:
     reader.on(1, "a/host", Presence(state="lost", since_ns=1, why="no answer"))
     reader.on(2, "a/contact", Contact(vehicle="a", other=None))
     reader.on(3, "operator/changed", Changed(key="radio.loss.probability", value=0.5))
@@ -377,7 +377,7 @@ def test_what_befalls_is_told_in_words(reader: Reader) -> None:
     ]
 
 
-def test_changes_of_what_a_vehicle_does_or_has_found_are_lines_of_the_log_and_other_notes_are_not(reader: Reader) -> None:
+def test_only_changed_notes_of_tasks_and_finds_are_lines_of_the_log(reader: Reader) -> None:
     def note(second: int, **values: float | str) -> None:
         reader.on(second * SECOND_NS, "v1/note", Note(values=dict(values)))
 
@@ -394,8 +394,8 @@ def test_changes_of_what_a_vehicle_does_or_has_found_are_lines_of_the_log_and_ot
     ]
 
 
-def test_what_cannot_be_told_is_said_and_the_run_goes_on(reader: Reader) -> None:
-    reader.on(0, "a/note", Note(values={"odd": object()}))  # type: ignore[dict-item]  # of somebody's own federate
+def test_an_unsendable_event_is_only_reported(reader: Reader) -> None:
+    reader.on(0, "a/note", Note(values={"odd": object()}))  # type: ignore[dict-item]  # of a user's federate
     reader.wait()
     (line,) = reader.known().lines
     assert line.text.startswith("the view cannot show an event")
@@ -404,7 +404,7 @@ def test_what_cannot_be_told_is_said_and_the_run_goes_on(reader: Reader) -> None
     assert reader.known().states is not None
 
 
-def test_what_is_too_much_to_tell_is_said_and_the_run_goes_on(reader: Reader, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_too_large_event_is_only_reported(reader: Reader, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(protocol, "LARGEST", 5000)
     reader.on(0, "c/mosaic", Mosaic(left=0.0, bottom=0.0, cell_m=1.0, pixels=np.zeros((100, 100, 3), np.uint8)))
     reader.feed.close("the run is complete")
@@ -413,7 +413,7 @@ def test_what_is_too_much_to_tell_is_said_and_the_run_goes_on(reader: Reader, mo
     assert reader.known().pace.over == "the run is complete"
 
 
-def test_the_speed_that_is_reached_is_that_of_the_last_second(reader: Reader) -> None:
+def test_the_achieved_speed_is_of_the_last_second(reader: Reader) -> None:
     for k in range(1, 200):
         reader.on(k * SECOND_NS // 10, "world/states", at(0.0))
         reader.now_s += 0.05 if k < 100 else 0.2

@@ -1,4 +1,4 @@
-"""The live stream for Foxglove, read by a client that speaks the protocol and nothing of ours."""
+"""The live stream for Foxglove, read by a client of the protocol that uses no code of the project."""
 
 import asyncio
 import contextlib
@@ -64,7 +64,7 @@ Message = tuple[str, int, bytes]  # topic, time, content
 
 @contextlib.contextmanager
 def streamed(folder: Path) -> Iterator[tuple["subprocess.Popen[str]", str]]:
-    """The command, and the address that it prints."""
+    """The process of a run, and the address that it prints."""
     command = [*VCMVSP, "run", "streamed.toml", "--foxglove", "0", "--out", "out"]
     with subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
@@ -75,7 +75,7 @@ def streamed(folder: Path) -> Iterator[tuple["subprocess.Popen[str]", str]]:
 
 
 class Reader:
-    """A client that subscribes to every channel that is advertised, until the server leaves."""
+    """A client that subscribes to every advertised channel, until the server closes."""
 
     def __init__(self) -> None:
         self.info: dict[str, Any] = {}
@@ -99,7 +99,7 @@ class Reader:
                     self.channels |= new
                     await self._subscribe(connection, *new)
                 elif said["op"] == "status" and (unknown := re.fullmatch(r"Unknown channel ID: (\d+)", said["message"])):
-                    await asyncio.sleep(0.02)  # the server advertises a channel a moment before it knows it
+                    await asyncio.sleep(0.02)  # a channel is advertised shortly before it can be subscribed to
                     await self._subscribe(connection, *({int(unknown[1])} & self.channels.keys()))
 
     async def _subscribe(self, connection: websockets.ClientConnection, *numbers: int) -> None:
@@ -116,7 +116,7 @@ class Reader:
 
 
 def read(url: str, *first: str | bytes) -> Reader:
-    """What a client is told until the end of the run, after it has sent ``first``."""
+    """A client that has sent ``first`` and read until the end of the run."""
     reader = Reader()
     with contextlib.suppress(websockets.ConnectionClosed):
         asyncio.run(asyncio.wait_for(reader.read(url, list(first)), PATIENCE_S))
@@ -132,7 +132,7 @@ def recorded(path: Path) -> tuple[list[Message], dict[tuple[str, str], bytes]]:
     return messages, schemas
 
 
-def test_a_client_gets_the_messages_of_the_recording_and_the_recording_stays_as_it_was(tmp_path: Path) -> None:
+def test_a_client_gets_the_recorded_messages_and_changes_nothing(tmp_path: Path) -> None:
     (tmp_path / "streamed.toml").write_text(SCENARIO)
     vcmvsp.run(tmp_path / "streamed.toml", out=tmp_path / "alone")
     with streamed(tmp_path) as (process, url):
@@ -146,8 +146,8 @@ def test_a_client_gets_the_messages_of_the_recording_and_the_recording_stays_as_
     assert {(each["topic"], each["schemaName"]): each["schema"].encode() for each in reader.channels.values()} == schemas
     assert {(each["encoding"], each["schemaEncoding"]) for each in reader.channels.values()} == {("json", "jsonschema")}
     assert set(reader.messages) <= set(messages)
-    topics = {topic for topic, *_ in messages} - {"log"}  # the last line of the log is said when the server leaves
-    assert {topic for topic, *_ in reader.messages} - {"log"} == topics  # also those sent once, at the start
+    topics = {topic for topic, *_ in messages} - {"log"}  # the last line of the log is written when the server closes
+    assert {topic for topic, *_ in reader.messages} - {"log"} == topics  # also messages sent once, at the start
     joined_ns = min(time_ns for topic, time_ns, _ in reader.messages if topic == "/tf")
     later = [each for each in messages if each[1] > joined_ns and each[0] == "/tf"]
     assert len(later) >= 2
@@ -165,7 +165,7 @@ def test_a_client_gets_the_messages_of_the_recording_and_the_recording_stays_as_
         '{"op": "setParameters", "parameters": [{"name": "radio.loss.probability", "value": 1.0}]}',
     ],
 )
-def test_what_a_client_sends_changes_nothing(tmp_path: Path, first: str | bytes) -> None:
+def test_messages_of_a_client_change_nothing(tmp_path: Path, first: str | bytes) -> None:
     (tmp_path / "streamed.toml").write_text(SCENARIO.replace("duration_s = 4.0", "duration_s = 1.0"))
     vcmvsp.run(tmp_path / "streamed.toml", out=tmp_path / "alone")
     with streamed(tmp_path) as (process, url):
@@ -183,14 +183,14 @@ def test_a_used_port_is_one_line() -> None:
     assert f"127.0.0.1:{server.port}" in err
 
 
-def test_without_the_sdk_the_message_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_sdk_its_installation_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "foxglove", None)
     code, out, err = vcmvsp_command("run", "formation-circle", "--foxglove")
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert "pip install 'vcmvsp[foxglove]'" in err
 
 
-def test_an_address_beyond_loopback_is_said_to_be_open() -> None:
+def test_an_address_beyond_loopback_gives_a_caution() -> None:
     from vcmvsp.cosim.view.live.foxglove_server import caution
 
     assert caution("127.0.0.1") == ""

@@ -1,4 +1,4 @@
-"""What the one who looks orders of a run: on a wall clock that moves only while the run waits, and without a page."""
+"""Orders of the operator to a run: on a wall clock that moves only while the run waits, and without a page."""
 
 import socket
 import struct
@@ -21,7 +21,7 @@ from vcmvsp.cosim.view.live.session import Live
 from vcmvsp.cosim.view.messages import End, Go, Order
 from vcmvsp.cosim.view.scenery import scenery_of
 
-PATIENCE_NS = 60 * SECOND_NS  # of the wall that moves
+PATIENCE_NS = 60 * SECOND_NS  # on the test's wall clock
 
 
 def movable(name: str, y: float) -> dict[str, Any]:
@@ -43,7 +43,7 @@ GONE: Sequence[Order] = ()
 
 
 class Desk:
-    """A view without a page: what is ordered when, s of the wall; `GONE`: from then on nobody is there."""
+    """A view without a page: orders by wall time, s; `GONE`: the operator leaves."""
 
     def __init__(self, acts: Mapping[float, Sequence[Order]]) -> None:
         self.now_ns, self._acts = 0, {seconds_to_ns(when): orders for when, orders in acts.items()}
@@ -85,49 +85,49 @@ class Desk:
 
 def run(acts: Mapping[float, Sequence[Order]], scenario: dict[str, Any] = SCENARIO, **more: Any) -> vcmvsp.Result:
     with Desk(acts) as desk:
-        return vcmvsp.run(scenario, view=desk, mcap=False, **more)  # type: ignore[arg-type]  # as much of it as is needed
+        return vcmvsp.run(scenario, view=desk, mcap=False, **more)  # type: ignore[arg-type]  # only the required methods
 
 
-def done(result: vcmvsp.Result) -> list[dict[str, Any]]:
-    """What the resolved scenario says was done."""
+def interventions_of(result: vcmvsp.Result) -> list[dict[str, Any]]:
+    """Interventions of the resolved scenario."""
     return tomllib.loads(result.scenario).get("intervention", [])
 
 
-def test_a_run_that_stands_still_can_be_ended() -> None:
+def test_a_paused_run_can_be_ended() -> None:
     with pytest.raises(Interrupted) as caught:
         run({0.5: [Go(paused=True)], 3.0: [End()]})
     assert caught.value.result is not None
     assert caught.value.result.metrics["duration_s"] == pytest.approx(0.5, abs=0.1)
 
 
-def test_a_run_does_not_stand_still_for_one_who_has_gone() -> None:
+def test_a_paused_run_continues_without_its_operator() -> None:
     told: list[str] = []
     result = run({0.5: [Go(paused=True, speed=1.0)], 3.0: GONE}, tell=told.append)
     assert result.metrics["duration_s"] == 2.0
     assert any("the run continues" in line for line in told)
 
 
-def test_what_is_ordered_while_it_stands_still_is_done_when_it_goes_on() -> None:
+def test_orders_during_a_pause_are_executed_after_it() -> None:
     result = run({0.5: [Go(paused=True)], 1.0: [HaltTable(at_s=0.0, vehicles=("car1",))], 3.0: [Go(speed=1.0)]})
-    (halt,) = done(result)
+    (halt,) = interventions_of(result)
     assert (halt["kind"], halt["vehicles"]) == ("halt", ["car1"])
     assert halt["at_s"] == pytest.approx(0.5, abs=0.1)
 
 
-def test_two_things_are_not_put_into_one_place_while_it_stands_still() -> None:
+def test_during_a_pause_only_one_obstacle_is_moved_to_a_place() -> None:
     moves = [MoveTable(at_s=0.0, obstacle=name, position=(9.0, 9.0)) for name in ("crate", "chest")]
     result = run({0.5: [Go(paused=True)], 1.0: moves, 3.0: [Go(speed=1.0)]})
-    assert [each["obstacle"] for each in done(result)] == ["crate"]
+    assert [each["obstacle"] for each in interventions_of(result)] == ["crate"]
 
 
-def test_nothing_is_changed_that_would_make_impossible_what_is_planned() -> None:
+def test_changes_that_make_planned_ones_impossible_are_refused() -> None:
     radio = {"delay": {"kind": "uniform", "from_s": 0.01, "to_s": 0.3}}
     planned = {"kind": "set", "at_s": 1.5, "key": "radio.delay.from_s", "value": 0.2}
     change = SetTable(at_s=0.0, key="radio.delay.to_s", value=0.1)
     result = run({0.5: [change]}, {**SCENARIO, "radio": radio, "intervention": [planned]})
-    assert [each["key"] for each in done(result)] == ["radio.delay.from_s"]
+    assert [each["key"] for each in interventions_of(result)] == ["radio.delay.from_s"]
     result = run({1.7: [msgspec.structs.replace(change, value=0.25)]}, {**SCENARIO, "radio": radio, "intervention": [planned]})
-    assert [each["key"] for each in done(result)] == ["radio.delay.from_s", "radio.delay.to_s"]
+    assert [each["key"] for each in interventions_of(result)] == ["radio.delay.from_s", "radio.delay.to_s"]
 
 
 @pytest.mark.parametrize(
@@ -147,14 +147,14 @@ def test_nothing_is_changed_that_would_make_impossible_what_is_planned() -> None
     ],
     ids=str,
 )
-def test_what_cannot_be_done_is_not_done_and_the_run_goes_on(order: Order) -> None:
+def test_impossible_orders_are_refused_and_the_run_continues(order: Order) -> None:
     result = run({0.5: [order]})
     assert result.metrics["duration_s"] == 2.0
-    assert done(result) == []
+    assert interventions_of(result) == []
 
 
 @pytest.mark.parametrize("when_s", [0.021, 1.0, 1.97])
-def test_what_was_ordered_at_any_instant_is_repeated_to_the_byte(when_s: float) -> None:
+def test_orders_at_any_instant_are_repeated_to_the_byte(when_s: float) -> None:
     live = run(
         {
             when_s: [
@@ -164,7 +164,7 @@ def test_what_was_ordered_at_any_instant_is_repeated_to_the_byte(when_s: float) 
             ]
         }
     )
-    assert len(done(live)) == 3
+    assert len(interventions_of(live)) == 3
     again = vcmvsp.run(tomllib.loads(live.scenario), mcap=False)
     assert again.metrics == live.metrics
     assert again.scenario == live.scenario

@@ -1,4 +1,4 @@
-"""A recorded run in the control station shows what one who looked on had seen, at any time, at the pace that is ordered."""
+"""A recorded run in the control station shows the contents of the live page, at any time and at the ordered pace."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -9,8 +9,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.cosim.feeds import merged
-from tests.support.cosim.recorded_run import END_NS, SENSORS, Run, all_of, assert_same, looked_on, seen, told
+from tests.support.cosim.feeds import merge
+from tests.support.cosim.recorded_run import (
+    END_NS,
+    SENSORS,
+    Run,
+    all_of,
+    assert_same,
+    observed_run,
+    observer_state,
+    recording_state,
+)
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.recording.run_state import LogLine
@@ -27,7 +36,7 @@ TIMES = st.integers(0, END_NS)
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    return looked_on(tmp_path_factory.mktemp("runs") / "run")
+    return observed_run(tmp_path_factory.mktemp("runs") / "run")
 
 
 @pytest.fixture(scope="module")
@@ -41,12 +50,14 @@ def recording(run: Run) -> Iterator[Recording]:
 
 @settings(max_examples=60)
 @given(TIMES)
-def test_at_any_time_it_shows_what_one_who_looked_on_knew(run: Run, recording: Recording, time_ns: int) -> None:
-    assert_same(told(recording.at(time_ns, sensors=SENSORS)), seen(run.events, recording.vehicles, time_ns))
+def test_at_any_time_it_shows_the_live_contents(run: Run, recording: Recording, time_ns: int) -> None:
+    assert_same(
+        recording_state(recording.at(time_ns, sensors=SENSORS)), observer_state(run.events, recording.vehicles, time_ns)
+    )
 
 
-def test_the_example_shows_all_that_a_run_can(recording: Recording) -> None:
-    """Else the law above says less than it seems to."""
+def test_the_example_covers_all_contents(recording: Recording) -> None:
+    """Otherwise the law above covers less than it states."""
     shown = recording.at(END_NS, sensors=SENSORS)
     assert set(shown.scans) | set(shown.images) == set(SENSORS)
     assert set(shown.fixes) == set(recording.vehicles)
@@ -58,21 +69,21 @@ def test_the_example_shows_all_that_a_run_can(recording: Recording) -> None:
 
 
 @given(TIMES, st.one_of(TIMES, st.none()))
-def test_what_is_left_out_is_as_it_was(recording: Recording, time_ns: int, other_ns: int | None) -> None:
+def test_omitted_values_are_unchanged(recording: Recording, time_ns: int, other_ns: int | None) -> None:
     first, last = sorted((time_ns, time_ns if other_ns is None else other_ns))
     before, after = recording.at(first, sensors=SENSORS), recording.at(last, first, SENSORS)
-    assert_same(all_of(merged(before, after)), all_of(recording.at(last, sensors=SENSORS)))
+    assert_same(all_of(merge(before, after)), all_of(recording.at(last, sensors=SENSORS)))
 
 
 @given(TIMES)
-def test_nothing_new_is_shown_where_no_time_has_gone_by(recording: Recording, time_ns: int) -> None:
+def test_without_elapsed_time_nothing_new_is_shown(recording: Recording, time_ns: int) -> None:
     halted = recording.at(time_ns).halted
     assert recording.at(time_ns, time_ns, SENSORS) == PageUpdate(time_ns=time_ns, halted=halted)
 
 
 @settings(max_examples=20)
 @given(st.lists(TIMES, min_size=1, max_size=8))
-def test_to_have_looked_elsewhere_changes_nothing(run: Run, recording: Recording, times_ns: list[int]) -> None:
+def test_earlier_reads_change_nothing(run: Run, recording: Recording, times_ns: list[int]) -> None:
     for time_ns in times_ns:
         recording.at(time_ns, sensors=SENSORS)
     with closing(Recording(run.folder)) as fresh:
@@ -96,7 +107,7 @@ def test_obstacles_and_targets_keep_to_their_time_table(recording: Recording) ->
     assert recording.at(0).obstacles["cart"] == (-4.0, -3.0, 0.3, 0.0)
     assert recording.at(SECOND_NS * 3 // 2).obstacles["cart"] == pytest.approx((0.0, -3.0, 0.3, 0.5))
     assert recording.at(2 * SECOND_NS).targets == {"alpha": pytest.approx((1.0, 5.0))}
-    assert "cart" not in recording.at(END_NS, SECOND_NS * 7 // 2).obstacles  # it has come to a rest
+    assert "cart" not in recording.at(END_NS, SECOND_NS * 7 // 2).obstacles  # it is at rest
 
 
 def test_the_scenery_is_that_of_the_run(recording: Recording) -> None:
@@ -113,8 +124,8 @@ def test_the_scenery_is_that_of_the_run(recording: Recording) -> None:
 # --- the player ---
 
 
-class Wall:
-    """A clock that stands until it is told."""
+class ManualClock:
+    """A clock that moves only when set."""
 
     now_s = 100.0
 
@@ -123,16 +134,16 @@ class Wall:
 
 
 @pytest.fixture
-def wall() -> Wall:
-    return Wall()
+def wall() -> ManualClock:
+    return ManualClock()
 
 
 @pytest.fixture
-def player(recording: Recording, wall: Wall) -> Player:
+def player(recording: Recording, wall: ManualClock) -> Player:
     return Player(recording, wall)
 
 
-def test_it_stands_at_the_start_until_it_is_told_to_go(player: Player, wall: Wall) -> None:
+def test_it_pauses_at_the_start_until_ordered_to_go(player: Player, wall: ManualClock) -> None:
     assert (player.show().time_ns, player.show().pace.paused) == (0, True)
     wall.now_s += 5.0
     assert player.show().time_ns == 0
@@ -143,7 +154,7 @@ def test_it_stands_at_the_start_until_it_is_told_to_go(player: Player, wall: Wal
     assert (shown.time_ns, shown.pace.speed, shown.pace.paused, shown.pace.over) == (SECOND_NS * 3 // 2, 2.0, False, "")
 
 
-def test_it_pauses_goes_on_and_changes_its_speed_where_it_is(player: Player, wall: Wall) -> None:
+def test_pause_resume_and_speed_keep_the_time(player: Player, wall: ManualClock) -> None:
     player.order(Go(speed=1.0))
     player.show()
     wall.now_s += 1.0
@@ -161,7 +172,7 @@ def test_it_pauses_goes_on_and_changes_its_speed_where_it_is(player: Player, wal
     assert player.show().time_ns == SECOND_NS * 3 // 2 + FASTEST * SECOND_NS // 100
 
 
-def test_a_step_is_as_long_as_it_was_ordered(player: Player, wall: Wall) -> None:
+def test_a_step_is_as_long_as_ordered(player: Player, wall: ManualClock) -> None:
     player.order(Go(paused=True, speed=1.0, step_ns=SECOND_NS // 10))
     player.show()
     wall.now_s += 3.0
@@ -169,7 +180,7 @@ def test_a_step_is_as_long_as_it_was_ordered(player: Player, wall: Wall) -> None
     assert (shown.time_ns, shown.pace.paused) == (SECOND_NS // 10, True)
 
 
-def test_at_its_end_it_stands_says_why_and_begins_again_only_if_told(player: Player, wall: Wall) -> None:
+def test_at_the_end_it_pauses_and_restarts_only_on_order(player: Player, wall: ManualClock) -> None:
     player.order(Go(speed=1.0))
     player.show()
     wall.now_s += 60.0
@@ -189,7 +200,7 @@ def test_at_its_end_it_stands_says_why_and_begins_again_only_if_told(player: Pla
 @pytest.mark.parametrize(
     "order", [SetTable(at_s=0.0, key="radio.loss.probability", value=0.5), Go(speed=-1.0), Go(speed=math.nan)]
 )
-def test_it_passes_over_what_a_recording_cannot_do(player: Player, wall: Wall, order: Any) -> None:
+def test_it_ignores_orders_for_live_runs(player: Player, wall: ManualClock, order: Any) -> None:
     player.order(Go(speed=1.0))
     player.show()
     player.order(order)
@@ -197,12 +208,12 @@ def test_it_passes_over_what_a_recording_cannot_do(player: Player, wall: Wall, o
     assert (player.show().time_ns, player.show().pace.speed) == (SECOND_NS // 2, 1.0)
 
 
-def test_it_jumps_no_further_back_than_the_start(player: Player) -> None:
+def test_it_seeks_no_further_back_than_the_start(player: Player) -> None:
     player.order(Seek(time_ns=-5))
     assert player.show().time_ns == 0
 
 
-def test_readings_are_shown_when_they_are_asked_for_however_old_and_then_when_they_are_new(player: Player, wall: Wall) -> None:
+def test_readings_are_shown_on_request_and_then_when_new(player: Player, wall: ManualClock) -> None:
     player.order(Seek(time_ns=SECOND_NS * 13 // 10))
     assert not player.show().scans
     player.order(Sensors(names=("car1/camera", "car1/scan", "car9/scan", "car1/nothing", "car1/odometry")))
@@ -225,21 +236,21 @@ def test_readings_are_shown_when_they_are_asked_for_however_old_and_then_when_th
         max_size=8,
     )
 )
-def test_seeking_back_and_forth_ends_where_going_straight_does(recording: Recording, orders: list[Any]) -> None:
-    wall = Wall()
+def test_seeking_back_and_forth_gives_the_contents_of_the_time(recording: Recording, orders: list[Any]) -> None:
+    wall = ManualClock()
     known: PageUpdate | None = None
     player = Player(recording, wall)
     for order in [*orders, Sensors(names=SENSORS)]:
         player.order(order)
         wall.now_s += 0.35
         shown = player.show()
-        known = merged(None if known is None or shown.time_ns < known.time_ns else known, shown)  # going back, all is shown
+        known = merge(None if known is None or shown.time_ns < known.time_ns else known, shown)  # going back, all is shown
     assert known is not None
     assert_same(all_of(known), all_of(recording.at(known.time_ns, sensors=SENSORS)))
 
 
-def noted(events: Sequence[Event]) -> list[LogLine]:
-    """The lines of changed notes that name what a vehicle does or has found."""
+def note_lines(events: Sequence[Event]) -> list[LogLine]:
+    """Expected lines of changed notes on tasks and finds."""
     newest: dict[tuple[str, str], object] = {}
     lines = []
     for event in events:
@@ -257,20 +268,20 @@ def noted(events: Sequence[Event]) -> list[LogLine]:
 def test_at_any_time_changes_of_notes_are_lines_with_the_times_of_their_events(
     run: Run, recording: Recording, time_ns: int
 ) -> None:
-    """Also after a seek, when the time of the page is a later one."""
-    every = noted(run.events)
+    """Also after a seek, when the time of the page is later."""
+    every = note_lines(run.events)
     assert len(every) >= 4
     assert [line for line in recording.at(time_ns).lines if line in every] == [
         line for line in every if line.time_ns <= time_ns
     ]
 
 
-def test_lines_are_told_once(run: Run, player: Player, wall: Wall) -> None:
+def test_lines_are_shown_once(run: Run, player: Player, wall: ManualClock) -> None:
     player.order(Go(speed=1.0))
     lines: list[LogLine] = []
     for _ in range(50):
         lines += player.show().lines
         wall.now_s += 0.1
-    notes = set(noted(run.events))
+    notes = set(note_lines(run.events))
     assert len(lines) == len(set(lines)) == 6 + len(notes)
     assert notes < set(lines)

@@ -1,4 +1,4 @@
-"""Frames of a recording are counted the same at any time, however many there are between two sums that are kept."""
+"""Frame counts of a recording at any time, with any number of frames between two stored sums."""
 
 import json
 from collections.abc import Iterator
@@ -24,9 +24,7 @@ def _sums_are_kept_often() -> Iterator[None]:
 
 
 @given(FRAMES, st.integers(-1, 200), st.integers(-1, 200))
-def test_counts_are_those_of_the_frames_so_far(
-    frames: list[tuple[int, str, tuple[bool, bool]]], time_ns: int, since_ns: int
-) -> None:
+def test_counts_cover_the_frames_so_far(frames: list[tuple[int, str, tuple[bool, bool]]], time_ns: int, since_ns: int) -> None:
     counts, sent, received = Counts(NAMES), np.zeros((3, 3), int), np.zeros((3, 3), int)
     now_ns, newest = 0, {}
     for number, (wait_ns, sender, arrived) in enumerate(frames):

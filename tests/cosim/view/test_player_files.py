@@ -1,4 +1,4 @@
-"""A recording shows what is there, whatever became of its folder: cut, damaged, incomplete, changed, or of gigabytes."""
+"""Recordings that are cut, damaged, incomplete, changed, or of gigabytes show their intact part."""
 
 import math
 import shutil
@@ -14,7 +14,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.cosim import reconnaissance_recording
-from tests.support.cosim.recorded_run import END_NS, SENSORS, Run, assert_same, chunk_ends, looked_on, seen, told
+from tests.support.cosim.recorded_run import (
+    END_NS,
+    SENSORS,
+    Run,
+    assert_same,
+    chunk_ends,
+    observed_run,
+    observer_state,
+    recording_state,
+)
 from tests.support.cosim.recordings import TENTH, note, states
 from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS
@@ -30,21 +39,21 @@ pytestmark = pytest.mark.slow
 
 NAMES = ("uav1", "uav2")
 TIMES = st.integers(0, 5 * SECOND_NS)
-SHARES = st.floats(0.0, 1.0, exclude_max=True)  # of a file: a place in it
+SHARES = st.floats(0.0, 1.0, exclude_max=True)  # a place in a file
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    return looked_on(tmp_path_factory.mktemp("runs") / "run")
+    return observed_run(tmp_path_factory.mktemp("runs") / "run")
 
 
 @pytest.fixture(scope="module")
 def mission(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    """A reconnaissance of five seconds; its file is made of many small chunks."""
+    """A reconnaissance of five seconds; its file has many small chunks."""
     folder = tmp_path_factory.mktemp("mission")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(mcap_writer, "CHUNK_BYTES", 4096)
-        _, stream = reconnaissance_recording.recorded(NAMES, 5.0)
+        _, stream = reconnaissance_recording.reconnaissance_recorder(NAMES, 5.0)
     (folder / "run.mcap").write_bytes(stream.getvalue())
     return Run(folder, list(reconnaissance_recording.events(NAMES, 5.0)))
 
@@ -56,7 +65,7 @@ def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @contextmanager
 def reading(folder: Path, data: bytes) -> Iterator[Recording | None]:
-    """A recording with this file; None: it is refused."""
+    """A recording of this data; None: it is refused."""
     (folder / "run.mcap").write_bytes(data)
     try:
         recording = Recording(folder)
@@ -67,35 +76,33 @@ def reading(folder: Path, data: bytes) -> Iterator[Recording | None]:
         yield recording
 
 
-def assert_true(recording: Recording, mission: Run, time_ns: int) -> None:
-    """What it shows of this time is what was to be seen; but of the last instant of a file that was cut a part may be lost."""
+def assert_true_contents(recording: Recording, mission: Run, time_ns: int) -> None:
+    """The recording shows the true contents at this time; part of the last instant of a cut file may be missing."""
     time_ns = min(time_ns, recording.end_ns - 1)
-    assert_same(told(recording.at(time_ns)), seen(mission.events, NAMES, time_ns))
+    assert_same(recording_state(recording.at(time_ns)), observer_state(mission.events, NAMES, time_ns))
 
 
 @settings(max_examples=30)
 @given(TIMES)
-def test_what_agents_showed_comes_back(mission: Run, time_ns: int) -> None:
+def test_maps_and_pictures_are_shown(mission: Run, time_ns: int) -> None:
     with closing(Recording(mission.folder)) as recording:
-        assert_true(recording, mission, time_ns)
+        assert_true_contents(recording, mission, time_ns)
 
 
 @settings(max_examples=60)
 @given(SHARES, TIMES)
-def test_a_file_that_was_cut_anywhere_shows_all_up_to_its_last_whole_chunk(
-    mission: Run, scratch: Path, share: float, time_ns: int
-) -> None:
+def test_a_cut_file_shows_all_up_to_its_last_whole_chunk(mission: Run, scratch: Path, share: float, time_ns: int) -> None:
     data = (mission.folder / "run.mcap").read_bytes()
     size, ends = int(share * len(data)), chunk_ends(data)
     whole = sum(end <= size for end in ends)
     with reading(scratch, data[:size]) as recording:
         assert (recording is None) == (whole == 0)
         if recording is not None:
-            assert_true(recording, mission, time_ns)
+            assert_true_contents(recording, mission, time_ns)
             assert recording.ending.startswith("it is truncated") or whole == len(ends)
 
 
-def test_a_file_shows_more_with_each_chunk_and_says_where_it_was_cut(mission: Run, scratch: Path) -> None:
+def test_a_file_shows_more_with_each_chunk_and_reports_its_cut(mission: Run, scratch: Path) -> None:
     data = (mission.folder / "run.mcap").read_bytes()
     goes_to_ns = []
     for end in chunk_ends(data):
@@ -119,33 +126,33 @@ def test_a_damaged_file_shows_the_truth_up_to_the_damage_or_is_refused(
     data = bytearray((mission.folder / "run.mcap").read_bytes())
     data[int(share * len(data))] ^= 1 << bit
     with reading(scratch, bytes(data)) as recording:
-        if recording is not None and recording.end_ns and recording.vehicles == NAMES:  # their names have no checksum
-            assert_true(recording, mission, time_ns)
+        if recording is not None and recording.end_ns and recording.vehicles == NAMES:  # names have no checksum
+            assert_true_contents(recording, mission, time_ns)
 
 
 @pytest.mark.parametrize("data", [b"", b"\x89MCAP0\r\n", b"PK\x03\x04 something else", bytes(5000)])
-def test_what_is_no_recording_is_refused_by_name(scratch: Path, data: bytes) -> None:
+def test_foreign_files_are_refused_by_name(scratch: Path, data: bytes) -> None:
     (scratch / "run.mcap").write_bytes(data)
     with pytest.raises(UsageError, match=r"run\.mcap: cannot be read: it "):
         Recording(scratch)
 
 
 def test_without_its_scenario_a_recording_shows_the_vehicles_alone(run: Run, tmp_path: Path) -> None:
-    """So does that of a run which goes on, or was killed."""
+    """Like the recording of a run that continues or was killed."""
     shutil.copy(run.folder / "run.mcap", tmp_path)
     with closing(Recording(tmp_path)) as bare, closing(Recording(run.folder)) as whole:
         assert len(bare.scenery.triangles) == 0
         assert bare.scenery.scenario == whole.scenery.scenario
         for one, other in zip(bare.scenery.vehicles, whole.scenery.vehicles, strict=True):
             assert (one.name, set(one.sensors)) == (other.name, set(other.sensors))
-            assert 0.5 * max(other.size) < max(one.size) < 2.0 * max(other.size)  # drawn as a cylinder around it
-        assert_same(told(bare.at(END_NS, sensors=SENSORS)), told(whole.at(END_NS, sensors=SENSORS)))
+            assert 0.5 * max(other.size) < max(one.size) < 2.0 * max(other.size)  # drawn as its enclosing cylinder
+        assert_same(recording_state(bare.at(END_NS, sensors=SENSORS)), recording_state(whole.at(END_NS, sensors=SENSORS)))
 
 
 @pytest.mark.parametrize(
     "content", ['name = "x"\n[[vehicle]]\nname = "other"\nkind = "p2dx"\n', "name = ", "[world]\nkind = 3\n"]
 )
-def test_a_scenario_that_does_not_fit_costs_the_world_and_not_the_recording(run: Run, tmp_path: Path, content: str) -> None:
+def test_an_unfit_scenario_costs_only_the_world(run: Run, tmp_path: Path, content: str) -> None:
     shutil.copy(run.folder / "run.mcap", tmp_path)
     (tmp_path / "scenario.toml").write_text(content)
     with closing(Recording(tmp_path)) as bare:
@@ -163,15 +170,15 @@ def test_a_file_that_changes_while_it_is_shown_is_an_error_in_one_line(mission: 
 
 
 def recorder(folder: Path, end_ns: int) -> tuple[Recorder, BinaryIO]:
-    """Of a run of one vehicle, into a folder."""
+    """Recorder of a run of one vehicle into a folder, and its stream."""
     stream = (folder / "run.mcap").open("wb")
     run = RunInfo(scenario="test", seed=1, duration_ns=end_ns, vehicles=("uav1",))
     agent = AgentInfo(vehicle="uav1", agent="x", ticks=TENTH, latency_ns=0, params={}, known=(), taken=())
     return Recorder(run, record_ticks=TENTH, mcap=stream, agents=[agent], radius_m={}), stream
 
 
-def test_numbers_that_json_cannot_say_are_not_a_number(tmp_path: Path) -> None:
-    """A vehicle may be sent to infinity, and its positioning and its agent tell so."""
+def test_numbers_without_a_json_form_are_nan(tmp_path: Path) -> None:
+    """A vehicle's state, positioning and notes may be infinite."""
     writer, stream = recorder(tmp_path, 0)
     writer.on(states(0, {"uav1": (math.inf, 1.0, 0.0)}))
     writer.on(Event("uav1/fix", 0, Fix(time_ns=0, position=(math.inf, 1.0, 0.0), sigma_m=math.inf)))
@@ -188,7 +195,7 @@ def test_numbers_that_json_cannot_say_are_not_a_number(tmp_path: Path) -> None:
 
 
 def test_pictures_are_not_kept_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Sixty pictures of 300 kB, of which two would fit into what may be kept."""
+    """Sixty pictures of 300 kB; two fit into the limit of kept bytes."""
     monkeypatch.setattr(mcap_index, "KEPT_BYTES", 1_000_000)
     rng = np.random.default_rng(1)
     pictures = [frozen(rng.integers(0, 255, (250, 400, 3), np.uint8)) for _ in range(60)]

@@ -1,4 +1,4 @@
-"""The process that serves the page of a run: what happens is shown, what is asked for comes back, and it ends with the run."""
+"""The process of a run's page: events are shown, orders come back, and it ends with the run."""
 
 import http.client
 import os
@@ -22,7 +22,7 @@ from websockets.sync.connection import Connection
 from websockets.typing import Origin, Subprotocol
 
 from tests.support.cosim import view_pages
-from tests.support.cosim.run_processes import reserved
+from tests.support.cosim.run_processes import reserve_port
 from tests.support.paths import ROOT
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
@@ -37,7 +37,7 @@ pytestmark = [pytest.mark.processes, pytest.mark.sockets]
 
 PATIENCE_S = 30.0
 SCENERY = view_pages.scenery()
-CAMERA = {  # what a page says first
+CAMERA = {  # first message of a page
     "type": "ViewerCameraMessage",
     "wxyz": (1.0, 0.0, 0.0, 0.0),
     "position": (0.0, 0.0, 5.0),
@@ -52,7 +52,7 @@ CAMERA = {  # what a page says first
 
 
 def until(holds: Callable[[], Any]) -> Any:
-    """Wait until it does, and give what it is then."""
+    """Wait until ``holds`` returns a true value; returns this value."""
     end_s = time.monotonic() + PATIENCE_S
     while not (value := holds()) and time.monotonic() < end_s:
         time.sleep(0.01)
@@ -61,13 +61,13 @@ def until(holds: Callable[[], Any]) -> Any:
 
 @pytest.fixture(scope="module")
 def viewer() -> Iterator[Viewing]:
-    """A page of its own process."""
+    """A page in its own process."""
     with Viewing(port=0).open(SCENERY) as opened:
         yield opened
 
 
-def dialled(url: str) -> Connection:
-    """A connection as the page makes one."""
+def page_connection(url: str) -> Connection:
+    """A connection like that of the page."""
     parts = urllib.parse.urlsplit(url)
     token = urllib.parse.parse_qs(parts.query)["token"][0]
     return connect(
@@ -80,8 +80,8 @@ def dialled(url: str) -> Connection:
     )
 
 
-def told(page: Connection) -> list[dict[str, Any]]:
-    """What the page is told next; nothing: not now."""
+def messages_to(page: Connection) -> list[dict[str, Any]]:
+    """Next messages to the page; empty: none at present."""
     try:
         data = page.recv(timeout=0.1)
     except TimeoutError:
@@ -92,13 +92,13 @@ def told(page: Connection) -> list[dict[str, Any]]:
     return content["messages"]
 
 
-def test_what_happens_is_on_the_page_and_what_is_pressed_comes_back(viewer: Viewing) -> None:
+def test_events_reach_the_page_and_buttons_give_orders(viewer: Viewing) -> None:
     feed, words, buttons = viewer.feed, str, dict[str, str]()
-    with dialled(viewer.url) as page:
+    with page_connection(viewer.url) as page:
         page.send(msgspec.msgpack.encode(CAMERA))
 
         def press() -> bool:
-            for message in told(page):
+            for message in messages_to(page):
                 if message["type"] == "GuiButtonMessage":
                     buttons[message["props"]["label"]] = message["uuid"]
             return "Stop all vehicles" in buttons
@@ -109,12 +109,12 @@ def test_what_happens_is_on_the_page_and_what_is_pressed_comes_back(viewer: View
         orders = until(feed.orders)
         assert orders == [HaltTable(at_s=0.0, halted=True)]
         feed.say("warning", "the bridge is up")
-        feed.on(Event("world/states", SECOND_NS, view_pages.shown(SCENERY, 1.0).states))  # type: ignore[arg-type]  # there are
+        feed.on(Event("world/states", SECOND_NS, view_pages.moving_state(SCENERY, 1.0).states))  # type: ignore[arg-type]  # not None
         feed.pace(Pace())
-        assert until(lambda: "the bridge is up" in words(told(page)))
+        assert until(lambda: "the bridge is up" in words(messages_to(page)))
 
 
-def test_a_browser_shows_it_and_finds_nothing_that_it_may_not_do(viewer: Viewing) -> None:
+def test_a_browser_shows_the_page_without_errors(viewer: Viewing) -> None:
     with view_pages.browser() as browser:
         page, said = browser.new_page(), list[str]()
         page.on("console", lambda message: said.append(message.text) if message.type == "error" else None)
@@ -126,7 +126,7 @@ def test_a_browser_shows_it_and_finds_nothing_that_it_may_not_do(viewer: Viewing
         assert said == []
 
 
-def test_when_the_run_has_gone_its_page_says_how_it_ended_and_keeps_the_last_state() -> None:
+def test_after_the_run_the_page_shows_the_cause_and_the_last_state() -> None:
     end = "the run is complete; `vcmvsp view runs/a <b>` opens the recording"
     with view_pages.browser() as browser, Viewing(port=0).open(SCENERY) as viewer:
         page = browser.new_page()
@@ -139,8 +139,8 @@ def test_when_the_run_has_gone_its_page_says_how_it_ended_and_keeps_the_last_sta
         assert page.get_by_role("button", name="Stop all vehicles").is_visible()
 
 
-def test_it_ends_when_it_is_closed() -> None:
-    with reserved() as port:
+def test_closing_ends_it() -> None:
+    with reserve_port() as port:
         viewer = Viewing(port=port).open(SCENERY)
         with closing(http.client.HTTPConnection("127.0.0.1", port)) as before:
             before.connect()
@@ -151,12 +151,12 @@ def test_it_ends_when_it_is_closed() -> None:
             http.client.HTTPConnection("127.0.0.1", port).connect()
 
 
-def test_a_run_outlives_it() -> None:
+def test_a_run_outlives_its_page() -> None:
     with Viewing(port=0).open(SCENERY) as viewer:
         viewer._process.kill()
         viewer._process.wait()
         for k in range(3):
-            viewer.feed.on(Event("world/states", k, view_pages.shown(SCENERY, 1.0).states))  # type: ignore[arg-type]  # there are
+            viewer.feed.on(Event("world/states", k, view_pages.moving_state(SCENERY, 1.0).states))  # type: ignore[arg-type]  # not None
             viewer.feed.pace(Pace(speed=float(k)))
             time.sleep(0.05)
         assert not viewer.feed.open
@@ -177,7 +177,7 @@ print("done", flush=True)
 @pytest.mark.parametrize(
     ("number", "last", "code"), [(signal.SIGKILL, "", -9), (signal.SIGINT, "done\n", 0)], ids=["killed", "Ctrl-C"]
 )
-def test_it_ends_with_its_parent_however_that_ends(number: signal.Signals, last: str, code: int) -> None:
+def test_the_process_ends_with_its_parent(number: signal.Signals, last: str, code: int) -> None:
     parent = subprocess.Popen([sys.executable, "-c", PARENT], stdout=subprocess.PIPE, cwd=ROOT, text=True)
     assert parent.stdout is not None
     with parent, parent.stdout:
@@ -190,14 +190,14 @@ def test_it_ends_with_its_parent_however_that_ends(number: signal.Signals, last:
 
 
 def is_running(pid: int) -> bool:
-    """Whether there is such a process, and not only what is left of it."""
+    """Whether a process exists and is no zombie."""
     try:
         return Path(f"/proc/{pid}/stat").read_text("utf-8").rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
 
 
-def test_what_lies_waiting_is_shown_at_once() -> None:
+def test_waiting_updates_are_shown_together() -> None:
     ours, theirs = protocol.pair()
     shown: list[list[int]] = []
     assert all(ours.offer(codec.encode(PageUpdate(time_ns=k))) for k in range(20))
@@ -208,7 +208,7 @@ def test_what_lies_waiting_is_shown_at_once() -> None:
     assert shown == [[*range(20)]]
 
 
-def test_while_it_draws_the_run_goes_on() -> None:
+def test_drawing_does_not_block_the_run() -> None:
     ours, theirs = protocol.pair()
     times, drawing, go_on = list[int](), threading.Event(), threading.Event()
 
@@ -223,7 +223,7 @@ def test_while_it_draws_the_run_goes_on() -> None:
     ours.offer(codec.encode(PageUpdate(time_ns=0)))
     drawing.wait(PATIENCE_S)
     taken = [k for k in range(1, 100_000) if ours.offer(codec.encode(PageUpdate(time_ns=k)))]
-    assert taken[-1] < 99_999  # in the end there was no room
+    assert taken[-1] < 99_999  # finally there was no room
     ours.close()
     go_on.set()
     thread.join(PATIENCE_S)
@@ -236,4 +236,4 @@ def test_no_secret_is_in_the_list_of_processes(viewer: Viewing) -> None:
     pid = viewer._process.pid
     for what in ("cmdline", "environ"):
         assert token.encode() not in Path(f"/proc/{pid}/{what}").read_bytes()
-    assert os.getpgid(pid) == pid  # where Ctrl-C does not reach it
+    assert os.getpgid(pid) == pid  # out of reach of Ctrl-C

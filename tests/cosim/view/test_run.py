@@ -1,4 +1,4 @@
-"""A run that is looked at while it goes on, from the command to the browser and back."""
+"""A run that is watched live, from the command to the browser and back."""
 
 import json
 import re
@@ -57,13 +57,13 @@ agent = { kind = "leader_follower", leader = "car1" }
 
 
 def is_trouble(message: Any) -> bool:
-    """Whether the page complains; viser does where a chart is made anew while the page is still loading."""
+    """Whether a message is an error; viser logs a harmless one where a chart is remade while the page is loading."""
     return message.type == "error" and "non-existent component" not in message.text
 
 
 @contextmanager
-def looked_at(folder: Path) -> Iterator[tuple["subprocess.Popen[str]", str]]:
-    """The command, and where its page is."""
+def watched_run(folder: Path) -> Iterator[tuple["subprocess.Popen[str]", str]]:
+    """The process of a run, and the URL of its page."""
     (folder / "looked-at.toml").write_text(SCENARIO)
     options = ["--view", "--view-port", "0", "--out", str(folder / "out")]
     command = [*VCMVSP, "run", str(folder / "looked-at.toml"), *options]
@@ -78,7 +78,7 @@ def looked_at(folder: Path) -> Iterator[tuple["subprocess.Popen[str]", str]]:
 
 def test_a_click_in_the_browser_loses_frames_of_the_run_and_the_run_can_be_repeated(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    with browser() as chromium, looked_at(tmp_path) as (process, url):
+    with browser() as chromium, watched_run(tmp_path) as (process, url):
         page = chromium.new_page(viewport={"width": 1200, "height": 1000})
         problems: list[str] = []
         page.on("console", lambda message: problems.append(message.text) if is_trouble(message) else None)
@@ -91,7 +91,7 @@ def test_a_click_in_the_browser_loses_frames_of_the_run_and_the_run_can_be_repea
         page.get_by_role("button", name="Inject outage").click()
         page.get_by_text("no radio for car1, car2").wait_for(timeout=WAIT_MS)
         begin_s = _time_s(page)
-        _until(page, lambda: _time_s(page) > begin_s + 0.5)  # five frames of each of both
+        _until(page, lambda: _time_s(page) > begin_s + 0.5)  # five frames of each vehicle
         page.get_by_role("button", name="End the run").click()
         page.get_by_role("button", name="Yes, end it now").click()
         assert process.wait(WAIT_MS / 1e3) == 130
@@ -104,7 +104,7 @@ def test_a_click_in_the_browser_loses_frames_of_the_run_and_the_run_can_be_repea
     assert _lost(again.radio) == [each for each in _lost(load(out).radio) if each["sent_ns"] <= end_ns]
 
 
-def test_the_page_is_there_before_the_agents_are_and_says_why_the_run_did_not_begin(tmp_path: Path) -> None:
+def test_the_page_opens_before_the_agents_join_and_shows_a_failed_start(tmp_path: Path) -> None:
     (tmp_path / "looked-at.toml").write_text(SCENARIO)
     hosts = ["--agents", "zenoh", "--listen", "tcp/127.0.0.1:0", "--set", "agents.join_timeout_s=8"]
     page_and_files = ["--view", "--view-port", "0", "--out", str(tmp_path / "out")]
@@ -117,7 +117,7 @@ def test_the_page_is_there_before_the_agents_are_and_says_why_the_run_did_not_be
             page.goto(line.split()[-1])
             page.get_by_text("waiting for its agents").wait_for(timeout=WAIT_MS)
             page.locator("#over").wait_for(timeout=WAIT_MS)
-            assert "car1" in page.inner_text("#over")  # which agents did not join
+            assert "car1" in page.inner_text("#over")  # name of an agent that did not join
         finally:
             process.kill()
 
@@ -128,14 +128,14 @@ def _lost(frames: Any) -> list[Any]:
 
 
 def _time_s(page: Any) -> float:
-    """How far the run is, as the page says it."""
+    """Simulated time on the page, s."""
     said = re.search(r"([\d.]+) s of 3000 s", page.inner_text("body"))
     assert said is not None
     return float(said[1])
 
 
 def _until(page: Any, holds: Callable[[], bool]) -> None:
-    """Wait until it does."""
+    """Wait until ``holds`` returns true."""
     end_s = time.monotonic() + WAIT_MS / 1e3
     while not holds():
         assert time.monotonic() < end_s
@@ -143,7 +143,7 @@ def _until(page: Any, holds: Callable[[], bool]) -> None:
 
 
 def _until_it_changes(page: Any, look: Callable[[], Any]) -> None:
-    """Wait until there is something to be seen, and then something else."""
+    """Wait until ``look`` returns something, and then something else."""
     first: list[Any] = []
 
     def changed() -> bool:

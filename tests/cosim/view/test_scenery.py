@@ -1,4 +1,4 @@
-"""What the control station is told once: the vehicles of a scenario, and what stands around them."""
+"""Scenery of the control station: the vehicles of a scenario and their surroundings."""
 
 import math
 from typing import Any
@@ -82,7 +82,7 @@ def test_every_scenario_can_be_shown_and_sent(name: str) -> None:
     assert np.array_equal(start.scenery.vertices, scenery.vertices)
 
 
-def test_obstacles_and_targets_are_where_they_are_at_the_start() -> None:
+def test_obstacles_and_targets_have_their_start_positions() -> None:
     scenery = small({"kind": "empty", **THINGS}, may=("move",))
     crate, guard = scenery.obstacles
     assert (crate.name, crate.shape, crate.size, crate.pose) == ("crate", "box", (0.4, 0.6, 0.4), (0.0, 5.0, 0.2, 0.3))
@@ -92,18 +92,18 @@ def test_obstacles_and_targets_are_where_they_are_at_the_start() -> None:
     assert not small({"kind": "empty", **THINGS}).obstacles[0].may_be_moved
 
 
-def test_what_agents_said_counts_more_than_what_the_scenario_says() -> None:
+def test_information_of_agents_wins_over_the_scenario() -> None:
     car, uav = small().vehicles
     assert (car.agent, car.period_s, car.flies, car.sensors) == ("patrol", 0.2, False, {"scan": "lms"})
     assert (uav.agent, uav.period_s, uav.flies, uav.sensors) == ("", None, True, {})
-    parsed, source = scenarios.load("lab-patrol")  # its agents have periods of their own
+    parsed, source = scenarios.load("lab-patrol")  # its agents have their own periods
     with assemble(parsed, source) as assembled:
         told = crafts_of(parsed, source, infos=assembled.agents)
     assert scenery_of(parsed, source).vehicles[0].period_s is None
     assert told[0].period_s == 0.1
 
 
-def test_where_cameras_look_is_that_of_their_sensors() -> None:
+def test_views_of_cameras_equal_their_sensors() -> None:
     camera = {"kind": "nadir_camera", "width": 200, "height": 100, "field_of_view": 1.0, "mount": [0.1, 0.2, 0.3]}
     flying = {"name": "uav", "kind": "quadrotor", "position": [0, -9, 2], "sensors": {"eye": camera, "scan": {"kind": "ring"}}}
     (uav,) = scenery_of(*scenarios.load({**CONTENT, "vehicle": [flying]})).vehicles

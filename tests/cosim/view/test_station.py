@@ -1,4 +1,4 @@
-"""What the control station tells its pages: without a browser."""
+"""Messages of the control station to its pages, without a browser."""
 
 import math
 import time
@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.cosim import view_pages
-from tests.support.cosim.view_pages import RECORDED, Looking, known_of, looking, scenery, shown, states
+from tests.support.cosim.view_pages import RECORDED, StationPage, moving_state, open_station, scenery, states, station_state
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.types import Mosaic, ProbabilityMap
@@ -32,9 +32,9 @@ METRES = st.floats(-50.0, 50.0)
 
 
 @pytest.fixture(scope="module")
-def live() -> Iterator[Looking]:
+def live() -> Iterator[StationPage]:
     """A station of a live run of two robots and a quadrotor."""
-    with looking(scenery(3, flying=1)) as looked:
+    with open_station(scenery(3, flying=1)) as looked:
         looked.show(0.0)
         yield looked
 
@@ -47,33 +47,33 @@ def test_bodies_stand_where_the_vehicles_are() -> None:
         Craft(name="a", kind="p2dx", size=(0.4, 0.3, 0.2), offset=(-0.1, 0.0, 0.1)),
         Craft(name="b", kind="p2dx", size=(1, 1, 1)),
     )
-    with looking(scenery(vehicles=crafts)) as looked:
+    with open_station(scenery(vehicles=crafts)) as looked:
         looked.station.show(PageUpdate(time_ns=0, states=states([(2.0, 3.0, 0.0)], [math.pi / 2], ("a",))))
         looked.station.draw()
         bodies = looked.node("/vehicles/ground")
     assert bodies.batched_positions[0] == pytest.approx((2.0, 2.9, 0.1), abs=1e-6)
     assert bodies.batched_scales[0] == pytest.approx((0.4, 0.3, 0.2))
-    assert bodies.batched_scales[1] == pytest.approx((TINY,) * 3)  # nobody knows where it is
+    assert bodies.batched_scales[1] == pytest.approx((TINY,) * 3)  # position unknown
 
 
-def test_a_vehicle_with_a_shape_of_its_own_is_drawn_so() -> None:
+def test_a_vehicle_is_drawn_with_its_own_shape() -> None:
     corners = np.array([[(0, 0, 0), (1, 0, 0), (0, 1, 0)]], np.float32)
     parts = ShapePart(triangles=corners, color=(0, 0, 255)), ShapePart(triangles=2 * corners, color=(9, 9, 9))
     scene = scenery(3)
     car, *others = scene.vehicles
     cart = msgspec.structs.replace(car, shape="cart.urdf")
-    with looking(msgspec.structs.replace(scene, vehicles=(cart, *others), shapes={"cart.urdf": parts})) as looked:
+    with open_station(msgspec.structs.replace(scene, vehicles=(cart, *others), shapes={"cart.urdf": parts})) as looked:
         looked.show(1.0)
         first, second = looked.node("/vehicles/own0/0"), looked.node("/vehicles/own0/1")
         for node, part in ((first, parts[0]), (second, parts[1])):
             assert node.vertices.tolist() == part.triangles.reshape(-1, 3).tolist()
-            assert node.batched_positions[0] == pytest.approx(shown(scene, 1.0).states.position[0])  # type: ignore[union-attr]
+            assert node.batched_positions[0] == pytest.approx(moving_state(scene, 1.0).states.position[0])  # type: ignore[union-attr]
             assert node.batched_scales.tolist() == [[1.0, 1.0, 1.0]]
         assert len(looked.node("/vehicles/ground").batched_positions) == 2
         assert len(looked.node("/vehicles/wheels").batched_positions) == 4
 
 
-def test_what_flies_is_drawn_otherwise_than_what_drives(live: Looking) -> None:
+def test_flyers_and_cars_are_drawn_differently(live: StationPage) -> None:
     assert len(live.node("/vehicles/ground").batched_positions) == 2
     assert len(live.node("/vehicles/air").batched_positions) == 1
     down = live.node("/heights").points
@@ -81,14 +81,14 @@ def test_what_flies_is_drawn_otherwise_than_what_drives(live: Looking) -> None:
     assert down[0, 1].tolist() == [*down[0, 0, :2].tolist(), 0.0]
 
 
-def test_what_has_not_changed_is_not_told_again(live: Looking) -> None:
+def test_unchanged_values_are_not_sent_again(live: StationPage) -> None:
     live.show(5.0)
     live.show(5.0)
     assert live.told(live.station.draw) == []
 
 
-def test_who_comes_late_in_a_long_run_is_told_no_more_than_who_comes_early() -> None:
-    with looking(scenery(3, flying=1)) as looked:
+def test_late_clients_get_no_more_messages_than_early_ones() -> None:
+    with open_station(scenery(3, flying=1)) as looked:
         looked.use("ring (ring)")
         looked.use("down (nadir_camera)")
         kept = []
@@ -104,22 +104,22 @@ def test_who_comes_late_in_a_long_run_is_told_no_more_than_who_comes_early() -> 
 def test_many_vehicles_take_hardly_more_messages_than_few() -> None:
     counts = []
     for count in (4, 100):
-        with looking(scenery(count, flying=count // 2)) as looked:
+        with open_station(scenery(count, flying=count // 2)) as looked:
             looked.show(0.0)
-            looked.now_s += 0.01  # only what is told each time
-            looked.station.show(shown(looked.scene, 0.03))
+            looked.now_s += 0.01  # only the repeated messages
+            looked.station.show(moving_state(looked.scene, 0.03))
             counts.append(len(looked.told(looked.station.draw)))
-    assert counts[1] <= counts[0] + 16 - 4  # names, 16 at most at a time
+    assert counts[1] <= counts[0] + 16 - 4  # names, at most 16 at a time
 
 
 @pytest.mark.parametrize("count", [0, 1])
 def test_runs_of_one_vehicle_or_none_are_shown(count: int) -> None:
-    with looking(scenery(count)) as looked:
+    with open_station(scenery(count)) as looked:
         looked.show(0.0)
         looked.show(0.5)
 
 
-def test_a_vehicle_is_chosen_by_a_click_at_its_body(live: Looking) -> None:
+def test_a_vehicle_is_chosen_by_a_click_at_its_body(live: StationPage) -> None:
     (entry,) = live.node("/vehicles/air")._impl.click_cb
     entry.callback(
         viser.SceneNodePointerEvent(
@@ -136,11 +136,11 @@ def test_a_vehicle_is_chosen_by_a_click_at_its_body(live: Looking) -> None:
     )
     assert live.part("Vehicle").value == "v3"
     live.show(6.0)
-    assert live.node("/chosen").position[:2] == pytest.approx(shown(live.scene, 6.0).states.position[2, :2])  # type: ignore[union-attr]
+    assert live.node("/chosen").position[:2] == pytest.approx(moving_state(live.scene, 6.0).states.position[2, :2])  # type: ignore[union-attr]
     live.use("Vehicle", "v1")
 
 
-def test_obstacles_and_targets_go_where_they_are_said_to_be(live: Looking) -> None:
+def test_obstacles_and_targets_move_to_their_positions(live: StationPage) -> None:
     live.show(7.0, obstacles={"crate": (1.0, 2.0, 0.3, 0.5)}, targets={"red": (5.0, 6.0)})
     assert live.node("/obstacles/crate").position == pytest.approx((1.0, 2.0, 0.3))
     assert live.node("/obstacles/crate").wxyz == pytest.approx(quaternion_from_yaw(0.5))
@@ -153,7 +153,7 @@ def test_the_axes_have_a_round_length_that_is_a_share_of_the_floor(size_m: float
 
 
 def test_a_shadow_lies_away_from_the_sun_and_has_a_soft_edge() -> None:
-    """Of a wall 2 m high along the y axis, the top's shadow is 0.8 m to the west, where the sun is in the south-east."""
+    """Wall 2 m high along the y axis, sun in the south-east: the shadow of its top is 0.8 m to the west."""
     corners = np.array([(0.0, y, z) for z in (0.0, 2.0) for y in (-3.0, 3.0)])
     wall = np.array([(0, 1, 3), (0, 3, 2)])
     floor = Floor(pixels=np.full((1000, 1000, 3), 200, np.uint8), center=(1.0, 0.0), size=(10.0, 10.0))
@@ -169,7 +169,7 @@ def test_a_shadow_lies_away_from_the_sun_and_has_a_soft_edge() -> None:
 
 
 def test_the_floor_of_a_world_with_solids_is_a_picture_with_the_lines_of_the_grid() -> None:
-    with looking(scenery(1)) as looked:
+    with open_station(scenery(1)) as looked:
         assert looked.node("/floor-picture").position[2] > looked.node("/floor").position[2]
         looked.use("Dark")
         assert looked.node("/floor").plane_color == FLOOR_DARK
@@ -181,12 +181,12 @@ def test_the_floor_of_a_world_with_solids_is_a_picture_with_the_lines_of_the_gri
     vast = np.asarray(squared((-1e9, -1e9, 1e9, 1e9), FLOOR, 10.0).pixels)
     assert (vast == FLOOR).all()  # lines would cover it
     empty = scenery(1, vertices=np.zeros((0, 3), np.float32), triangles=np.zeros((0, 3), np.uint32))
-    with looking(msgspec.structs.replace(empty, colors=np.zeros((0, 3), np.uint8))) as looked:
+    with open_station(msgspec.structs.replace(empty, colors=np.zeros((0, 3), np.uint8))) as looked:
         assert looked.server.scene.get_handle_by_name("/floor-picture") is None
 
 
-def test_there_is_floor_under_every_vehicle_wherever_it_goes() -> None:
-    with looking(scenery(1)) as looked:
+def test_there_is_floor_under_every_vehicle_at_any_place() -> None:
+    with open_station(scenery(1)) as looked:
         for x, y in ((0.0, 0.0), (500.0, -20.0), (-3.0, 900.0), (510.0, 0.0)):
             looked.show(1.0, states=states([(x, y, 0.0)], [0.0], ("v1",)))
             floor = looked.node("/floor")
@@ -205,12 +205,12 @@ def test_every_triangle_has_a_colour_near_its_own_out_of_few(count: int, seed: i
 
 
 def test_trails_are_bounded_and_begin_anew_where_time_goes_back() -> None:
-    with looking(scenery(2, may=RECORDED)) as looked:
+    with open_station(scenery(2, may=RECORDED)) as looked:
         for second in range(400):
-            looked.station.show(shown(looked.scene, float(second)))
+            looked.station.show(moving_state(looked.scene, float(second)))
         looked.show(400.0)
         ends = looked.node("/trails").points.reshape(2, -1, 2, 3)
-        assert ends[0, -1, 1] == pytest.approx(shown(looked.scene, 400.0).states.position[0], abs=1e-5)  # type: ignore[union-attr]
+        assert ends[0, -1, 1] == pytest.approx(moving_state(looked.scene, 400.0).states.position[0], abs=1e-5)  # type: ignore[union-attr]
         size = ends.size
         looked.show(10.0)
         points = looked.node("/trails").points
@@ -222,10 +222,10 @@ def test_trails_are_bounded_and_begin_anew_where_time_goes_back() -> None:
 
 
 def test_a_link_is_an_arrow_from_the_sender_to_the_receiver_in_the_colour_of_its_outcome() -> None:
-    with looking(scenery(2)) as looked:
+    with open_station(scenery(2)) as looked:
         looked.show(3.0)
         points, colors = looked.node("/links").points, looked.node("/links").colors
-        here, there = shown(looked.scene, 3.0).states.position  # type: ignore[union-attr]
+        here, there = moving_state(looked.scene, 3.0).states.position  # type: ignore[union-attr]
         start, tip = points[0]
         along = (there - here) / np.linalg.norm(there - here)
         assert (start - here) @ along < 0.1 * np.linalg.norm(there - here)
@@ -243,14 +243,14 @@ def test_the_paths_of_the_wave_to_another_vehicle_are_drawn_and_listed() -> None
     radio = {"preset": "wifi-g-6", "path_loss": {"kind": "rays", "frequency_hz": 2.4e9}}
     cars = [{"name": name, "kind": "p2dx"} for name in ("v1", "v2")]
     site = scenery_of(*scenarios.load({"name": "open", "duration_s": 1.0, "radio": radio, "vehicle": cars})).site
-    with looking(scenery(2, site=site)) as looked:
+    with open_station(scenery(2, site=site)) as looked:
         looked.use("Paths to", "v2")
         until = time.monotonic() + 60.0
         while not looked.node("/paths").points.any():
             looked.show(3.0)
             assert time.monotonic() < until
             time.sleep(0.05)
-        here, there = shown(looked.scene, 3.0).states.position + np.array((0.0, 0.0, 0.5))  # type: ignore[union-attr]
+        here, there = moving_state(looked.scene, 3.0).states.position + np.array((0.0, 0.0, 0.5))  # type: ignore[union-attr]
         points = looked.node("/paths").points.reshape(-1, LEGS, 2, 3)
         middle = 0.5 * (here + there) * (1.0, 1.0, 0.0)
         assert points[0, 0] == pytest.approx(np.stack([here, there]), abs=1e-4)
@@ -266,12 +266,12 @@ def test_the_paths_of_the_wave_to_another_vehicle_are_drawn_and_listed() -> None
 
 
 def test_without_rays_there_are_no_paths_to_choose() -> None:
-    with looking(scenery(2)) as looked:
+    with open_station(scenery(2)) as looked:
         assert not looked.has("Paths to")
 
 
-def test_a_lost_frame_is_shown_with_the_first_update_that_tells_of_it_and_remains_for_a_second() -> None:
-    with looking(scenery(2)) as looked:
+def test_a_lost_frame_is_shown_for_a_second_from_its_first_update() -> None:
+    with open_station(scenery(2)) as looked:
         looked.show(3.0)
         assert np.ptp(looked.node("/links").points[3], axis=0).max() > 0.0
         looked.show(3.9, links=())
@@ -279,25 +279,25 @@ def test_a_lost_frame_is_shown_with_the_first_update_that_tells_of_it_and_remain
 
 
 def test_the_slot_of_a_follower_is_marked_and_a_line_goes_to_its_leader() -> None:
-    with looking(scenery(3)) as looked:
+    with open_station(scenery(3)) as looked:
         places = [(0.0, 0.0, 0.0), (-3.0, 2.0, 0.0), (-9.0, 0.0, 0.0)]
         looked.show(1.0, states=states(places, [math.pi / 2] * 3, ("v1", "v2", "v3")))
         assert looked.node("/places/marks").batched_positions[1, :2] == pytest.approx((-1.0, -1.5), abs=1e-5)  # slot (-1.5, 1)
         assert looked.node("/places/leaders").points[1] == pytest.approx(np.array([places[1], places[0]]), abs=1e-5)
-        assert np.ptp(looked.node("/places/leaders").points[0]) == 0.0  # it follows nobody
+        assert np.ptp(looked.node("/places/leaders").points[0]) == 0.0  # the first vehicle has no leader
 
 
 def test_of_too_many_links_the_newest_are_drawn() -> None:
     scene = scenery(6)
     names = tuple(each.name for each in scene.vehicles)
     links = tuple(view_pages.link(names, sender, 2.0 - 0.1 * sender) for sender in range(6))
-    known = known_of(scene, shown(scene, 2.0, links=links))
+    known = station_state(scene, moving_state(scene, 2.0, links=links))
     assert set(fresh_links(known, 10)[0].tolist()) == {0, 1}
     assert len(fresh_links(known, 100)[0]) == 30
     assert all(2 in pair for pair in zip(*fresh_links(known, 100, of=2), strict=True))
 
 
-def test_colours_of_links_end_where_the_legend_says() -> None:
+def test_colours_of_links_end_like_the_legend() -> None:
     ends = rssi_colors(np.array([-200.0, -95.0, -40.0, 0.0]))
     assert ends[0].tolist() == ends[1].tolist() == [68, 1, 84]
     assert ends[2].tolist() == ends[3].tolist() == [112, 207, 87]
@@ -309,7 +309,7 @@ def test_colours_of_links_end_where_the_legend_says() -> None:
 @given(yaw=ANGLES, x=METRES, y=METRES, range_m=st.floats(0.1, 8.0))
 def test_beams_end_where_they_hit(yaw: float, x: float, y: float, range_m: float) -> None:
     points = points_of(view_pages.scan(range_m), np.array([x, y, 0.2]), np.array(quaternion_from_yaw(yaw)))
-    assert len(points) == 3  # one sees nothing
+    assert len(points) == 3  # one beam has no return
     assert points[0] == pytest.approx((x + range_m * math.cos(yaw), y + range_m * math.sin(yaw), 0.2), abs=1e-4)
     assert np.hypot(*(points[:, :2] - (x, y)).T) == pytest.approx([range_m] * 3, abs=1e-3)
 
@@ -323,10 +323,10 @@ def test_the_free_space_of_a_scan_ends_at_the_return_or_at_the_maximum_range() -
     assert math.atan2(middle[1], middle[0]) == pytest.approx(0.7, abs=1e-4)
 
 
-def test_readings_are_ordered_of_the_chosen_vehicle_alone_and_only_while_somebody_looks(
+def test_only_open_pages_order_readings_of_the_chosen_vehicle(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    with looking(scenery(3)) as looked:
+    with open_station(scenery(3)) as looked:
         looked.use("ring (ring)")
         assert looked.orders == []
         looked.looked_at(monkeypatch)
@@ -342,8 +342,8 @@ def test_readings_are_ordered_of_the_chosen_vehicle_alone_and_only_while_somebod
         ]
 
 
-def test_scans_and_pictures_are_shown_while_they_are_wanted() -> None:
-    with looking(scenery(2)) as looked:
+def test_scans_and_pictures_are_shown_while_selected() -> None:
+    with open_station(scenery(2)) as looked:
         scans, images = {"v1/ring": view_pages.scan()}, {"v1/down": view_pages.picture((200, 0, 0))}
         looked.show(0.0, scans=scans, images=images)
         assert looked.server.scene.get_handle_by_name("/scans/v1/ring") is None
@@ -369,7 +369,7 @@ def test_scans_and_pictures_are_shown_while_they_are_wanted() -> None:
 
 
 @given(ANGLES, METRES)
-def test_the_pyramid_of_a_camera_is_where_its_vehicle_carries_it(live: Looking, yaw: float, x: float) -> None:
+def test_the_pyramid_of_a_camera_moves_with_its_vehicle(live: StationPage, yaw: float, x: float) -> None:
     """The camera of the scenery is 0.1 m ahead and looks down; the picture's upper edge is ahead."""
     live.use("Vehicle", "v1")
     live.part("down (nadir_camera)").value = True
@@ -378,7 +378,7 @@ def test_the_pyramid_of_a_camera_is_where_its_vehicle_carries_it(live: Looking, 
     live.show(1.0, states=moved, images={"v1/down": view_pages.picture((200, 0, 0))})
     pyramid = live.node("/cameras/v1/down")
     ahead = np.array((math.cos(yaw), math.sin(yaw), 0.0))
-    assert pyramid.position == pytest.approx(np.array(where[0]) + 0.1 * ahead, abs=1e-4)  # the page is told no smaller changes
+    assert pyramid.position == pytest.approx(np.array(where[0]) + 0.1 * ahead, abs=1e-4)  # smaller changes are not sent
     (axis, up) = (rotated(np.array([pyramid.wxyz]), np.array([each]))[0] for each in ((0.0, 0.0, 1.0), (0.0, -1.0, 0.0)))
     assert axis == pytest.approx((0.0, 0.0, -1.0), abs=1e-4)
     assert up == pytest.approx(ahead, abs=1e-4)
@@ -391,7 +391,7 @@ def test_an_empty_map_is_white_and_a_sure_target_dark() -> None:
     assert pixels[0, 1, :3].tolist() == [0x5E, 0x2A, 0x84]
 
 
-def test_what_was_never_seen_of_a_mosaic_is_left_out() -> None:
+def test_unseen_parts_of_a_mosaic_are_transparent() -> None:
     pixels = painted(Mosaic(left=0.0, bottom=0.0, cell_m=1.0, pixels=np.array([[(0, 0, 0), (9, 9, 9)]], np.uint8)))
     assert pixels[0, :, 3].tolist() == [0, 255]
 
@@ -419,7 +419,7 @@ def test_a_line_crosses_the_wall_that_it_goes_through_and_no_other() -> None:
     corners = np.asarray(scene.vertices, float)[np.asarray(scene.triangles)]
     through = crossed(corners, np.array((0.0, 9.0, 0.5)), np.array((0.0, 3.0, 0.5)))
     assert through.any()
-    assert not crossed(corners, np.array((0.0, 9.0, 1.5)), np.array((0.0, 3.0, 1.5))).any()  # over it
+    assert not crossed(corners, np.array((0.0, 9.0, 1.5)), np.array((0.0, 3.0, 1.5))).any()  # above it
     assert not crossed(corners, np.array((0.0, 9.0, 0.5)), np.array((0.0, 7.0, 0.5))).any()  # ends before it
     assert len(np.unique(solids_of(np.asarray(scene.triangles), len(corners) * 3))) == 1
 

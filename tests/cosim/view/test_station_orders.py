@@ -1,4 +1,4 @@
-"""What is ordered at the control station, and when it can be: without a browser."""
+"""Orders of the control station and when they are offered, without a browser."""
 
 import math
 from collections.abc import Iterator
@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import pytest
 import viser
 
-from tests.support.cosim.view_pages import LIVE, RECORDED, Looking, looking, scenery, shown
+from tests.support.cosim.view_pages import LIVE, RECORDED, StationPage, moving_state, open_station, scenery
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.scenario.schema import HaltTable, MoveTable, OutageTable, SetTable
@@ -18,9 +18,9 @@ MOVE = MoveTable(at_s=0.0, obstacle="crate", position=(1.0, -2.0), yaw=0.2)
 
 
 @pytest.fixture(scope="module")
-def live() -> Iterator[Looking]:
+def live() -> Iterator[StationPage]:
     """A station of a live run of two robots and a quadrotor."""
-    with looking(scenery(3, flying=1)) as looked:
+    with open_station(scenery(3, flying=1)) as looked:
         looked.show(0.0)
         yield looked
 
@@ -38,8 +38,8 @@ LABELS = {
 
 
 @pytest.mark.parametrize("may", [(), ("sensors",), ("pace", "seek"), ("halt", "outage"), LIVE])
-def test_only_what_is_obeyed_can_be_ordered(may: tuple[str, ...]) -> None:
-    with looking(scenery(2, may=may, keys={"radio.loss.probability": 0.2})) as looked:
+def test_only_permitted_orders_are_offered(may: tuple[str, ...]) -> None:
+    with open_station(scenery(2, may=may, keys={"radio.loss.probability": 0.2})) as looked:
         assert {tag for tag, label in LABELS.items() if looked.has(label)} == set(may)
 
 
@@ -66,10 +66,10 @@ def test_only_what_is_obeyed_can_be_ordered(may: tuple[str, ...]) -> None:
         ([("New value", 0.5), ("Set", True)], SetTable(at_s=0.0, key="radio.loss.probability", value=0.5)),
     ],
 )
-def test_controls_give_their_orders(live: Looking, acts: list[tuple[str, object]], order: Order) -> None:
+def test_controls_give_their_orders(live: StationPage, acts: list[tuple[str, object]], order: Order) -> None:
     before = {label: live.part(label).value for label, _ in acts}
     live.orders.clear()
-    live.show(8.0)  # says that the pace is 1x
+    live.show(8.0)  # pace 1x
     for label, value in acts:
         live.use(label, value)
     assert live.orders == [order]
@@ -78,7 +78,7 @@ def test_controls_give_their_orders(live: Looking, acts: list[tuple[str, object]
     live.use("Vehicle", "v1")
 
 
-def test_an_obstacle_that_was_dragged_is_ordered_where_it_was_let_go(live: Looking) -> None:
+def test_a_dragged_obstacle_is_ordered_to_its_last_place(live: StationPage) -> None:
     live.orders.clear()
     live.use("Drag")
     gizmo = live.node("/gizmo")
@@ -92,7 +92,7 @@ def test_an_obstacle_that_was_dragged_is_ordered_where_it_was_let_go(live: Looki
     assert not gizmo.visible
 
 
-def test_what_no_list_offers_and_no_number_is_orders_nothing_of_the_kind(live: Looking) -> None:
+def test_unlisted_names_and_invalid_numbers_give_no_orders(live: StationPage) -> None:
     live.orders.clear()
     live.use("Vehicle", "stranger")
     live.use("Obstacle", "stranger")
@@ -111,8 +111,8 @@ def test_what_no_list_offers_and_no_number_is_orders_nothing_of_the_kind(live: L
         live.use(label, value)
 
 
-def test_a_run_is_ended_only_when_it_was_said_twice() -> None:
-    with looking(scenery(1)) as looked:
+def test_ending_a_run_requires_a_confirmation() -> None:
+    with open_station(scenery(1)) as looked:
         assert not looked.part("Yes, end it now").visible
         looked.use("End the run")
         looked.use("No, continue")
@@ -124,15 +124,15 @@ def test_a_run_is_ended_only_when_it_was_said_twice() -> None:
 
 
 def test_a_recording_is_sought_by_hand_and_plays_by_itself() -> None:
-    with looking(scenery(2, may=RECORDED)) as looked:
+    with open_station(scenery(2, may=RECORDED)) as looked:
         looked.show(5.0)
         assert looked.part("Time [s]").value == 5.0
-        assert looked.orders == []  # what the station sets is no order
+        assert looked.orders == []  # values set by the station are no orders
         looked.use("Time [s]", 30.0)
         assert looked.orders == [Seek(time_ns=30 * SECOND_NS)]
-        looked.station.show(shown(looked.scene, 5.1))
+        looked.station.show(moving_state(looked.scene, 5.1))
         looked.station.draw()
-        assert looked.part("Time [s]").value == 30.0  # the hand is on it still
+        assert looked.part("Time [s]").value == 30.0  # still held by the operator
         looked.show(30.0)
         looked.use("Pause")
         assert looked.orders[1:] == [Go(paused=True, speed=1.0)]
@@ -141,7 +141,7 @@ def test_a_recording_is_sought_by_hand_and_plays_by_itself() -> None:
 
 def test_a_recording_goes_from_event_to_event_and_marks_them_on_its_slider() -> None:
     events_ns = (4 * SECOND_NS, 12 * SECOND_NS, 40 * SECOND_NS, 12_100_000_000)
-    with looking(scenery(may=RECORDED, events_ns=events_ns)) as looked:
+    with open_station(scenery(may=RECORDED, events_ns=events_ns)) as looked:
         assert [mark.value for mark in looked.part("Time [s]")._marks] == [4.0, 12.0, 40.0]  # further apart than a pixel or two
         wanted = [
             (0.0, "previous", None),
@@ -155,13 +155,13 @@ def test_a_recording_goes_from_event_to_event_and_marks_them_on_its_slider() -> 
             looked.orders.clear()
             looked.use("Event", which)
             assert looked.orders == ([] if there_s is None else [Seek(time_ns=round(there_s * SECOND_NS))])
-    with looking(scenery(may=RECORDED)) as looked:
-        assert not looked.has("Event")  # there is none
+    with open_station(scenery(may=RECORDED)) as looked:
+        assert not looked.has("Event")  # no events
 
 
 @pytest.mark.parametrize(("may", "resume"), [(LIVE, "Resume"), (RECORDED, "Play")])
-def test_one_button_pauses_and_resumes_and_names_what_it_does(may: tuple[str, ...], resume: str) -> None:
-    with looking(scenery(1, may=may)) as looked:
+def test_one_button_pauses_and_resumes_and_names_its_effect(may: tuple[str, ...], resume: str) -> None:
+    with open_station(scenery(1, may=may)) as looked:
         looked.show(1.0, pace=Pace(speed=1.0))
         assert not looked.has(resume)
         looked.use("Pause")
@@ -172,15 +172,15 @@ def test_one_button_pauses_and_resumes_and_names_what_it_does(may: tuple[str, ..
 
 
 def test_a_speed_that_is_not_offered_is_shown_and_kept() -> None:
-    with looking(scenery(1)) as looked:
+    with open_station(scenery(1)) as looked:
         looked.show(1.0, pace=Pace(speed=3.3))
         assert looked.part("Speed").value == "3.3x"
         looked.use("Pause")
         assert looked.orders == [Go(paused=True, speed=3.3)]
 
 
-def test_when_a_run_is_over_nothing_can_be_ordered_any_more() -> None:
-    with looking(scenery(2)) as looked:
+def test_after_a_run_nothing_can_be_ordered() -> None:
+    with open_station(scenery(2)) as looked:
         looked.show(1.0, pace=Pace(over="done"), halted=("v1",))
         labels = [
             "Stop all vehicles",
@@ -197,8 +197,8 @@ def test_when_a_run_is_over_nothing_can_be_ordered_any_more() -> None:
         assert [label for label in labels if not looked.part(label).disabled] == []
 
 
-def test_what_is_stopped_is_marked() -> None:
-    with looking(scenery(3)) as looked:
+def test_stopped_vehicles_are_marked() -> None:
+    with open_station(scenery(3)) as looked:
         looked.show(1.0, halted=("v2",))
         assert (looked.node("/stopped").batched_scales[:, 0] > 0.1).tolist() == [False, True, False]
         assert looked.part("Release all vehicles").disabled is False

@@ -1,4 +1,4 @@
-"""The page of the control station, as a browser has it."""
+"""The page of the control station in a browser."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -11,14 +11,14 @@ import pytest
 from tests.support.cosim.view_pages import (
     RECORDED,
     TOKEN,
-    Looking,
+    StationPage,
     browser,
-    looking,
+    moving_state,
+    open_station,
     picture,
     positions,
     scan,
     scenery,
-    shown,
     states,
 )
 from vcmvsp.cosim.clock import SECOND_NS
@@ -28,9 +28,9 @@ from vcmvsp.cosim.view.page.drawing import colors_of, rotated
 
 pytestmark = [pytest.mark.processes, pytest.mark.sockets, pytest.mark.browser]
 
-PATIENCE_S = 120.0  # a browser that draws without a graphics card, on a machine that does other things
+PATIENCE_S = 120.0  # for a browser without a graphics card, on a busy machine
 
-# The page draws fewer pixels while the machine is busy, unless its URL names a resolution when it has dropped the token.
+# The page draws fewer pixels while the machine is busy, unless its URL names a resolution after removal of the token.
 AT_FULL_RESOLUTION = """
     const replace = history.replaceState.bind(history);
     history.replaceState = (state, unused, url) => replace(state, unused, url === "/" ? "/?fixedDpr=1" : url);
@@ -38,9 +38,9 @@ AT_FULL_RESOLUTION = """
 
 
 class Page:
-    """A station, and a browser that has its page open."""
+    """A station, and a browser with its page open."""
 
-    def __init__(self, looked: Looking, opened: Any, script: str = AT_FULL_RESOLUTION) -> None:
+    def __init__(self, looked: StationPage, opened: Any, script: str = AT_FULL_RESOLUTION) -> None:
         self.looked, self.page = looked, opened
         self.problems: list[str] = []
         self.requests: list[str] = []
@@ -55,29 +55,29 @@ class Page:
         self.until(lambda: bool(looked.server.get_clients()))
 
     def show(self, time_s: float, **more: Any) -> None:
-        """Show how things stand, to those who look."""
+        """Show the scene at ``time_s`` to all clients."""
         self.looked.now_s += 1.0
-        self.looked.station.show(shown(self.looked.scene, time_s, **more))
+        self.looked.station.show(moving_state(self.looked.scene, time_s, **more))
 
     @property
     def camera(self) -> Any:
-        """The camera of the page, which may have connected again."""
+        """The camera of the page, which may have reconnected."""
         (client,) = self.looked.server.get_clients().values()
         return client.camera
 
     def until(self, holds: Callable[[], bool], seconds: float = PATIENCE_S) -> None:
-        """Wait until something holds."""
+        """Wait until ``holds`` returns true."""
         end_s = time.monotonic() + seconds
         while not holds():
             assert time.monotonic() < end_s
             self.page.wait_for_timeout(50)
 
     def places(self) -> Array:
-        """Where the page has the robots."""
+        """Positions of the robots on the page."""
         return positions(self.page, "/vehicles/ground")
 
     def pixel(self, right: float, down: float) -> list[int]:
-        """The colour of the page there, each from 0 to 1."""
+        """The colour of the page at ``right`` and ``down``, each from 0 to 1."""
         taken = cv2.imdecode(np.frombuffer(self.page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
         assert taken is not None
         height, width = taken.shape[:2]
@@ -92,7 +92,7 @@ def chromium() -> Iterator[Any]:
 
 @pytest.fixture(scope="module")
 def page(chromium: Any) -> Iterator[Page]:
-    with looking(scenery(5)) as looked:
+    with open_station(scenery(5)) as looked:
         looked.show(0.0)
         opened = chromium.new_page(viewport={"width": 1000, "height": 700})
         yield Page(looked, opened)
@@ -106,9 +106,9 @@ def look_down(page: Page, x: float, y: float, height: float) -> None:
         client.camera.look_at = (x, y, 0.0)
 
 
-def test_the_page_has_all_vehicles_where_they_are_and_they_move(page: Page) -> None:
+def test_vehicles_have_their_positions_and_move(page: Page) -> None:
     for time_s in (0.0, 4.0):
-        told = shown(page.looked.scene, time_s).states
+        told = moving_state(page.looked.scene, time_s).states
         assert told is not None
         page.show(time_s)
         page.until(lambda told=told: np.allclose(page.places(), told.position, atol=1e-4))  # type: ignore[misc]
@@ -116,7 +116,7 @@ def test_the_page_has_all_vehicles_where_they_are_and_they_move(page: Page) -> N
     assert sorted(names) == [f"/names/v{index}" for index in range(1, 6)]
 
 
-def test_words_are_written(page: Page) -> None:
+def test_texts_are_shown(page: Page) -> None:
     page.show(5.0)
     page.page.get_by_text("5.00 s", exact=True).first.wait_for(timeout=PATIENCE_S * 1e3)
     page.page.get_by_text("circle, every 0.1 s").wait_for(timeout=PATIENCE_S * 1e3)
@@ -124,7 +124,7 @@ def test_words_are_written(page: Page) -> None:
 
 def test_a_click_at_a_vehicle_chooses_it(page: Page) -> None:
     page.show(7.0)
-    states = shown(page.looked.scene, 7.0).states
+    states = moving_state(page.looked.scene, 7.0).states
     assert states is not None
     look_down(page, float(states.position[3, 0]), float(states.position[3, 1]), 3.0)
     canvas = page.page.locator("canvas").first.bounding_box()
@@ -145,7 +145,7 @@ def test_row_0_of_a_mosaic_is_its_south_edge(page: Page) -> None:
     page.looked.use("On the floor", "mosaic")
     mosaic = Mosaic(left=10.0, bottom=10.0, cell_m=5.0, pixels=pixels)
     scene = page.looked.scene
-    page.looked.station.show(shown(scene, 8.0))
+    page.looked.station.show(moving_state(scene, 8.0))
     look_down(page, 15.0, 15.0, 12.0)
     page.show(8.1, mosaics={"v1": mosaic})
     box = page.page.locator("canvas").first.bounding_box()
@@ -158,33 +158,33 @@ def test_row_0_of_a_mosaic_is_its_south_edge(page: Page) -> None:
     def quarters() -> list[int]:
         return [redder(right, up) for right, up in ((-0.1, -0.1), (0.1, -0.1), (-0.1, 0.1), (0.1, 0.1))]
 
-    page.until(lambda: sum(each < -50 for each in quarters()) == 3)  # it is there, and is looked at: nothing else is blue
+    page.until(lambda: sum(each < -50 for each in quarters()) == 3)  # in view: nothing else is blue
     assert [each > 0 for each in quarters()] == [True, False, False, False]
 
 
-def test_what_is_chosen_is_shown_though_the_run_stands_still(page: Page) -> None:
+def test_a_choice_is_shown_during_a_pause(page: Page) -> None:
     page.looked.now_s += 1.0
     page.looked.use("Vehicle", "v2")
     page.page.get_by_text("follow, every 0.1 s").wait_for(timeout=PATIENCE_S * 1e3)
     page.looked.use("Vehicle", "v1")
 
 
-def test_who_comes_while_the_run_stands_still_sees_it_as_it_stands(chromium: Any) -> None:
-    with looking(scenery(2)) as looked:
+def test_a_page_opened_during_a_pause_shows_the_present_state(chromium: Any) -> None:
+    with open_station(scenery(2)) as looked:
         looked.show(0.0)
         looked.now_s += 1.0
-        looked.station.show(shown(looked.scene, 20.0))  # nobody looks: nothing is told
+        looked.station.show(moving_state(looked.scene, 20.0))  # no client: nothing is sent
         late = Page(looked, chromium.new_page())
-        told = shown(looked.scene, 20.0).states
+        told = moving_state(looked.scene, 20.0).states
         assert told is not None
         late.until(lambda: np.allclose(late.places(), told.position, atol=1e-4))
         late.page.close()
 
 
-def test_the_camera_goes_along(page: Page) -> None:
+def test_the_camera_follows(page: Page) -> None:
     page.looked.use("Camera follows")
     for time_s in (9.0, 12.0):
-        states = shown(page.looked.scene, time_s).states
+        states = moving_state(page.looked.scene, time_s).states
         assert states is not None
         place, before = states.position[0], page.camera._state
 
@@ -193,12 +193,12 @@ def test_the_camera_goes_along(page: Page) -> None:
             told = page.camera._state
             return told is not before and np.allclose(told.look_at, place, atol=0.02)
 
-        page.until(follows)  # and the page has told where it is
+        page.until(follows)  # and the page has reported its camera
         assert np.linalg.norm(page.camera.position - place) < 13.0
     page.looked.use("Camera follows", False)
 
 
-def test_fit_all_has_all_vehicles_in_the_picture_and_each_can_be_seen_however_far_they_are(page: Page) -> None:
+def test_fit_all_shows_all_vehicles_at_any_distance(page: Page) -> None:
     names = tuple(each.name for each in page.looked.scene.vehicles)
     far = states([(400.0 * (index + 1), 250.0 * (index % 2), 0.0) for index in range(5)], [0.0] * 5, names)
     page.looked.use("Names", False)
@@ -227,7 +227,7 @@ def test_fit_all_has_all_vehicles_in_the_picture_and_each_can_be_seen_however_fa
 
 
 def pixel_of(place: Array, camera: Any, shape: tuple[int, ...]) -> tuple[int, int]:
-    """Column and row of a place in a picture of a camera, whose x is to the right, y down and z ahead."""
+    """Column and row of a place in a picture of a camera; camera axes: x right, y down, z ahead."""
     w, *axis = camera.wxyz
     x, y, z = rotated(np.array([[w, *(-np.array(axis))]]), (place - camera.position)[None])[0]
     focal = 0.5 * shape[0] / np.tan(0.5 * camera.fov)
@@ -264,7 +264,7 @@ def test_the_picture_of_the_floor_has_north_above_and_hides_the_plain_floor(chro
     pixels = np.full((20, 20, 3), (200, 40, 40), np.uint8)
     pixels[:10, 10:] = (40, 40, 200)  # in the north-east
     floor = Floor(pixels=pixels, center=(30.0, 30.0), size=(40.0, 40.0))
-    with looking(scenery(1, floor=floor)) as looked:
+    with open_station(scenery(1, floor=floor)) as looked:
         looked.show(0.0)
         page = Page(looked, chromium.new_page(viewport={"width": 1000, "height": 700}))
         look_down(page, 30.0, 30.0, 60.0)
@@ -282,7 +282,7 @@ def test_the_picture_of_the_floor_has_north_above_and_hides_the_plain_floor(chro
 
 
 def test_a_shadow_is_darker_than_the_floor_on_the_sunny_side_of_its_wall(chromium: Any) -> None:
-    with looking(scenery(1)) as looked:  # a wall 1 m high at y = 6 m; the sun is in the south-east
+    with open_station(scenery(1)) as looked:  # a wall 1 m high at y = 6 m; the sun is in the south-east
         looked.show(0.0)
         page = Page(looked, chromium.new_page(viewport={"width": 1000, "height": 700}))
         (client,) = looked.server.get_clients().values()
@@ -317,7 +317,7 @@ def test_the_page_has_all_objects_of_the_scene_and_events_and_charts(page: Page)
 
 
 def test_the_slider_of_a_recording_has_marks_and_goes_to_the_next_event(chromium: Any) -> None:
-    with looking(scenery(1, may=RECORDED, events_ns=(4 * SECOND_NS, 40 * SECOND_NS))) as looked:
+    with open_station(scenery(1, may=RECORDED, events_ns=(4 * SECOND_NS, 40 * SECOND_NS))) as looked:
         looked.show(0.0)
         page = Page(looked, chromium.new_page(viewport={"width": 1000, "height": 700}))
         page.until(lambda: page.page.locator(".mantine-Slider-mark").count() == 2)
@@ -338,7 +338,7 @@ def test_the_token_stays_in_its_tab_and_with_its_port(page: Page, chromium: Any)
     stranger.close()
 
 
-def test_a_script_in_what_is_shown_does_not_run(page: Page) -> None:
+def test_an_inserted_script_does_not_run(page: Page) -> None:
     violations = """() => new Promise(resolve => {
         document.addEventListener("securitypolicyviolation", event => resolve(event.effectiveDirective), { once: true });
         document.body.insertAdjacentHTML("beforeend", "<img src='data:,' onerror='window.canary = 1'>");
@@ -348,13 +348,13 @@ def test_a_script_in_what_is_shown_does_not_run(page: Page) -> None:
     page.problems.clear()
 
 
-def test_a_page_that_is_loaded_again_is_there_again(page: Page) -> None:
+def test_a_reloaded_page_is_shown_again(page: Page) -> None:
     page.page.reload()
     page.page.get_by_text("circle, every 0.1 s").wait_for(timeout=PATIENCE_S * 1e3)
-    page.problems.clear()  # its URL has no token any more, which the browser mentions
+    page.problems.clear()  # the browser reports the URL without its token
 
 
-def test_nothing_comes_from_elsewhere_and_nothing_fails(page: Page) -> None:
+def test_there_are_no_foreign_requests_and_no_errors(page: Page) -> None:
     own = page.looked.url
     foreign = [url for url in page.requests if not url.startswith((own, "data:", f"blob:{own}", own.replace("http", "ws")))]
     assert foreign == []

@@ -1,4 +1,4 @@
-"""What the panel of the control station says in words and draws as curves: without a browser."""
+"""Texts and curves of the control station's panel, without a browser."""
 
 import math
 import re
@@ -9,7 +9,7 @@ import viser
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.cosim.view_pages import known_of, looking, scenery, shown
+from tests.support.cosim.view_pages import moving_state, open_station, scenery, station_state
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.recording.run_state import LogLine
 from vcmvsp.cosim.types import Presence, RealStatus
@@ -22,11 +22,11 @@ from vcmvsp.cosim.view.page.vehicles import places_of
 pytestmark = pytest.mark.sockets
 
 
-def test_what_others_say_is_text_and_no_part_of_the_page() -> None:
+def test_foreign_texts_are_no_markup() -> None:
     bad = "<script>alert(1)</script>\x1b[31m"
     crafts = (Craft(name="v1", kind=bad, size=(1, 1, 1), agent=bad),)
     scene = scenery(vehicles=crafts, scenario=bad)
-    known = known_of(
+    known = station_state(
         scene,
         PageUpdate(
             time_ns=0,
@@ -45,9 +45,9 @@ def test_what_others_say_is_text_and_no_part_of_the_page() -> None:
 
 def test_the_chosen_vehicle_is_described_in_full() -> None:
     scene = scenery(3)
-    known = known_of(
+    known = station_state(
         scene,
-        shown(
+        moving_state(
             scene,
             2.0,
             notes={"v2": {"mode": "avoid", "gap": 1.25}},
@@ -74,23 +74,23 @@ def test_the_chosen_vehicle_is_described_in_full() -> None:
         assert words in page
 
 
-def test_the_run_says_when_and_how_fast_it_is() -> None:
+def test_time_and_speed_of_the_run_are_shown() -> None:
     scene = scenery(1)
     pace = Pace(speed=2.0, achieved=1.5)
-    page = run_page(known_of(scene, shown(scene, 1.5, pace=pace)))
+    page = run_page(station_state(scene, moving_state(scene, 1.5, pace=pace)))
     assert "<b>1.50 s</b> of 60 s" in page
     assert "running at 2x, reaches 1.5x" in page
-    assert "Run finished: Ctrl-C" in run_page(known_of(scene, shown(scene, 1.5, pace=Pace(over="Ctrl-C"))))
+    assert "Run finished: Ctrl-C" in run_page(station_state(scene, moving_state(scene, 1.5, pace=Pace(over="Ctrl-C"))))
 
 
 # --- curves ---
 
 
-def test_delivery_is_that_of_the_last_five_seconds() -> None:
+def test_delivery_covers_the_last_five_seconds() -> None:
     scene = scenery(2)
     history = History(scene)
     known = PageState(scene)
-    for second in range(21):  # all is received in the first ten seconds, nothing in the next ten
+    for second in range(21):  # all received in the first ten seconds, nothing in the next ten
         sent, received = np.full((2, 2), 10 * second), np.full((2, 2), 10 * min(second, 10))
         known.take(PageUpdate(time_ns=second * SECOND_NS, sent=sent, received=received))
         history.sample(known)
@@ -103,17 +103,17 @@ def test_curves_are_bounded_and_begin_anew_where_time_goes_back() -> None:
     scene = scenery(2)
     history, known = History(scene), PageState(scene)
     for second in range(2 * POINTS):
-        known.take(shown(scene, float(second)))
+        known.take(moving_state(scene, float(second)))
         assert history.sample(known)
     assert len(history.time_s) == len(history.numbers[DELIVERY]) == POINTS
     assert not history.sample(known)  # nothing new
-    known.take(shown(scene, 3.0))
+    known.take(moving_state(scene, 3.0))
     assert history.sample(known)
     assert list(history.time_s) == [3.0]
 
 
-def test_charts_show_the_first_vehicles_and_the_chosen_one_and_none_of_what_nobody_knows() -> None:
-    with looking(scenery(9)) as looked:
+def test_charts_show_first_and_chosen_vehicles_and_known_values() -> None:
+    with open_station(scenery(9)) as looked:
         for second in range(3):
             looked.show(float(second), places={}, sent=None, heard_ns={})
         (speed,) = looked.parts(viser.GuiUplotHandle)
@@ -129,7 +129,7 @@ def test_charts_show_the_first_vehicles_and_the_chosen_one_and_none_of_what_nobo
 
 
 def test_any_note_and_quantity_has_a_chart_and_a_logarithmic_one_shows_small_numbers() -> None:
-    with looking(scenery(3)) as looked:
+    with open_station(scenery(3)) as looked:
         looked.show(0.0)
         for second, gap_m in enumerate((0.002, 0.05), 1):
             looked.show(float(second), notes={"v1": {"gap_m": gap_m}, "v2": {"gap_m": -1.0, "status": "waiting"}})
@@ -139,7 +139,7 @@ def test_any_note_and_quantity_has_a_chart_and_a_logarithmic_one_shows_small_num
         east, *_, note = looked.parts(viser.GuiUplotHandle)
         assert (east.title, note.title) == ("East [m]", "note gap_m")
         assert east.data[1] == pytest.approx([2.0 * math.cos(0.3 * second) for second in range(4)])
-        assert np.isnan(note.data[1][0])  # nobody had noted it
+        assert np.isnan(note.data[1][0])  # not yet noted
         assert note.data[1][1:] == pytest.approx([0.002, 0.05, 0.05])
         assert note.data[2][1:] == pytest.approx([-1.0, -1.0, -1.0])
         assert note.scales is not None
@@ -156,7 +156,7 @@ def test_any_note_and_quantity_has_a_chart_and_a_logarithmic_one_shows_small_num
 
 
 def test_charts_of_the_chosen_vehicle_alone() -> None:
-    with looking(scenery(3)) as looked:
+    with open_station(scenery(3)) as looked:
         looked.use("Curves of", "the chosen vehicle")
         looked.use("Vehicle", "v2")
         looked.show(1.0)
@@ -166,11 +166,11 @@ def test_charts_of_the_chosen_vehicle_alone() -> None:
         assert speed.title == "Speed [m/s], 1 of 3 vehicles"
 
 
-def test_the_level_is_that_of_the_newest_frame_that_was_received() -> None:
+def test_the_level_is_of_the_newest_received_frame() -> None:
     scene = scenery(3)
-    known = known_of(scene, shown(scene, 1.0))  # the last vehicle's frames are lost, and come last
+    known = station_state(scene, moving_state(scene, 1.0))  # the last vehicle's frames are lost, and are the last
     assert known.level_dbm.tolist() == [-90.0, -90.0, -45.0]
-    assert np.isnan(known_of(scene).level_dbm).all()
+    assert np.isnan(station_state(scene).level_dbm).all()
 
 
 @pytest.mark.parametrize(
@@ -189,33 +189,33 @@ def test_axes_begin_at_zero_unless_all_values_are_far_from_it(values: list[float
     assert limits_of(np.array(values), log=False) == pytest.approx(ends)
 
 
-def test_the_table_of_all_vehicles_sorts_by_what_is_largest() -> None:
+def test_the_team_table_sorts_by_largest_values() -> None:
     scene = scenery(4)
     heard_ns = {"v1": 0, "v2": 3 * SECOND_NS, "v3": 2 * SECOND_NS}
     notes = {"v4": {"status": "<b>waiting</b>"}}
-    known = known_of(scene, shown(scene, 4.0, heard_ns=heard_ns, notes=notes, halted=("v2",)))
+    known = station_state(scene, moving_state(scene, 4.0, heard_ns=heard_ns, notes=notes, halted=("v2",)))
 
     def order(by: str) -> list[str]:
         return re.findall(r"<td>(v\d)</td>", team_page(known, by))
 
     assert order("name") == ["v1", "v2", "v3", "v4"]
-    assert order("age") == ["v1", "v3", "v2", "v4"]  # v4 has heard nothing
+    assert order("age") == ["v1", "v3", "v2", "v4"]  # v4 has received nothing
     errors = dict(zip(("v2", "v3"), places_of(known).error_m, strict=True))
     assert order("error")[:2] == sorted(errors, key=errors.__getitem__, reverse=True)
     assert "&lt;b&gt;waiting" in team_page(known, "status")
-    assert order("status")[-1] == "v2"  # it is stopped
+    assert order("status")[-1] == "v2"  # stopped
 
 
 @given(st.floats(0.011, 1e6))
-def test_axes_end_little_above_what_they_show(number: float) -> None:
+def test_axes_end_little_above_their_values(number: float) -> None:
     top = round_above(number)
     assert number * (1.0 - 1e-6) <= top <= 2.5 * number * (1.0 + 1e-6)
     assert round_above(top) == top
 
 
 @pytest.mark.parametrize(("count", "said"), [(7, ""), (8, ", 7 of 8 vehicles"), (100, ", 7 of 100 vehicles")])
-def test_a_chart_that_leaves_out_vehicles_says_so(count: int, said: str) -> None:
-    with looking(scenery(count)) as looked:
+def test_a_chart_reports_omitted_vehicles(count: int, said: str) -> None:
+    with open_station(scenery(count)) as looked:
         looked.show(1.0)
         looked.show(2.0)
         titles = [chart.title for chart in looked.parts(viser.GuiUplotHandle)]

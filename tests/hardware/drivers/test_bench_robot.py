@@ -1,4 +1,4 @@
-"""The robot in software."""
+"""The simulated robot `Bench`."""
 
 import math
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ MS = 1_000_000
 
 
 class Clock:
-    """A clock that is set."""
+    """A clock set by the test."""
 
     def __init__(self) -> None:
         self.ns = 7_000_000_000
@@ -61,7 +61,7 @@ def test_samples_are_late_by_latency_and_jitter_and_keep_their_order() -> None:
     assert all(a.arrived_ns <= b.arrived_ns and a.number < b.number for a, b in pairwise(samples))
 
 
-def test_drop_outs_come_as_often_as_said() -> None:
+def test_drop_outs_have_the_stated_rate() -> None:
     _, samples, _ = drive(400.0, drop_out=0.25, v=0.0)
     assert len(samples) == pytest.approx(4000 * 0.75, abs=4 * math.sqrt(4000 * 0.25 * 0.75))
 
@@ -79,19 +79,19 @@ def test_odometry_drifts_and_the_truth_does_not() -> None:
     assert spread == pytest.approx(0.05 * math.sqrt(clean.pose[0]), rel=0.4)  # 3.5 standard errors of 40 draws
 
 
-def test_a_seed_repeats_itself_and_another_does_not() -> None:
+def test_equal_seeds_repeat_and_others_differ() -> None:
     options: dict[str, Any] = {"jitter_s": 0.1, "drop_out": 0.2, "slip": 0.05}
     first, again, other = (drive(10.0, seed=seed, **options)[1] for seed in (1, 1, 2))
     assert first == again
     assert first != other
 
 
-def test_how_often_it_is_asked_changes_nothing() -> None:
+def test_the_call_rate_has_no_effect() -> None:
     rare, often = (drive(4.0, step_ms=step, v=0.2, w=0.3, slip=0.02)[0].pose for step in (400, 10))
     assert rare == often
 
 
-def test_it_stops_when_nobody_commands() -> None:
+def test_it_stops_without_commands() -> None:
     robot, _, clock = drive(3.0)
     before = robot.pose[0]
     clock.ns += 5000 * MS
@@ -127,7 +127,7 @@ def test_unplugged() -> None:
     robot.close()
 
 
-def test_what_cannot_be_followed_is_refused() -> None:
+def test_impossible_commands_are_refused() -> None:
     robot, _, _ = drive(1.0)
     for v, w in ((math.nan, 0.0), (0.0, math.inf)):
         with pytest.raises(ValueError, match="must be finite"):

@@ -1,4 +1,4 @@
-"""A serial port, played by a pseudo-terminal, whose other side does not read, or goes away."""
+"""Serial port on a pseudo-terminal whose other end does not read, or disappears."""
 
 import os
 import pty
@@ -15,7 +15,7 @@ from vcmvsp.hardware.drivers.byte_link import ByteLink, open_line
 
 @pytest.fixture
 def ends() -> Iterator[tuple[ByteLink, int]]:
-    """A line, and the descriptor of its other side, which a test may close."""
+    """A line, and the descriptor of its other end, which a test may close."""
     other, ours = pty.openpty()
     tty.setraw(ours)
     line = open_line(os.ttyname(ours), 9600)
@@ -27,13 +27,13 @@ def ends() -> Iterator[tuple[ByteLink, int]]:
 
 
 def all_of(count: int, read: Callable[[], bytes]) -> bytes:
-    """What is read until it is so much: Linux takes bytes to the other side of a terminal a little later, or in pieces."""
+    """At least ``count`` bytes: Linux delivers them to the other end of a terminal later, or in pieces."""
     heard = bytearray()
     eventually(lambda: heard.extend(read()) or len(heard) >= count)  # type: ignore[func-returns-value]
     return bytes(heard)
 
 
-def test_bytes_go_both_ways_and_nothing_is_waited_for(ends: tuple[ByteLink, int]) -> None:
+def test_bytes_go_both_ways_without_blocking(ends: tuple[ByteLink, int]) -> None:
     line, other = ends
     assert line.read() == b""
     line.write(bytes(range(256)))
@@ -42,13 +42,13 @@ def test_bytes_go_both_ways_and_nothing_is_waited_for(ends: tuple[ByteLink, int]
     assert all_of(6, line.read) == b"\0\x03\x11\x13\r\n"
 
 
-def test_who_does_not_read_is_not_waited_for_for_ever(ends: tuple[ByteLink, int]) -> None:
+def test_writing_without_a_reader_times_out(ends: tuple[ByteLink, int]) -> None:
     line, _ = ends
     with pytest.raises(LinkLost, match="accepts no more bytes"):
         line.write(bytes(10_000_000))
 
 
-def test_a_port_that_is_unplugged_says_so(ends: tuple[ByteLink, int]) -> None:
+def test_an_unplugged_port_raises(ends: tuple[ByteLink, int]) -> None:
     line, other = ends
     os.close(other)
     with pytest.raises(LinkLost, match="unplugged"):

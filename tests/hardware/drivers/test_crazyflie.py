@@ -1,4 +1,4 @@
-"""The driver of real Crazyflies flies a simulated one: cflib is between both."""
+"""Driver of real Crazyflies on a simulated one, through cflib."""
 
 import subprocess
 import sys
@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.support.hardware.driver_runs import connected, eventually, fly
+from tests.support.hardware.driver_runs import eventually, fly, open_driver
 from tests.support.paths import ROOT
 from vcmvsp.hardware.drivers.base import Driver, HandshakeError, LinkLost
 from vcmvsp.hardware.drivers.crazyflie import CrazyflieDriver
@@ -35,7 +35,7 @@ kind = "crazyflie"
 
 @pytest.fixture
 def run(port: int, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
-    """A run with one aircraft, which answers."""
+    """Process of a run with one reachable aircraft."""
     scenario = tmp_path / "one.toml"
     scenario.write_text(SCENARIO.format(port=port))
     words = [sys.executable, "-m", "vcmvsp.cosim.cli.app", "run", str(scenario), "--out", str(tmp_path / "run")]
@@ -54,7 +54,7 @@ def newest(driver: Driver) -> Any:
 
 
 def test_it_takes_off_flies_and_lands(run: subprocess.Popen[str], port: int) -> None:
-    with connected(CrazyflieDriver(uri=f"udp://127.0.0.1:{port}", takeoff_m=0.5, origin=(1.0, 2.0, 0.0))) as driver:
+    with open_driver(CrazyflieDriver(uri=f"udp://127.0.0.1:{port}", takeoff_m=0.5, origin=(1.0, 2.0, 0.0))) as driver:
         assert isinstance(driver, Driver)
         eventually(lambda: newest(driver).position == pytest.approx((1.0, 2.0, 0.5), abs=0.05))
         samples = fly(driver, 2.0, 0.3, 0.1, 0.0)
@@ -66,14 +66,14 @@ def test_it_takes_off_flies_and_lands(run: subprocess.Popen[str], port: int) -> 
         assert samples[-1].state.velocity == pytest.approx((0.3, 0.1, 0.0), abs=0.05)
         driver.stop("geofence")
         eventually(lambda: abs(newest(driver).velocity[0]) < 0.02)
-    with connected(CrazyflieDriver(uri=f"udp://127.0.0.1:{port}", origin=(1.0, 2.0, 0.0))) as driver:
-        assert newest(driver).position[2] < 0.05  # closed, it has landed
+    with open_driver(CrazyflieDriver(uri=f"udp://127.0.0.1:{port}", origin=(1.0, 2.0, 0.0))) as driver:
+        assert newest(driver).position[2] < 0.05  # landed on close
         run.kill()
         with pytest.raises(LinkLost):
             eventually(lambda: driver.read() and False)
 
 
-def test_nobody_there(port: int) -> None:
+def test_no_aircraft(port: int) -> None:
     driver = CrazyflieDriver(uri=f"udp://127.0.0.1:{port}", connect_s=1.0)
     with pytest.raises(HandshakeError, match="check its battery"):
         driver.open()

@@ -1,4 +1,4 @@
-"""The thread of a driver, without any robot, and the schedule of its commands in simulated time."""
+"""Driver thread without a robot, and the command schedule in simulated time."""
 
 import threading
 from itertools import pairwise
@@ -15,7 +15,7 @@ SAMPLE = Sample(number=1, link=1, arrived_ns=1, measured_ns=1, odometry=Odometry
 
 
 class Fake(ThreadedDriver):
-    """Works until it is closed, unless it is told to fail, or to hang."""
+    """Works until closed, unless set to fail or to hang."""
 
     def __init__(self, fails: Exception | None = None, *, hangs: bool = False, elsewhere: bool = False) -> None:
         super().__init__("nowhere", open_deadline_s=0.05 if hangs else 10.0, close_deadline_s=10.0)
@@ -52,7 +52,7 @@ def causes(driver: ThreadedDriver) -> list[str]:
 
 
 @pytest.mark.parametrize("elsewhere", [False, True])
-def test_a_stop_is_told_once_by_the_driver_unless_somebody_else_tells_of_it(elsewhere: bool) -> None:
+def test_a_stop_gives_one_notice_unless_reported_elsewhere(elsewhere: bool) -> None:
     driver = Fake(elsewhere=elsewhere)
     driver.stop("before")
     driver.open()
@@ -64,7 +64,7 @@ def test_a_stop_is_told_once_by_the_driver_unless_somebody_else_tells_of_it(else
     assert driver.held == ["while it is open"]
 
 
-def test_a_sample_is_handed_over_once() -> None:
+def test_a_sample_is_returned_once() -> None:
     driver = Fake()
     driver.open()
     assert [driver.read(), driver.read()] == [SAMPLE, None]
@@ -74,7 +74,7 @@ def test_a_sample_is_handed_over_once() -> None:
         driver.read()
 
 
-def test_what_ended_it_is_raised_and_forgotten_when_it_is_opened_again() -> None:
+def test_its_error_is_raised_and_cleared_on_reopening() -> None:
     driver = Fake(PortError("nowhere", "it is gone", "look for it"))
     with pytest.raises(PortError, match="it is gone"):
         driver.open()
@@ -85,14 +85,14 @@ def test_what_ended_it_is_raised_and_forgotten_when_it_is_opened_again() -> None
     driver.open()
     with pytest.raises(RuntimeError, match="nowhere is already open"):
         driver.open()
-    driver.close()  # with a sample that nobody has read
+    driver.close()  # with an unread sample
     driver.fails = PortError("nowhere", "it is gone", "look for it")
     with pytest.raises(PortError):
         driver.open()
     assert driver._sample is None
 
 
-def test_one_that_is_not_ready_in_time_hangs_and_is_closed() -> None:
+def test_a_driver_not_ready_in_time_is_closed() -> None:
     driver, before = Fake(hangs=True), threading.active_count()
     with pytest.raises(HandshakeError, match="the connection hangs; check the network"):
         driver.open()
@@ -104,7 +104,7 @@ Speeds = tuple[float, float]
 ZERO: Speeds = (0.0, 0.0)
 
 
-def said(pace: CommandRepeater[Speeds], now_ns: int) -> list[Speeds]:
+def due_speeds(pace: CommandRepeater[Speeds], now_ns: int) -> list[Speeds]:
     speeds = []
     while (each := pace.advance(now_ns)) is not None:
         speeds.append(each)
@@ -116,39 +116,39 @@ def test_zero_comes_first_then_the_newest_command_at_once_and_again_at_its_rate(
     assert pace.stopped == NOT_YET
     pace.command((0.1, 0.0), 0)
     pace.command((0.2, 0.1), 0)
-    assert said(pace, 0) == [ZERO, (0.2, 0.1)]
+    assert due_speeds(pace, 0) == [ZERO, (0.2, 0.1)]
     assert pace.due_ns == 100 * MS
-    assert said(pace, 99 * MS) == []
-    assert said(pace, 100 * MS) == [(0.2, 0.1)]
+    assert due_speeds(pace, 99 * MS) == []
+    assert due_speeds(pace, 100 * MS) == [(0.2, 0.1)]
     pace.command((0.3, 0.0), 120 * MS)
     assert pace.due_ns <= 120 * MS
-    assert said(pace, 120 * MS) == [(0.3, 0.0)]
+    assert due_speeds(pace, 120 * MS) == [(0.3, 0.0)]
 
 
-def test_without_commands_it_says_zero_and_goes_on_saying_it() -> None:
+def test_without_commands_it_repeats_zero() -> None:
     pace = CommandRepeater(ZERO, 0.5, again_ns=1000 * MS)
     pace.command((0.2, 0.1), 0)
-    said(pace, 0)
+    due_speeds(pace, 0)
     assert pace.due_ns == 500 * MS
-    assert said(pace, 500 * MS) == [ZERO]
+    assert due_speeds(pace, 500 * MS) == [ZERO]
     assert pace.stopped == "no command for 0.5 s"
-    assert said(pace, 1500 * MS) == [ZERO]
+    assert due_speeds(pace, 1500 * MS) == [ZERO]
 
 
-def test_a_stop_is_said_ahead_of_the_command_that_follows() -> None:
+def test_a_stop_is_sent_before_the_next_command() -> None:
     pace = CommandRepeater(ZERO, 0.5, again_ns=100 * MS)
     pace.command((0.2, 0.0), 0)
-    said(pace, 0)
+    due_speeds(pace, 0)
     pace.command((0.4, 0.0), MS)
     pace.stop("enough")
     pace.command((0.1, 0.0), 2 * MS)
-    assert said(pace, 2 * MS) == [ZERO, (0.1, 0.0)]
+    assert due_speeds(pace, 2 * MS) == [ZERO, (0.1, 0.0)]
     assert pace.stopped == ""
 
 
 @given(least=st.integers(1, 200), again=st.integers(1, 500), gaps=st.lists(st.integers(1, 300), min_size=1, max_size=20))
-def test_between_two_there_is_a_least_time_and_at_rest_a_steady_one(least: int, again: int, gaps: list[int]) -> None:
-    """Asked only when it says that it is due, or commanded."""
+def test_intervals_have_a_minimum_and_a_steady_rate_at_rest(least: int, again: int, gaps: list[int]) -> None:
+    """Called only when due or commanded."""
     pace = CommandRepeater(ZERO, 10.0, again_ns=again, least_ns=least)
     times, now, given_at = [], 0, [sum(gaps[: each + 1]) for each in range(len(gaps))]
     while now < given_at[-1] + least + 2 * again + 2:
@@ -162,14 +162,14 @@ def test_between_two_there_is_a_least_time_and_at_rest_a_steady_one(least: int, 
     assert apart[-1] == again
 
 
-def test_where_there_is_a_least_time_a_stop_waits_for_none_and_is_said_again_after_it() -> None:
+def test_a_stop_ignores_the_least_interval_and_is_repeated_after_it() -> None:
     pace = CommandRepeater(ZERO, 0.5, again_ns=200 * MS, least_ns=100 * MS)
-    said(pace, 0)
+    due_speeds(pace, 0)
     pace.command((0.2, 0.0), MS)
-    assert said(pace, 100 * MS) == [(0.2, 0.0)]
+    assert due_speeds(pace, 100 * MS) == [(0.2, 0.0)]
     pace.stop("geofence")
-    assert said(pace, 110 * MS) == [ZERO]
-    assert said(pace, 209 * MS) == []
-    assert said(pace, 210 * MS) == [ZERO]
-    assert said(pace, 409 * MS) == []
-    assert said(pace, 410 * MS) == [ZERO]
+    assert due_speeds(pace, 110 * MS) == [ZERO]
+    assert due_speeds(pace, 209 * MS) == []
+    assert due_speeds(pace, 210 * MS) == [ZERO]
+    assert due_speeds(pace, 409 * MS) == []
+    assert due_speeds(pace, 410 * MS) == [ZERO]

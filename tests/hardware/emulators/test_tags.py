@@ -1,4 +1,4 @@
-"""An emulated positioning system: laws of its errors, and what real readers make of what it says."""
+"""Emulated positioning system: error statistics, and its output read by the real readers."""
 
 import math
 import socket
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import serial  # type: ignore[import-untyped]
 
-from tests.support.hardware.driver_runs import PATIENCE_S, eventually, held
+from tests.support.hardware.driver_runs import PATIENCE_S, eventually, open_resources
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.hardware.emulators.tags import (
@@ -39,13 +39,13 @@ def offsets(located: list[Located]) -> np.ndarray[Any, Any]:
     return np.array([each.position for each in located if each.position is not None]) - TRUE
 
 
-def test_errors_have_the_spread_that_they_are_given() -> None:
+def test_errors_have_the_given_spread() -> None:
     off = offsets(fixes(4000, sigma_m=0.2))
     assert np.abs(off.mean(axis=0)).max() < 4 * 0.2 / math.sqrt(4000)
     assert off.std(axis=0) == pytest.approx([0.2] * 3, rel=4 / math.sqrt(2 * 4000))
 
 
-def test_outliers_and_drop_outs_come_as_often_as_they_are_given_and_outliers_lie_off_on_the_floor() -> None:
+def test_outliers_and_drop_outs_have_their_rates_and_outliers_are_horizontal() -> None:
     n, p, q = 4000, 0.1, 0.05
     located = fixes(n, sigma_m=0.0, outliers=p, drop_outs=q, outlier_m=2.0)
     gone = sum(each.position is None for each in located)
@@ -56,10 +56,10 @@ def test_outliers_and_drop_outs_come_as_often_as_they_are_given_and_outliers_lie
     assert not offsets(located)[:, 2].any()
 
 
-def test_no_parameter_moves_the_draws_of_another() -> None:
+def test_parameters_have_independent_draws() -> None:
     plain, others = fixes(200, sigma_m=0.1), fixes(200, sigma_m=0.1, outliers=0.2, drop_outs=0.2)
     same = [a.position == b.position for a, b in zip(plain, others, strict=True)]
-    assert 0.5 < sum(same) / 200 < 0.8  # 0.64: those that are neither
+    assert 0.5 < sum(same) / 200 < 0.8  # 0.64: neither outlier nor drop-out
 
 
 def test_fixes_come_at_their_rate_and_late_by_the_latency() -> None:
@@ -71,14 +71,14 @@ def test_fixes_come_at_their_rate_and_late_by_the_latency() -> None:
     assert all(ms * 1_000_000 - (source or 0) == 300_000_000 for ms, source in told)
 
 
-def test_a_tag_that_was_held_up_does_not_make_up_for_what_it_missed() -> None:
+def test_a_delayed_tag_does_not_repeat_missed_fixes() -> None:
     tag = Tag("A1", Errors(fix_hz=10.0), seed=0)
     assert len(tag.advance(0, standing((0.0, 0.0, 0.0)))) == 1
     assert len(tag.advance(5 * SECOND_NS, standing((0.0, 0.0, 0.0)))) == 1
     assert tag.due_ns == 5_100_000_000
 
 
-def test_nothing_is_told_while_nobody_knows_where_the_tag_is() -> None:
+def test_nothing_is_sent_without_a_true_pose() -> None:
     assert Tag("A1", Errors(), seed=0).advance(0, lambda: None) == []
 
 
@@ -92,8 +92,8 @@ def test_a_circle_has_its_middle_at_the_left_or_at_the_right(radius: float) -> N
         assert yaw == pytest.approx(math.pi / 2 + 0.25 * math.copysign(now / SECOND_NS, radius))
 
 
-def test_datagrams_say_where_the_tag_is_and_when() -> None:
-    before = held()
+def test_datagrams_have_position_and_time() -> None:
+    before = open_resources()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear:
         ear.bind(("127.0.0.1", 0))
         ear.settimeout(PATIENCE_S)
@@ -112,11 +112,11 @@ def test_datagrams_say_where_the_tag_is_and_when() -> None:
     for each in located:
         assert each.position == pytest.approx((1.0, 2.0, 0.0), abs=0.06)
         assert each.sigma_m == pytest.approx(0.01, rel=1e-6)
-    eventually(lambda: held() <= before)
+    eventually(lambda: open_resources() <= before)
 
 
-def test_a_tag_at_a_serial_port_speaks_once_its_shell_is_asked(tmp_path: Path) -> None:
-    before = held()
+def test_a_tag_at_a_serial_port_reports_after_a_request(tmp_path: Path) -> None:
+    before = open_resources()
     port = dwm1001_port(tmp_path / "tag")
     with TagServer(Tag("1", Errors(fix_hz=50.0, sigma_m=0.0), 1), standing((1.0, 2.0, 0.0)), port) as source:
         with serial.Serial(source.url, dwm1001.BAUD, timeout=0.02) as port:
@@ -130,10 +130,10 @@ def test_a_tag_at_a_serial_port_speaks_once_its_shell_is_asked(tmp_path: Path) -
         assert {each.position for each in found} == {(1.0, 2.0, 0.0)}
         assert reader.invalid == 0
     assert not (tmp_path / "tag").is_symlink()
-    eventually(lambda: held() <= before)
+    eventually(lambda: open_resources() <= before)
 
 
-def test_what_ends_a_source_can_be_seen() -> None:
+def test_errors_of_a_source_are_raised() -> None:
     def truth() -> tuple[float, float, float, float]:
         raise RuntimeError("lost")
 
@@ -144,7 +144,7 @@ def test_what_ends_a_source_can_be_seen() -> None:
     source.close()
 
 
-def test_ports_that_cannot_be_had_are_refused_in_one_line(tmp_path: Path) -> None:
+def test_unavailable_ports_are_refused_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "tag").touch()
     with pytest.raises(UsageError, match="tag: File exists"):
         dwm1001_port(tmp_path / "tag")

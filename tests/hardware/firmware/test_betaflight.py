@@ -1,4 +1,4 @@
-"""Betaflight in the loop: packets against the numbers of its sources, a stand-in, its own program where it is installed."""
+"""Betaflight in the loop: packets against its sources, a stand-in, and its own program if installed."""
 
 import math
 import shutil
@@ -50,7 +50,7 @@ def scenario(count: int = 1, duration_s: float = 2.0, command: str = STAND_IN, *
 
 @pytest.fixture(scope="module")
 def networks_allowed() -> None:
-    """Skip where programs cannot have networks of their own."""
+    """Skips on machines without network namespaces."""
     trial = f"{IN_PRIVATE}\nprivate_network.enter()"
     if subprocess.run([sys.executable, "-c", trial], check=False, capture_output=True).returncode:
         pytest.skip("this machine does not allow network namespaces")
@@ -97,7 +97,7 @@ def test_bad_input_is_one_error(change: dict[str, Any], words: str) -> None:
 @pytest.mark.processes
 @pytest.mark.sockets
 @pytest.mark.usefixtures("networks_allowed")
-def test_several_run_at_once_on_the_same_ports_and_one_that_ends_falls() -> None:
+def test_several_share_port_numbers_and_an_ended_one_falls() -> None:
     table = scenario(3, duration_s=2.5)
     table["vehicle"][1]["firmware"] |= {"command": f"{STAND_IN} --stop 1.5", "on_lost": "fall"}
     notes: list[tuple[str, Incident]] = []
@@ -116,7 +116,7 @@ def test_several_run_at_once_on_the_same_ports_and_one_that_ends_falls() -> None
 @pytest.mark.processes
 @pytest.mark.sockets
 @pytest.mark.usefixtures("networks_allowed")
-def test_a_program_that_is_not_there_is_an_error() -> None:
+def test_a_missing_program_is_an_error() -> None:
     with pytest.raises(FederateError, match="no-such-firmware cannot be started"):
         vcmvsp.run(scenario(command="no-such-firmware"))
 
@@ -140,7 +140,7 @@ CONFIGURATION = ("aux 0 0 0 1700 2100 0 0", "aux 1 1 1 1700 2100 0 0", "set acc_
 
 @pytest.fixture(scope="module")
 def configured(networks_allowed: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """Command line of Betaflight's own program with a configuration: AUX 1 arms, AUX 2 switches the mode ANGLE on."""
+    """Command line of Betaflight's own program with a configuration: AUX 1 arms, AUX 2 switches to mode ANGLE."""
     built = Path(installed_apart("betaflight").__file__).parent / "firmware" / "obj"
     program, folder = next(built.glob("betaflight_*_SITL")), tmp_path_factory.mktemp("betaflight")
     talk = f"""import socket, subprocess, time
@@ -168,7 +168,7 @@ firmware.kill()"""
 
 
 class Flight(vcmvsp.Agent):
-    """Hovers, flies to a place 2 m ahead, lands."""
+    """Hovers, flies 2 m ahead, lands."""
 
     period = 0.1
 

@@ -1,4 +1,4 @@
-"""Firmware in the loop: a scripted autopilot, as a program of its own, flies simulated quadrotors by its published protocol."""
+"""Firmware in the loop: a scripted autopilot process flies simulated quadrotors by its published protocol."""
 
 import itertools
 import signal
@@ -41,7 +41,7 @@ _taken = itertools.count(100 + 7 * (time.monotonic_ns() % 50))
 
 
 def instances(kind: str, count: int = 1) -> list[int]:
-    """Instances whose ports are free."""
+    """Instances with free ports."""
     first, step, sort = PORTS[kind]
     free = (number for number in _taken if is_free(first + step * number, sort))
     return [next(free) for _ in range(count)]
@@ -58,7 +58,7 @@ def command(kind: str, *options: str) -> str:
 
 
 def scenario(kind: str, numbers: list[int], duration_s: float = 24.0, **more: Any) -> dict[str, Any]:
-    """Quadrotors 3 m apart that stand on the floor, with headings of their own."""
+    """Quadrotors on the floor, 3 m apart, with headings of 0.4 k rad."""
     vehicles = [
         {
             "name": f"uav{k}",
@@ -102,7 +102,7 @@ def test_four_take_off_fly_to_way_points_and_land(kind: str) -> None:
     states = result.states.to_pandas()
     end = states[states.time_ns == states.time_ns.max()]
     assert 2.0 * np.arctan2(end.qz, end.qw).to_numpy() == pytest.approx([0.0, 0.4, 0.8, 1.2], abs=0.05)  # headings are kept
-    assert np.abs(end[["vx", "vy", "vz"]].to_numpy()).max() < 0.02  # they stand, with rotors off
+    assert np.abs(end[["vx", "vy", "vz"]].to_numpy()).max() < 0.02  # on the floor, rotors off
 
 
 def test_px4_gets_readings_at_250_hz_at_quicker_physics() -> None:
@@ -144,13 +144,13 @@ def test_equal_firmware_gives_equal_bytes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_run_ends_with_its_firmware_and_says_how_that_ended(kind: str, tmp_path: Path) -> None:
+def test_a_run_ends_with_its_firmware_and_its_exit_code(kind: str, tmp_path: Path) -> None:
     table = scenario(kind, instances(kind), command=command(kind, "--stop", "5"))
     with pytest.raises(FederateError, match="firmware of uav0 is lost") as caught:
         vcmvsp.run(table, out=tmp_path / "out")
     assert caught.value.exit_code == 3
     assert track(caught.value.result, "uav0")(4.0)[2] == pytest.approx(3.04, abs=0.2)
-    if kind == "ardupilot":  # the end of PX4's connection may be seen first
+    if kind == "ardupilot":  # the end of PX4's connection may be detected first
         assert "ended with exit code 3, last line: told to stop" in str(caught.value)
 
 
@@ -170,7 +170,7 @@ def test_a_vehicle_without_firmware_falls_or_holds_and_the_others_fly_on(on_lost
 
 @contextmanager
 def by_hand(kind: str, number: int) -> Iterator["subprocess.Popen[bytes]"]:
-    """The autopilot, started by hand."""
+    """Autopilot process, started by hand."""
     with subprocess.Popen([sys.executable, PROGRAM, kind, "--instance", str(number)]) as process:
         try:
             yield process
@@ -179,7 +179,7 @@ def by_hand(kind: str, number: int) -> Iterator["subprocess.Popen[bytes]"]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_firmware_started_by_hand_that_hangs_is_lost_after_its_time(kind: str) -> None:
+def test_hanging_firmware_started_by_hand_times_out(kind: str) -> None:
     (number,) = instances(kind)
     table = scenario(kind, [number], command="", timeout_s=0.5)
     with by_hand(kind, number) as process:
@@ -193,7 +193,7 @@ def test_firmware_started_by_hand_that_hangs_is_lost_after_its_time(kind: str) -
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_firmware_that_does_not_come_is_an_error_that_says_how_to_start_it(kind: str) -> None:
+def test_a_missing_firmware_error_says_how_to_start_it(kind: str) -> None:
     (number,) = instances(kind)
     first, step, _ = PORTS[kind]
     with pytest.raises(
@@ -202,7 +202,7 @@ def test_firmware_that_does_not_come_is_an_error_that_says_how_to_start_it(kind:
         vcmvsp.run(scenario(kind, [number], command="", start_s=0.3))
 
 
-def test_a_program_that_is_not_there_and_a_used_port_are_errors() -> None:
+def test_a_missing_program_and_a_used_port_are_errors() -> None:
     (number,) = instances("ardupilot")
     with pytest.raises(FederateError, match="no-such-autopilot cannot be started: No such file"):
         vcmvsp.run(scenario("ardupilot", [number], command="no-such-autopilot"))
@@ -225,7 +225,7 @@ def test_datagrams_of_another_protocol_are_counted_and_named() -> None:
 
 
 class ToPlace(vcmvsp.Agent):
-    """Flies east, then to a place."""
+    """Flies east for 20 s, then to a place."""
 
     period = 0.5
 
@@ -242,6 +242,6 @@ def test_an_agent_commands_firmware_over_mavlink(kind: str) -> None:
     table = scenario(kind, instances(kind), duration_s=40.0, **options)
     result = vcmvsp.run({**table, "vehicle": [{**table["vehicle"][0], "agent": {}}]}, agents={"uav0": ToPlace()})
     at = track(result, "uav0")
-    assert at(20.0)[2] == pytest.approx(2.0, abs=0.5)  # it has taken off
-    assert at(20.0)[0] - at(18.0)[0] == pytest.approx(1.0, abs=0.15)  # its control has no integral
+    assert at(20.0)[2] == pytest.approx(2.0, abs=0.5)  # took off before
+    assert at(20.0)[0] - at(18.0)[0] == pytest.approx(1.0, abs=0.15)  # its controller has no integral part
     assert at(40.0) == pytest.approx([2.0, 3.0, 4.0], abs=0.2)

@@ -1,4 +1,4 @@
-"""What goes to firmware and comes from it, against the numbers of the published protocols."""
+"""Messages to and from firmware, against the published protocols."""
 
 import json
 import math
@@ -39,12 +39,12 @@ def test_other_datagrams_are_refused(datagram: bytes) -> None:
 
 
 def readings(**state: object) -> FlightReadings:
-    """A vehicle that stands level."""
+    """Readings of a level vehicle."""
     imu = Imu(acceleration=(0.0, 0.0, 9.81), angular_velocity=(0.1, 0.2, 0.3))
     return FlightReadings(now_ns=2_500_000_000, state=VehicleState(position=(1.0, 2.0, 3.0), **state), imu=imu)  # type: ignore[arg-type]
 
 
-def test_the_line_of_readings_is_as_the_readme_of_the_interface_has_it() -> None:
+def test_the_line_of_readings_follows_the_interface_readme() -> None:
     line = ardupilot.line_of(readings(velocity=(0.5, 0.25, -0.125), attitude=quaternion_from_yaw(0.5 * math.pi)))
     assert (line[:1], line[-1:], line.count(b"\n")) == (b"\n", b"\n", 2)
     got = json.loads(line)
@@ -53,7 +53,7 @@ def test_the_line_of_readings_is_as_the_readme_of_the_interface_has_it() -> None
     assert got["imu"] == {"gyro": [0.1, -0.2, -0.3], "accel_body": [0.0, -0.0, -9.81]}  # at rest, FRD
     assert got["position"] == [2.0, 1.0, -3.0]
     assert got["velocity"] == [0.25, 0.5, 0.125]
-    assert got["quaternion"] == pytest.approx([1.0, 0.0, 0.0, 0.0])  # it faces north
+    assert got["quaternion"] == pytest.approx([1.0, 0.0, 0.0, 0.0])  # facing north
 
 
 @pytest.mark.parametrize("euler", [(0.0, 0.0, 0.0), (0.3, 0.0, 0.0), (0.0, -0.4, 0.0), (0.1, 0.2, 3.0), (-1.0, 1.2, -2.0)])
@@ -104,11 +104,11 @@ def test_two_vehicles_at_one_port_are_an_error_and_numbers_count_by_kind() -> No
     table = scenario("px4", [0, 0])
     for vehicle in table["vehicle"]:
         del vehicle["firmware"]["instance"]
-    check(table)  # nothing is opened or started
+    check(table)  # opens and starts nothing
 
 
-def test_messages_of_sensors_are_250_hz_at_most_and_lose_no_reading() -> None:
-    """At 1000 steps a second each fourth has a message, with the readings of the steps between."""
+def test_sensor_messages_are_250_hz_at_most_without_loss() -> None:
+    """At 1000 steps a second, every fourth step sends a message with the readings of the steps in between."""
     link = px4.Px4(vehicle="uav0", number=0, folder=".")
     here, there = socket.socketpair()
     with here, there:

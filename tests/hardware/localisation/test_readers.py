@@ -1,4 +1,4 @@
-"""Messages of positioning systems: golden bytes, check sums, any split of the stream, garbage counted and never raised."""
+"""Messages of positioning systems: golden bytes, checksums, any split of the stream; garbage is counted and never raises."""
 
 import datetime as dt
 import math
@@ -95,7 +95,7 @@ def test_dwm1001_reads_any_split_of_the_stream(cuts: list[int]) -> None:
 
 
 @given(st.lists(st.binary(max_size=80)))
-def test_dwm1001_garbage_never_raises_and_never_hides_what_follows(chunks: list[bytes]) -> None:
+def test_dwm1001_garbage_never_raises_nor_hides_later_lines(chunks: list[bytes]) -> None:
     reader = LineReader(dwm1001.decode, dwm1001.LONGEST_BYTES)
     for chunk in chunks:
         reader.feed(chunk)
@@ -112,7 +112,7 @@ def test_dwm1001_a_line_without_end_is_dropped() -> None:
 
 @given(
     st.tuples(*[st.integers(-100_000, 100_000)] * 3), st.integers(1, 100), st.none() | st.integers(0, 15)
-)  # centimetres and per cent are what a line tells
+)  # resolution of a line: centimetres and per cent
 def test_dwm1001_round_trip(cm: tuple[int, int, int], percent: int, index: int | None) -> None:
     position = (cm[0] / 100, cm[1] / 100, cm[2] / 100)
     said = Located(tag="" if index is None else "4F8B", position=position, quality=percent / 100)
@@ -126,8 +126,8 @@ def test_dwm1001_tag_without_position_round_trip() -> None:
 S = 1_000_000_000
 
 
-def _until_it_talks(tag: dwm1001.Tag, waker: dwm1001.Waker, seconds: int) -> int:
-    """Positions that were heard, of a tag that measures once a second; the host looks four times a second."""
+def _positions_read(tag: dwm1001.Tag, waker: dwm1001.Waker, seconds: int) -> int:
+    """Number of positions read from a tag that measures once a second; the host reads four times a second."""
     reader, heard = LineReader(dwm1001.decode, dwm1001.LONGEST_BYTES), 0
     for quarter in range(4 * seconds):
         now_ns = quarter * S // 4
@@ -140,26 +140,26 @@ def _until_it_talks(tag: dwm1001.Tag, waker: dwm1001.Waker, seconds: int) -> int
     return heard
 
 
-def test_a_sleeping_tag_is_woken_and_a_talking_tag_is_left_alone() -> None:
+def test_a_sleeping_tag_is_woken_and_an_active_one_is_not() -> None:
     tag = dwm1001.Tag()
-    assert _until_it_talks(tag, dwm1001.Waker(), 20) >= 16
+    assert _positions_read(tag, dwm1001.Waker(), 20) >= 16
     assert tag.telling  # a second `lep` would have switched it off
     talking = dwm1001.Tag()
     talking.shell = talking.telling = True
-    assert _until_it_talks(talking, dwm1001.Waker(), 20) == 20
+    assert _positions_read(talking, dwm1001.Waker(), 20) == 20
     left = dwm1001.Tag()
-    left.telling = True  # `quit` while it told positions: it goes on as soon as the shell opens
-    assert _until_it_talks(left, dwm1001.Waker(), 20) >= 16
+    left.telling = True  # `quit` during reports: they resume as soon as the shell opens
+    assert _positions_read(left, dwm1001.Waker(), 20) >= 16
 
 
-def test_the_waker_grows_patient_with_a_tag_that_reports_rarely() -> None:
+def test_the_waker_backs_off_for_rare_reports() -> None:
     waker = dwm1001.Waker(2.0)
     written = [now for now in range(100) if waker.write(now * S) == dwm1001.POSITIONS]
     gaps = [b - a for a, b in pairwise(written)]
-    assert gaps == [5, 9, 17, 33]  # 4, 8, 16, 32 s of patience, and one for the shell
+    assert gaps == [5, 9, 17, 33]  # waits of 4, 8, 16, 32 s, plus one for the shell
 
 
-# The examples that every book has, 48 deg 07.038' N, 11 deg 31.000' E; their check sums are printed with them.
+# Textbook sentences, 48 deg 07.038' N, 11 deg 31.000' E, with their published checksums.
 GGA = b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r\n"
 RMC = b"$GPRMC,123519,A,4807.038,N,01131.000,E,022.4,084.4,230394,003.1,W*6A\r\n"
 VTG = b"$GPVTG,054.7,T,034.4,M,005.5,N,010.2,K*48\r\n"
@@ -181,10 +181,10 @@ def test_gga_is_a_position_above_the_ellipsoid() -> None:
     (located,) = _reader().feed(GGA)
     assert located.position == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
     assert located.sigma_m == pytest.approx(0.9 * 4.0 / math.sqrt(2.0))
-    assert located.source_ns is None  # the date is not known yet
+    assert located.source_ns is None  # date still unknown
 
 
-def test_rmc_dates_gga_and_tells_velocity() -> None:
+def test_rmc_dates_gga_and_has_velocity() -> None:
     reader = _reader()
     velocity, position = reader.feed(RMC + GGA)
     assert velocity.velocity is not None
@@ -235,11 +235,11 @@ def test_southern_and_western_hemispheres_and_other_talkers() -> None:
 @pytest.mark.parametrize(
     "bad",
     [
-        GGA.replace(b"*47", b"*48"),  # check sum
-        GGA.replace(b"*47", b""),  # none
-        GGA.replace(b"4807", b"4808"),  # a digit that flipped
-        _sentence("GPGGA,123519,9907.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,"),  # no such latitude
-        _sentence("GPGGA,123519,4807.038,Q,01131.000,E,1,08,0.9,545.4,M,46.9,M,,"),  # no such hemisphere
+        GGA.replace(b"*47", b"*48"),  # wrong checksum
+        GGA.replace(b"*47", b""),  # no checksum
+        GGA.replace(b"4807", b"4808"),  # a changed digit
+        _sentence("GPGGA,123519,9907.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,"),  # invalid latitude
+        _sentence("GPGGA,123519,4807.038,Q,01131.000,E,1,08,0.9,545.4,M,46.9,M,,"),  # invalid hemisphere
         _sentence("GPGGA,123519,4807.038,N,01131.000,E,1,08,nan,545.4,M,46.9,M,,"),
         _sentence("GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,inf,M,46.9,M,,"),
         _sentence("GPGGA,123519,4807.038,N,,,1,08,0.9,545.4,M,46.9,M,,"),
@@ -248,7 +248,7 @@ def test_southern_and_western_hemispheres_and_other_talkers() -> None:
         b"\xff\xfe\x00$\r\n",
     ],
 )
-def test_what_cannot_be_read_is_counted(bad: bytes) -> None:
+def test_unreadable_lines_are_counted(bad: bytes) -> None:
     reader = _reader()
     assert reader.feed(bad) == []
     assert reader.invalid == 1

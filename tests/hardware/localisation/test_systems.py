@@ -1,4 +1,4 @@
-"""Sources of positions over real sockets, pseudo-terminals and Zenoh sessions; what is refused, and what is told."""
+"""Positioning sources over sockets, pseudo-terminals and Zenoh sessions: readings, refusals, notices."""
 
 import contextlib
 import itertools
@@ -34,13 +34,13 @@ from vcmvsp.hardware.localisation.ubisense import Ubisense
 
 pytestmark = pytest.mark.sockets
 
-DEADLINE_S = 20.0  # of what takes milliseconds, on a machine that is loaded
+DEADLINE_S = 20.0  # generous: some ms without load
 GGA = b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r\n"
 HERE: dict[str, Any] = {"latitude_deg": 48.0 + 7.038 / 60.0, "longitude_deg": 11.0 + 31.0 / 60.0, "height_m": 545.4 + 46.9}
 
 
 def wait(what: Callable[[], Any]) -> Any:
-    """What it gives, as soon as that is something."""
+    """First true result of a poll."""
     last = time.monotonic() + DEADLINE_S
     while time.monotonic() < last:
         if found := what():
@@ -54,7 +54,7 @@ def fixes(source: Localisation) -> list[Fix]:
 
 
 def causes(source: Localisation, word: str) -> Callable[[], list[str]]:
-    """The notices with a word, as they come."""
+    """Poll for notices that contain a word."""
 
     def look() -> list[str]:
         source.read(time.monotonic_ns())
@@ -81,7 +81,7 @@ def listening(source: Any) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def sending(source: Ubisense) -> Iterator[Callable[..., None]]:
-    """Sends datagrams to where a source listens."""
+    """Function that sends datagrams to a source's address."""
     port = int(source.device.rpartition(":")[2])
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
 
@@ -93,7 +93,7 @@ def sending(source: Ubisense) -> Iterator[Callable[..., None]]:
 
 
 class Terminal:
-    """A pseudo-terminal with a name of its own, that can be unplugged and plugged in again."""
+    """A pseudo-terminal behind a link, for unplugging and replugging."""
 
     def __init__(self, link: Path) -> None:
         self.link = link
@@ -142,7 +142,7 @@ def test_ubisense_positions_are_turned_and_moved_into_the_world() -> None:
 
 
 def test_the_systems_clock_gives_the_times_between_positions() -> None:
-    """Two that were measured 40 ms apart, and came together."""
+    """Positions measured 40 ms apart that arrive together."""
     source = Ubisense(listen="udp://127.0.0.1:0", tag="11", latency_s=0.05)
     with listening(source), sending(source) as send:
         for tick in range(3):
@@ -160,7 +160,7 @@ def test_the_systems_clock_gives_the_times_between_positions() -> None:
 
 
 @pytest.mark.usefixtures("impatient")
-def test_several_tags_and_none_named_is_an_error_that_lists_them() -> None:
+def test_several_unnamed_tags_are_an_error_with_a_list() -> None:
     source = Ubisense(listen="udp://127.0.0.1:0")
     with listening(source), sending(source) as send:
 
@@ -168,7 +168,7 @@ def test_several_tags_and_none_named_is_an_error_that_lists_them() -> None:
             send(tag="A1")
             send(tag="B2")
             try:
-                assert fixes(source) == []  # nobody knows whose
+                assert fixes(source) == []  # tag still undetermined
             except HandshakeError as error:
                 return str(error)
             return ""
@@ -186,7 +186,7 @@ def test_the_only_tag_needs_no_name() -> None:
         assert wait(lambda: send() or fixes(source))[0].position == pytest.approx((1.0, 2.0, 0.5))
 
 
-def test_a_port_in_use_and_addresses_that_are_none_say_what_to_do() -> None:
+def test_a_used_port_and_wrong_addresses_give_advice() -> None:
     with listening(Ubisense(listen="udp://127.0.0.1:0")) as first, pytest.raises(PortError, match=r"in use.*close the other"):
         Ubisense(listen=first.device).open()
     with pytest.raises(PortError, match=r"no interface with the address 192\.0\.2\.1.*0\.0\.0\.0"):
@@ -202,7 +202,7 @@ def test_a_port_in_use_and_addresses_that_are_none_say_what_to_do() -> None:
 @pytest.mark.parametrize(
     "listen", ["127.0.0.1:5010", "udp://127.0.0.1", "tcp://127.0.0.1:1", "udp://:5010", "udp://a:99999", ""]
 )
-def test_what_is_no_address_is_refused_when_the_scenario_is_read(listen: str) -> None:
+def test_wrong_addresses_are_refused_with_the_scenario(listen: str) -> None:
     with pytest.raises(ScenarioError, match=r"udp://0\.0\.0\.0:5010") as caught:
         call(Ubisense, {"listen": listen}, key="vehicle.car1.localisation")
     assert caught.value.key == "vehicle.car1.localisation.listen"
@@ -229,7 +229,7 @@ def test_wrong_parameters_are_named(kind: Any, table: dict[str, Any], said: str)
 
 
 @pytest.mark.usefixtures("impatient")
-def test_silence_is_told_with_its_cause_and_its_end() -> None:
+def test_silence_has_a_cause_and_an_end_notice() -> None:
     source = Ubisense(listen="udp://127.0.0.1:0", tag="11")
     with listening(source), sending(source) as send:
         assert "location engine" in wait(causes(source, "nothing comes"))[0]
@@ -250,7 +250,7 @@ def test_silence_is_told_with_its_cause_and_its_end() -> None:
 
 
 @pytest.mark.usefixtures("impatient")
-def test_a_clock_that_jumps_is_told() -> None:
+def test_a_clock_jump_is_reported() -> None:
     source = Ubisense(listen="udp://127.0.0.1:0", tag="11")
     with listening(source), sending(source) as send:
         for stamp in (1000, 1001, 1002, 9_001_000, 9_001_001, 9_001_002):
@@ -278,11 +278,11 @@ def test_a_dwm1001_is_woken_unplugged_and_woken_again(terminal: Terminal, monkey
         tag = dwm1001.Tag()
         assert wait(turn)[0].position == pytest.approx((2.0, 2.0, 0.5))
         assert wait(causes(source, "positions come"))
-        assert source._waker is not waker  # a module that was off has forgotten all; so must whoever asks it
+        assert source._waker is not waker  # a module loses its state without power, so a new waker starts
 
 
 @pytest.mark.usefixtures("impatient")
-def test_a_receiver_tells_positions_of_the_tangent_plane_and_a_wrong_baud_rate_is_guessed(terminal: Terminal) -> None:
+def test_a_receiver_gives_tangent_plane_positions_and_a_baud_rate_hint(terminal: Terminal) -> None:
     with listening(Nmea(port=str(terminal.link), **HERE)) as source:
         os.write(terminal.here, bytes(range(128, 256)) + b"\n")
         assert wait(causes(source, "check the baud rate"))
@@ -295,7 +295,7 @@ def test_a_receiver_tells_positions_of_the_tangent_plane_and_a_wrong_baud_rate_i
 
 
 @pytest.mark.usefixtures("impatient")
-def test_a_port_that_is_back_and_silent_is_told(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_replugged_silent_port_is_reported(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(port_source, "RETRY_S", 0.05)
     with listening(Nmea(port=str(terminal.link), **HERE)) as source:
         terminal.unplug()
@@ -306,7 +306,7 @@ def test_a_port_that_is_back_and_silent_is_told(terminal: Terminal, monkeypatch:
 
 def test_a_source_can_be_opened_again(terminal: Terminal) -> None:
     source = Nmea(port=str(terminal.link), **HERE)
-    source.close()  # never opened
+    source.close()  # not opened before
     for _ in range(2):
         with listening(source):
             os.write(terminal.here, GGA)
@@ -315,7 +315,7 @@ def test_a_source_can_be_opened_again(terminal: Terminal) -> None:
         Nmea(port=str(terminal.link), **HERE).open()
 
 
-def test_a_reader_that_fails_is_no_silence(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_reader_failure_is_no_silence(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
     source = Nmea(port=str(terminal.link), **HERE)
     monkeypatch.setattr(source._reader, "feed", lambda chunk: 1 / 0)
     with listening(source):
@@ -333,7 +333,7 @@ def test_a_reader_that_fails_is_no_silence(terminal: Terminal, monkeypatch: pyte
 
 @contextlib.contextmanager
 def bridge(mode: str, endpoint: str) -> Iterator[Callable[[str, Any], None]]:
-    """Somebody who publishes poses, as a router or as a client."""
+    """Publisher of poses, as a router or as a client."""
     where = {"listen": {"endpoints": [endpoint]}} if mode == "router" else {"connect": {"endpoints": [endpoint]}}
     with opened({"mode": mode, **where}, {}, "no bridge") as session:
 
@@ -366,7 +366,7 @@ def test_poses_come_over_zenoh(mode: Any, port: int) -> None:
         assert [each.cause for each in source.notices()] == ["positions come"]
 
 
-def test_nobody_to_connect_to_and_nothing_to_listen_on(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_peer_and_no_address_to_listen_on(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pose_topic, "_CONNECT_MS", 100)
     with pytest.raises(PortError, match="start the router"):
         ExternalPose(key="a", endpoint=f"tcp/127.0.0.1:{port}").open()
@@ -374,8 +374,8 @@ def test_nobody_to_connect_to_and_nothing_to_listen_on(port: int, monkeypatch: p
         ExternalPose(key="a", endpoint=f"tcp/127.0.0.1:{port}", mode="listen").open()
 
 
-def test_a_session_in_which_nothing_can_be_heard_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Deaf:
+def test_a_session_without_subscriber_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    class NoSubscriber:
         closed = False
 
         def declare_subscriber(self, *_: object) -> None:
@@ -384,7 +384,7 @@ def test_a_session_in_which_nothing_can_be_heard_is_closed(monkeypatch: pytest.M
         def close(self) -> None:
             self.closed = True
 
-    session = Deaf()
+    session = NoSubscriber()
     monkeypatch.setattr(pose_topic, "opened", lambda *_: session)
     with pytest.raises(PortError, match="cannot receive"):
         ExternalPose(key="a").open()
@@ -392,13 +392,13 @@ def test_a_session_in_which_nothing_can_be_heard_is_closed(monkeypatch: pytest.M
 
 
 @pytest.mark.usefixtures("impatient")
-def test_a_bridge_that_goes_and_comes_back_is_heard_again(port: int) -> None:
+def test_a_returning_bridge_is_received_again(port: int) -> None:
     endpoint = f"tcp/127.0.0.1:{port}"
     with contextlib.ExitStack() as stack:
         with bridge("router", endpoint) as say:
             source = stack.enter_context(listening(ExternalPose(key="a", endpoint=endpoint)))
             wait(lambda: say("a", {"x": 0.0, "y": 0.0}) or fixes(source))
-            source.notices()  # nothing may have come for a while before that
+            source.notices()  # drops an earlier notice of silence
         assert wait(causes(source, "check that a bridge publishes"))
         with bridge("router", endpoint) as say:
             wait(lambda: say("a", {"x": 0.0, "y": 0.0}) or fixes(source))
@@ -415,7 +415,7 @@ numbers = st.floats(allow_nan=True, allow_infinity=True)
     sigma_rad=numbers,
     source_ns=st.none() | st.integers(-(2**63), 2**64),
 )
-def test_whatever_is_said_readings_are_finite_near_and_not_from_the_future(
+def test_any_message_gives_finite_near_readings_not_from_the_future(
     position: Any, sigma: Any, yaw: Any, sigma_rad: float, source_ns: int | None
 ) -> None:
     placing = WorldTransform(sigma_m=0.1, latency_s=0.1, offset=(1.0, 2.0, 3.0), turn_rad=0.3)
@@ -446,7 +446,7 @@ def test_whatever_is_said_readings_are_finite_near_and_not_from_the_future(
         (b'{"x": 1, "y": 2, "a": ' + b"[" * 30_000 + b"]" * 30_000 + b"}", False, None),
     ],
 )
-def test_no_message_ends_anything(said: bytes, position: bool, yaw: Any) -> None:
+def test_no_message_raises_errors(said: bytes, position: bool, yaw: Any) -> None:
     reader, placing, fusion = (
         pose_topic.PoseReader(0.02),
         WorldTransform(sigma_m=0.1, latency_s=0.0),
@@ -461,14 +461,14 @@ def test_no_message_ends_anything(said: bytes, position: bool, yaw: Any) -> None
     assert bool(known) or reader.invalid + placing.rejected["unknown"] == 1
 
 
-def test_a_clock_that_stands_still_is_told_and_gives_no_readings() -> None:
+def test_a_stopped_clock_is_reported_without_readings() -> None:
     placing = WorldTransform(sigma_m=0.1, latency_s=0.1)
     times = [placing.place(Located(position=(0.0, 0.0, 0.0), source_ns=7), tick * SECOND_NS) for tick in range(60)]
     assert [each is None for each in times] == [False] * 10 + [True] * 50
     assert placing.rejected["old"] == 50
 
 
-def test_tags_without_number_fill_nothing() -> None:
+def test_memory_for_tags_is_limited() -> None:
     placing = WorldTransform(sigma_m=0.1, latency_s=0.1)
     for number in range(1000):
         placing.place(Located(tag=str(number), position=(0.0, 0.0, 0.0), source_ns=number + 1), number)
@@ -476,7 +476,7 @@ def test_tags_without_number_fill_nothing() -> None:
 
 
 def test_the_sessions_that_zenoh_opens_are_closed() -> None:
-    """One that nobody closed would keep the process from ending."""
+    """An open session would keep the process from ending."""
     source = ExternalPose(key="a", endpoint="tcp/127.0.0.1:0", mode="listen")
     with listening(source):
         session = source._session
@@ -487,7 +487,7 @@ def test_the_sessions_that_zenoh_opens_are_closed() -> None:
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "0", "[::]", "[::0]"])
-def test_all_interfaces_must_be_asked_for(host: str) -> None:
+def test_all_interfaces_need_an_option(host: str) -> None:
     with pytest.raises(ValueError, match=r"admits anyone .* add insecure = true"):
         Ubisense(listen=f"udp://{host}:5010")
     Ubisense(listen=f"udp://{host}:5010", insecure=True)

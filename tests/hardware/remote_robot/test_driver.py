@@ -1,4 +1,4 @@
-"""Both ends on one machine: `ZenohDriver` here, ``vcmvsp robot`` with a robot in software in a process of its own."""
+"""Both ends on one machine: `ZenohDriver` here, ``vcmvsp robot`` with a simulated robot in a process of its own."""
 
 import contextlib
 import json
@@ -24,7 +24,7 @@ from vcmvsp.hardware.remote_robot.run_side.driver import ZenohDriver
 
 pytestmark = [pytest.mark.processes, pytest.mark.sockets]
 
-PATIENCE_S = 30.0  # whatever the machine does beside
+PATIENCE_S = 30.0  # for loaded machines
 PROGRAM = """
 import time
 shift_ns = {shift_ns}
@@ -79,7 +79,7 @@ while True:
 
 
 class Program:
-    """``vcmvsp robot`` in a process, what it says, and what its robot was told."""
+    """A ``vcmvsp robot`` process, its output, and the calls to its robot's driver."""
 
     def __init__(self, folder: Path, port: int, *options: str, protocol: str = "tcp", shift_ns: int = 0) -> None:
         self.log = folder / "robot.log"
@@ -92,7 +92,7 @@ class Program:
         self._said = b""
 
     def until(self, text: str) -> None:
-        """Wait until it says this."""
+        """Waits for this output."""
         end = time.monotonic() + PATIENCE_S
         pipe = self.process.stderr
         assert pipe is not None
@@ -109,11 +109,11 @@ class Program:
         return self._said.decode()
 
     def told(self) -> list[list[Any]]:
-        """What its robot was told: time, what, with what."""
+        """Calls to its robot's driver: time, ns, call, argument."""
         return [json.loads(line) for line in self.log.read_text().splitlines()]
 
     def when(self, found: Callable[[list[list[Any]]], object]) -> list[list[Any]]:
-        """The same, as soon as it is so."""
+        """Calls, as soon as ``found`` accepts them."""
         eventually(lambda: self.log.exists() and found(self.told()))
         return self.told()
 
@@ -132,13 +132,13 @@ def program(folder: Path, port: int, *options: str, **more: Any) -> Iterator[Pro
     finally:
         if started.process.poll() is None:
             started.process.kill()
-        with contextlib.suppress(ValueError):  # it was asked before
+        with contextlib.suppress(ValueError):  # communicate was called before
             started.process.communicate(timeout=PATIENCE_S)
 
 
 @contextlib.contextmanager
 def driver(port: int, **options: Any) -> Iterator[ZenohDriver]:
-    """One that is open; it is closed at the end."""
+    """An open driver, closed at the end."""
     made = ZenohDriver(
         listen=f"tcp/127.0.0.1:{port}", vehicle="car3", **{"open_deadline_s": PATIENCE_S, "silence_s": PATIENCE_S, **options}
     )
@@ -150,7 +150,7 @@ def driver(port: int, **options: Any) -> Iterator[ZenohDriver]:
 
 
 def drive(made: ZenohDriver, found: Callable[[Sample], object], v: float = 0.3) -> Sample:
-    """Drive until a sample is so."""
+    """Drives until ``found`` accepts a sample."""
     last = time.monotonic() + PATIENCE_S
     while time.monotonic() < last:
         made.write(Velocity(linear=(v, 0.0, 0.0)))
@@ -162,28 +162,28 @@ def drive(made: ZenohDriver, found: Callable[[Sample], object], v: float = 0.3) 
 
 
 def lost(made: ZenohDriver) -> DriverError:
-    """What ends a connection."""
+    """Error at the end of a connection."""
     with pytest.raises(DriverError) as caught:
         drive(made, lambda _: False)
     return caught.value
 
 
-def writes(told: list[list[Any]]) -> list[int]:
+def write_times(told: list[list[Any]]) -> list[int]:
     return [each[0] for each in told if each[1] == "write"]
 
 
-def test_it_is_driven_stopped_and_let_go_run_after_run(tmp_path: Path, port: int) -> None:
+def test_it_is_driven_stopped_and_freed_run_after_run(tmp_path: Path, port: int) -> None:
     with program(tmp_path, port) as robot:
         robot.until("waiting for a run")
         with driver(port) as made:
             moved = drive(made, lambda each: each.odometry.pose[0] > 1.1)
-            assert moved.odometry.pose[1:] == (2.0, 0.0)  # it began at the run's start pose
+            assert moved.odometry.pose[1:] == (2.0, 0.0)  # starts at the run's start pose
             assert moved.link == 1
             made.stop("enough")
             stood = robot.when(lambda told: told[-1][1:] == ["stop", "enough"])
             eventually(lambda: (each := made.read()) is not None and each.odometry.v == 0.0 and each.stopped == "enough")
             drive(made, lambda each: each.odometry.v > 0.1)  # the next command moves it again
-            assert len(writes(robot.told())) > len(writes(stood))
+            assert len(write_times(robot.told())) > len(write_times(stood))
             eventually(lambda: (each := made.read()) is not None and each.stopped == "no command for 0.5 s")
         assert robot.when(lambda told: told[-1][1] == "close")[-2][1:] == ["stop", "the run is over"]
         causes = [(each.what, each.cause) for each in made.notices()]
@@ -196,28 +196,28 @@ def test_it_is_driven_stopped_and_let_go_run_after_run(tmp_path: Path, port: int
         assert robot.said.splitlines()[-1] == "car3: ended by SIGINT"
 
 
-def test_where_it_stands_may_be_told_at_the_robot(tmp_path: Path, port: int) -> None:
+def test_the_start_pose_may_be_set_at_the_robot(tmp_path: Path, port: int) -> None:
     with program(tmp_path, port, "--pose", "5,-1,0") as robot, driver(port) as made:
         assert drive(made, lambda each: each.odometry.v > 0.1).odometry.pose[1] == -1.0
-        assert robot.end(signal.SIGTERM) == 0  # with the run still there
+        assert robot.end(signal.SIGTERM) == 0  # while the run still exists
         assert robot.told()[-1][1] == "close"
         error = lost(made)
         assert isinstance(error, LinkLost)
         assert "its program was ended by SIGTERM" in str(error)
 
 
-def test_a_robot_whose_program_dies_is_lost_by_name(tmp_path: Path, port: int) -> None:
+def test_a_killed_robot_program_is_a_named_loss(tmp_path: Path, port: int) -> None:
     with program(tmp_path, port) as robot, driver(port) as made:
         drive(made, lambda each: each.odometry.v > 0.1)
         robot.process.kill()
-        error = lost(made)  # by its token, long before silence would tell
+        error = lost(made)  # detected by its token, long before the silence timeout
         assert isinstance(error, LinkLost)
         assert str(error).startswith(f"robot at tcp/127.0.0.1:{port} (car3): the robot's program has ended")
-        made.stop("after the loss")  # never raises
+        made.stop("after the loss")  # does not raise
         assert "lost" in [each.what for each in made.notices()]
 
 
-def test_a_program_that_is_started_again_goes_on_where_odometry_was(tmp_path: Path, port: int) -> None:
+def test_a_restarted_program_continues_the_odometry(tmp_path: Path, port: int) -> None:
     with driven_alone(tmp_path / "first", port) as (robot, made):
         before = drive(made, lambda each: each.odometry.pose[0] > 1.1)
         robot.process.kill()
@@ -240,14 +240,14 @@ def driven_alone(folder: Path, port: int) -> Iterator[tuple[Program, ZenohDriver
     ("number", "cause"),
     [(signal.SIGKILL, "the link to the run is lost"), (signal.SIGSTOP, "no velocity from the run for 0.5 s")],
 )
-def test_a_run_that_dies_or_hangs_leaves_a_robot_that_stands(tmp_path: Path, port: int, number: int, cause: str) -> None:
+def test_the_robot_stops_if_its_run_dies_or_hangs(tmp_path: Path, port: int, number: int, cause: str) -> None:
     with program(tmp_path, port) as robot:
         run = subprocess.Popen([sys.executable, "-c", RUN, f"tcp/127.0.0.1:{port}"], stdout=subprocess.PIPE)
         try:
             last = time.monotonic() + PATIENCE_S
             while True:
-                driven = len(writes(robot.told())) if robot.log.exists() else 0
-                robot.when(lambda told, driven=driven: len(writes(told)) > driven + 20)  # type: ignore[misc]
+                driven = len(write_times(robot.told())) if robot.log.exists() else 0
+                robot.when(lambda told, driven=driven: len(write_times(told)) > driven + 20)  # type: ignore[misc]
                 run.send_signal(number)
                 gone_ns = time.monotonic_ns()
                 told = robot.when(
@@ -256,10 +256,10 @@ def test_a_run_that_dies_or_hangs_leaves_a_robot_that_stands(tmp_path: Path, por
                 if told[-1][2].startswith(cause):
                     break
                 assert time.monotonic() < last, f"it stands, as {told[-1][2]}"
-                run.send_signal(signal.SIGCONT)  # it was late just before by itself, as on a machine that is held up
-            assert told[-1][0] - gone_ns < 5e9  # half a second, on a machine that is loaded tenfold
+                run.send_signal(signal.SIGCONT)  # stopped for a delay shortly before, on a loaded machine
+            assert told[-1][0] - gone_ns < 5e9  # 0.5 s nominal, tenfold under load
             if number == signal.SIGSTOP:
-                assert told[-1][0] - writes(told)[-1] > 0.4e9  # half a second, less what there is between clock and log
+                assert told[-1][0] - write_times(told)[-1] > 0.4e9  # 0.5 s, minus the time between clock and log
         finally:
             run.kill()
             run.communicate(timeout=PATIENCE_S)
@@ -268,7 +268,7 @@ def test_a_run_that_dies_or_hangs_leaves_a_robot_that_stands(tmp_path: Path, por
 
 
 class Proxy:
-    """Between a robot and its run: a TCP connection that can be frozen."""
+    """Freezable TCP connection between a robot and its run."""
 
     def __init__(self, port: int) -> None:
         self._listener = socket.create_server(("127.0.0.1", 0))
@@ -322,7 +322,7 @@ class Proxy:
             sink.shutdown(socket.SHUT_RDWR)
 
 
-def test_after_a_link_that_froze_zero_speed_comes_first(tmp_path: Path, port: int) -> None:
+def test_after_a_frozen_link_zero_speed_comes_first(tmp_path: Path, port: int) -> None:
     with contextlib.closing(Proxy(port)) as proxy, program(tmp_path, proxy.port) as robot:
         with driver(port, silence_s=1.0, reconnect_s=PATIENCE_S) as made:
             drive(made, lambda each: each.odometry.v > 0.1)
@@ -330,7 +330,7 @@ def test_after_a_link_that_froze_zero_speed_comes_first(tmp_path: Path, port: in
             proxy.freeze()
             eventually(lambda: "lost" in [each.what for each in made.notices()])
             frozen = len(robot.when(lambda told: told[-1][1] == "stop"))
-            made.write(Velocity(linear=(0.9, 0.0, 0.0)))  # it is dropped: nobody is there to follow it
+            made.write(Velocity(linear=(0.9, 0.0, 0.0)))  # dropped: no robot is connected
             made.read()
             proxy.thaw()
             again = drive(made, lambda each: each.link >= 2 and each.odometry.v > 0.1)
@@ -345,7 +345,7 @@ def test_after_a_link_that_froze_zero_speed_comes_first(tmp_path: Path, port: in
 
 
 @pytest.mark.parametrize("ahead_s", [None, 3600.0], ids=["just booted", "an hour ahead"])
-def test_its_clock_may_say_anything(tmp_path: Path, port: int, ahead_s: float | None) -> None:
+def test_its_clock_may_be_wrong(tmp_path: Path, port: int, ahead_s: float | None) -> None:
     shift_ns = 10**9 - time.monotonic_ns() if ahead_s is None else round(ahead_s * 1e9)
     with program(tmp_path, port, shift_ns=shift_ns), driver(port) as made:
         samples: list[Sample] = []
@@ -356,7 +356,7 @@ def test_its_clock_may_say_anything(tmp_path: Path, port: int, ahead_s: float | 
             assert samples[-1].measured_ns > before_ns - PATIENCE_S * 10**9
         assert [each.number for each in samples] == sorted({each.number for each in samples})
         measured = [each.measured_ns for each in samples]
-        assert measured == sorted(measured)  # some may be the same, where the offset of the clocks came to be known better
+        assert measured == sorted(measured)  # equal times are possible when the clock offset is refined
         drive(made, lambda each: each.measured_ns > measured[0])
         for notice in made.notices():
             assert abs(notice.time_ns - time.monotonic_ns()) < PATIENCE_S * 10**9
@@ -372,7 +372,7 @@ def test_a_second_program_waits_its_turn(tmp_path: Path, port: int) -> None:
         second.until("the run is over")
 
 
-def test_a_robot_that_its_own_driver_has_lost_may_come_back_or_ends_the_run(tmp_path: Path, port: int) -> None:
+def test_a_robot_lost_by_its_own_driver_may_return_or_ends_the_run(tmp_path: Path, port: int) -> None:
     with program(tmp_path, port, "--set", "unplugged_s=0.4") as robot:
         with driver(port, reconnect_s=PATIENCE_S) as made:
             drive(made, lambda each: each.link >= 2)
@@ -383,7 +383,7 @@ def test_a_robot_that_its_own_driver_has_lost_may_come_back_or_ends_the_run(tmp_
         assert robot.end() == 0
 
 
-def test_who_is_missing_is_said_with_what_starts_it(port: int) -> None:
+def test_a_missing_robot_error_names_the_command(port: int) -> None:
     made = ZenohDriver(listen=f"tcp/127.0.0.1:{port}", vehicle="car3", open_deadline_s=0.2)
     with pytest.raises(
         HandshakeError, match=rf"robot of car3 did not connect within 0.2 s; .*vcmvsp robot --vehicle car3 .*:{port}"
@@ -395,7 +395,7 @@ def test_who_is_missing_is_said_with_what_starts_it(port: int) -> None:
         made.read()
 
 
-def test_a_port_that_is_taken(port: int) -> None:
+def test_a_port_in_use(port: int) -> None:
     with socket.create_server(("127.0.0.1", port)):
         made = ZenohDriver(listen=f"tcp/127.0.0.1:{port}", vehicle="car3")
         with pytest.raises(PortError, match="cannot listen there"):
@@ -430,13 +430,13 @@ def test_the_wrong_certificate_is_named_at_both_ends(tmp_path: Path, port: int, 
     made = ZenohDriver(listen=f"tls/127.0.0.1:{port}", keys=str(keys), vehicle="car3", open_deadline_s=PATIENCE_S)
     failed: list[BaseException] = []
 
-    def opened() -> None:
+    def open_error() -> None:
         try:
             made.open()
         except DriverError as error:
             failed.append(error)
 
-    thread = threading.Thread(target=opened)
+    thread = threading.Thread(target=open_error)
     thread.start()
     try:
         wait_for_listener(port)

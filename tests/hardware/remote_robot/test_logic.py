@@ -1,4 +1,4 @@
-"""What both ends decide: orders, times and numbers of another machine, when a velocity counts; and what scenarios may say."""
+"""Decisions of both ends: orders, times and numbers from another machine, age of velocities; and scenario options."""
 
 import math
 from typing import Any
@@ -27,12 +27,12 @@ AHEAD = Velocity(linear=(0.3, 0.0, 0.0))
 # --- orders ---
 
 
-def test_whatever_is_commanded_a_robot_stands_until_it_has_said_so() -> None:
+def test_a_robot_stands_until_it_has_acknowledged_it() -> None:
     orders = CommandState(0.5)
     orders.connect(7)
     orders.command(AHEAD, 0)
     assert orders.at(0) is None
-    orders.acknowledge(6)  # of the connection before
+    orders.acknowledge(6)  # of the previous connection
     assert orders.at(0) is None
     orders.acknowledge(7)
     assert orders.at(0) == AHEAD
@@ -66,7 +66,7 @@ def connected() -> RemoteSampler:
 def said(
     number: int, there_ns: int, *, link: int = 1, opened: int = 1, heard: bool = True, sent_ns: int = 0, **changed: Any
 ) -> RobotStatus:
-    """A sample that was measured 20 ms before it is said."""
+    """Status with a sample measured 20 ms before sending."""
     sample = Sample(
         number=number,
         link=link,
@@ -83,7 +83,7 @@ def said(
     there_ms=st.integers(0, 300),
     back_ms=st.integers(0, 300),
 )
-def test_times_are_right_to_half_of_what_the_ways_take_together(offset_ns: int, there_ms: int, back_ms: int) -> None:
+def test_times_are_right_to_half_the_round_trip(offset_ns: int, there_ms: int, back_ms: int) -> None:
     sent_ns = 1000 * SECOND
     heard_ns = sent_ns + there_ms * 10**6
     arrived_ns = heard_ns + back_ms * 10**6
@@ -108,7 +108,7 @@ def test_without_an_exchange_no_time_is_known_and_no_sample_is_made() -> None:
     assert heard(track, said(1, 5, heard=False), SECOND) is None
 
 
-def test_numbers_and_links_go_on_whatever_the_robot_counts() -> None:
+def test_numbers_and_links_increase_for_any_robot_count() -> None:
     track = RemoteSampler((1.0, 2.0, 0.5))
     assert track.pose == (1.0, 2.0, 0.5)
     track.connect(anew=True)
@@ -122,10 +122,10 @@ def test_numbers_and_links_go_on_whatever_the_robot_counts() -> None:
 
     assert numbered(5) == (1, 1)
     assert numbered(6) == (2, 1)
-    assert numbered(6) is None  # said again
-    assert numbered(9) == (5, 1)  # two were not heard
-    assert numbered(10, link=2) == (6, 2)  # its own driver has connected again
-    assert numbered(1, opened=2) == (7, 3)  # ... was opened again
+    assert numbered(6) is None  # repeated
+    assert numbered(9) == (5, 1)  # two were lost
+    assert numbered(10, link=2) == (6, 2)  # its own driver has reconnected
+    assert numbered(1, opened=2) == (7, 3)  # its own driver was reopened
     assert track.pose == (0.1, 0.0, 0.0)
     track.connect(anew=False)
     assert numbered(2, opened=2) == (8, 4)
@@ -147,7 +147,7 @@ def test_sonar_is_the_newest_of_each_since_the_last_read() -> None:
 
 
 @pytest.mark.parametrize("wrong", [math.nan, math.inf])
-def test_a_sample_that_is_no_number_is_left_out(wrong: float) -> None:
+def test_a_non_finite_sample_is_omitted(wrong: float) -> None:
     track = connected()
     for changed in (
         {"odometry": Odometry(pose=(0.0, wrong, 0.0), v=0.0, w=0.0)},
@@ -159,7 +159,7 @@ def test_a_sample_that_is_no_number_is_left_out(wrong: float) -> None:
 
 
 @given(st.lists(st.integers(-(2**63), 2**63 - 1), min_size=6, max_size=6))
-def test_whatever_times_and_numbers_a_robot_tells_what_is_made_of_them_can_be_told_on(numbers: list[int]) -> None:
+def test_any_times_and_numbers_of_a_robot_give_encodable_samples(numbers: list[int]) -> None:
     said_ns, yours_ns, heard_ns, measured_ns, arrived_ns, number = numbers
     track = connected()
     now = 100 * SECOND
@@ -179,7 +179,7 @@ def test_whatever_times_and_numbers_a_robot_tells_what_is_made_of_them_can_be_to
             assert len(encode((sample, notices))) < 5000
 
 
-def test_each_notice_is_taken_once_though_it_is_said_again() -> None:
+def test_repeated_notices_are_taken_once() -> None:
     track = connected()
     first, second = (Notice(time_ns=5, what="stopped", cause=each) for each in ("one", "two"))
     up = RobotStatus(said_ns=1, notices=(first,))
@@ -187,7 +187,7 @@ def test_each_notice_is_taken_once_though_it_is_said_again() -> None:
     assert track.notices(up, SECOND) == []
     assert [each.cause for each in track.notices(RobotStatus(said_ns=2, notices=(first, second)), SECOND)] == ["two"]
     assert track.noticed == 2
-    track.connect(anew=True)  # another program, which counts anew
+    track.connect(anew=True)  # another program with its own numbering
     assert [each.cause for each in track.notices(up, SECOND)] == ["one"]
 
 
@@ -195,7 +195,7 @@ def test_each_notice_is_taken_once_though_it_is_said_again() -> None:
 
 
 class Robot:
-    """A robot in software that is open aboard, and what its user was told."""
+    """A simulated robot behind the onboard watchdog, and the texts for its user."""
 
     def __init__(self, **options: Any) -> None:
         self.now = SECOND
@@ -217,10 +217,10 @@ class Robot:
         return sample.odometry.v
 
 
-def test_a_robot_stands_first_then_follows_and_stands_when_nothing_comes() -> None:
+def test_a_robot_stands_first_then_follows_and_stops_on_silence() -> None:
     robot = Robot()
     robot.hear(AHEAD)
-    assert robot.speed() == 0.0  # nobody has told it to stand yet
+    assert robot.speed() == 0.0  # no order to stand received yet
     robot.hear(None)
     robot.hear(AHEAD)
     assert robot.speed() == pytest.approx(0.3)
@@ -238,7 +238,7 @@ def test_a_robot_stands_first_then_follows_and_stands_when_nothing_comes() -> No
     assert robot.speed() == 0.0
 
 
-def test_velocities_that_may_be_old_count_for_nothing() -> None:
+def test_possibly_old_velocities_are_ignored() -> None:
     robot = Robot()
     robot.hear(None)
     robot.hear(AHEAD, old_s=0.6)
@@ -251,7 +251,7 @@ def test_velocities_that_may_be_old_count_for_nothing() -> None:
     assert robot.speed() == pytest.approx(0.3)
 
 
-def test_a_velocity_that_is_no_number_stops_it() -> None:
+def test_a_non_finite_velocity_stops_it() -> None:
     robot = Robot()
     robot.hear(None)
     robot.hear(AHEAD)
@@ -259,7 +259,7 @@ def test_a_velocity_that_is_no_number_stops_it() -> None:
     assert robot.speed() == 0.0
 
 
-def test_notices_wait_until_they_were_heard_and_none_comes_from_the_run_before() -> None:
+def test_notices_wait_for_receipt_and_none_are_from_earlier_runs() -> None:
     robot = Robot()
     robot.hear(None, stop="one")
     robot.speed()
@@ -274,7 +274,7 @@ def test_notices_wait_until_they_were_heard_and_none_comes_from_the_run_before()
     assert robot.aboard.opened == 2
 
 
-def test_what_a_driver_raises_is_said_and_it_is_closed() -> None:
+def test_driver_errors_are_reported_and_close_it() -> None:
     robot = Robot(unplugged_s=1.0)
     robot.now += 2 * SECOND
     with pytest.raises(LinkLost) as caught:
@@ -291,7 +291,7 @@ def test_what_a_driver_raises_is_said_and_it_is_closed() -> None:
 # --- what a scenario may say ---
 
 
-def test_it_is_a_driver_and_being_made_does_nothing() -> None:
+def test_it_is_a_driver_and_inactive_until_open() -> None:
     assert isinstance(ZenohDriver(listen="tls/0.0.0.0:7448", keys="there/is/none", vehicle="car3"), Driver)
 
 
@@ -306,20 +306,20 @@ def test_it_is_a_driver_and_being_made_does_nothing() -> None:
         ({"listen": "tcp/127.0.0.1:7448", "vehicle": "car/3"}, "letters, digits"),
     ],
 )
-def test_what_cannot_be_is_said(options: dict[str, Any], problem: str) -> None:
+def test_wrong_options(options: dict[str, Any], problem: str) -> None:
     with pytest.raises(ScenarioError) as caught:
         ZenohDriver(**options)
     assert problem in str(caught.value)
 
 
-def test_it_must_know_whose_robot_it_waits_for() -> None:
+def test_it_needs_a_vehicle_name() -> None:
     made = ZenohDriver(listen="tcp/127.0.0.1:7448")
     with pytest.raises(Exception, match="has no vehicle"):
         made.open()
 
 
 @given(st.binary(max_size=200))
-def test_bytes_that_are_no_message_are_refused_with_an_error_that_is_caught(data: bytes) -> None:
+def test_invalid_bytes_raise_only_the_handled_error(data: bytes) -> None:
     for decoder in (messages.hellos, messages.welcomes, messages.downs, messages.ups):
         try:
             decoder.decode(data)

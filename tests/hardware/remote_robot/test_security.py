@@ -1,4 +1,4 @@
-"""Who may be the robot of a vehicle: real certificates, real sessions, and all that others could try."""
+"""Access to the robot of a vehicle: real certificates and sessions, and attempts by other machines."""
 
 import contextlib
 import json
@@ -10,7 +10,7 @@ import pytest
 import zenoh
 from zenoh.handlers import Callback
 
-from tests.support.cosim.run_processes import reserved
+from tests.support.cosim.run_processes import reserve_port
 from tests.support.hardware.driver_runs import PATIENCE_S, eventually
 from vcmvsp.cosim.security import authority, certificates
 from vcmvsp.cosim.transport import access_control, key_names
@@ -25,7 +25,7 @@ from vcmvsp.hardware.remote_robot.run_side.listener import LinkEnded, News, Peer
 pytestmark = pytest.mark.sockets
 
 HELLO = b"hello"
-ALL_GO = zenoh.CongestionControl.BLOCK  # of many at once, Zenoh else leaves out those that find no room
+ALL_GO = zenoh.CongestionControl.BLOCK  # otherwise Zenoh drops messages of a burst if its queue is full
 
 
 @pytest.fixture(scope="module")
@@ -40,13 +40,13 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> certificates.Keys:
     return certificates.load(folder)
 
 
-class Stage:
-    """A door for the robot of car3, and machines that dial in."""
+class ListenerHarness:
+    """A listener for the robot of car3, and machines that connect to it."""
 
     def __init__(self, keys: certificates.Keys, stack: contextlib.ExitStack) -> None:
         self._keys, self._stack = keys, stack
         self.news: queue.SimpleQueue[News] = queue.SimpleQueue()
-        self.endpoint = f"tls/127.0.0.1:{stack.enter_context(reserved())}"
+        self.endpoint = f"tls/127.0.0.1:{stack.enter_context(reserve_port())}"
         self.door = stack.enter_context(contextlib.closing(RobotListener(self.endpoint, keys, "car3", self._take)))
 
     def _take(self, news: News) -> None:
@@ -70,40 +70,40 @@ class Stage:
         return self._stack.enter_context(zenoh.open(zenoh.Config.from_json5(config)))
 
 
-def greeted(session: zenoh.Session, name: str) -> bool:
+def is_welcome(session: zenoh.Session, name: str) -> bool:
     replies = session.get(key_names.greet_key(name), payload=HELLO, timeout=PATIENCE_S)
     return any(messages.welcomes.decode(each.ok.payload.to_bytes()).run == "yes" for each in replies if each.ok)
 
 
-def hearing(session: zenoh.Session, key: str) -> list[str]:
+def received_texts(session: zenoh.Session, key: str) -> list[str]:
     got: list[str] = []
 
-    def took(sample: zenoh.Sample) -> None:
+    def on_sample(sample: zenoh.Sample) -> None:
         got.append(sample.payload.to_string())
 
-    session.declare_subscriber(key, Callback(took, indirect=False))
+    session.declare_subscriber(key, Callback(on_sample, indirect=False))
     return got
 
 
-def said(session: zenoh.Session, name: str, vehicle: str = "car3", what: Any = "up", zid: str = "") -> str:
+def key_of(session: zenoh.Session, name: str, vehicle: str = "car3", what: Any = "up", zid: str = "") -> str:
     return key_names.robot_key(name, vehicle, zid or str(session.zid()), what)
 
 
 @pytest.mark.parametrize("name", ["car3", "laptop"])
-def test_who_has_a_certificate_for_the_vehicle_is_heard_and_told(
+def test_a_certificate_for_the_vehicle_permits_both_ways(
     keys: certificates.Keys, stack: contextlib.ExitStack, name: str
 ) -> None:
-    stage = Stage(keys, stack)
+    stage = ListenerHarness(keys, stack)
     robot = stage.dial(name)
-    assert greeted(robot, name)
+    assert is_welcome(robot, name)
     peer = Peer(name, str(robot.zid()))
     stage.door.follow(peer)
-    told = hearing(robot, said(robot, name, what="down"))
-    token = robot.liveliness().declare_token(said(robot, name, what="alive"))
+    told = received_texts(robot, key_of(robot, name, what="down"))
+    token = robot.liveliness().declare_token(key_of(robot, name, what="alive"))
     box: list[News] = []
 
     def both() -> bool:
-        robot.put(said(robot, name), b"here")
+        robot.put(key_of(robot, name), b"here")
         stage.door.say(b"there")
         box.extend(stage.all())
         return bool(told) and any(isinstance(each, RobotMessage) for each in box)
@@ -114,13 +114,13 @@ def test_who_has_a_certificate_for_the_vehicle_is_heard_and_told(
     eventually(lambda: LinkEnded(peer) in stage.all())
 
 
-def test_nobody_else_is_heard_hears_or_stands_for_it(keys: certificates.Keys, stack: contextlib.ExitStack) -> None:
-    stage = Stage(keys, stack)
+def test_others_cannot_send_receive_or_replace_it(keys: certificates.Keys, stack: contextlib.ExitStack) -> None:
+    stage = ListenerHarness(keys, stack)
     robot = stage.dial("car3")
-    assert greeted(robot, "car3")
+    assert is_welcome(robot, "car3")
     peer = Peer("car3", str(robot.zid()))
     stage.door.follow(peer)
-    told = hearing(robot, said(robot, "car3", what="down"))
+    told = received_texts(robot, key_of(robot, "car3", what="down"))
 
     def is_told() -> bool:
         stage.door.say(b"there")
@@ -130,22 +130,27 @@ def test_nobody_else_is_heard_hears_or_stands_for_it(keys: certificates.Keys, st
     others = {name: stage.dial(name) for name in ("car2", "anna", "gone")}
     heard = {}
     for name, session in others.items():
-        assert greeted(session, name) == (name == "car2")  # to be told why not
-        assert not greeted(session, "car3")
-        heard[name] = hearing(session, "vcmvsp/robot/**")
-        for key in (said(session, "car3", zid=peer.session), said(session, name, zid=peer.session), said(session, name)):
+        assert is_welcome(session, name) == (name == "car2")  # for the reason of the refusal
+        assert not is_welcome(session, "car3")
+        heard[name] = received_texts(session, "vcmvsp/robot/**")
+        for key in (key_of(session, "car3", zid=peer.session), key_of(session, name, zid=peer.session), key_of(session, name)):
             session.put(key, b"lie", congestion_control=ALL_GO)
-        for key in ("vcmvsp/robot/*/car3/*/up", "vcmvsp/robot/**", said(session, "car3", what="down", zid=peer.session), "**"):
+        for key in (
+            "vcmvsp/robot/*/car3/*/up",
+            "vcmvsp/robot/**",
+            key_of(session, "car3", what="down", zid=peer.session),
+            "**",
+        ):
             session.put(key, b"lie", congestion_control=ALL_GO)
-        tokens = [session.liveliness().declare_token(said(session, "car3", what="alive", zid=peer.session))]
+        tokens = [session.liveliness().declare_token(key_of(session, "car3", what="alive", zid=peer.session))]
         tokens.append(session.liveliness().declare_token(key_names.HUB_ALIVE))
         for token in tokens:
             token.undeclare()  # type: ignore[no-untyped-call]
     stage.door.say(b"there")
     for key, what in (
-        ("vcmvsp/robot/car3/car3/*/up", b"for many"),  # within what it may say, and nobody's key
-        (said(robot, "car3"), b"x" * (access_control.MAX_ROBOT + 1)),
-        (said(robot, "car3"), b"truth"),
+        ("vcmvsp/robot/car3/car3/*/up", b"for many"),  # permitted, but with a wildcard
+        (key_of(robot, "car3"), b"x" * (access_control.MAX_ROBOT + 1)),
+        (key_of(robot, "car3"), b"truth"),
     ):
         robot.put(key, what, congestion_control=ALL_GO)
     box: list[News] = []
@@ -155,29 +160,29 @@ def test_nobody_else_is_heard_hears_or_stands_for_it(keys: certificates.Keys, st
         return any(isinstance(each, RobotMessage) for each in box)
 
     eventually(is_heard)
-    time.sleep(0.1)  # for what should not come
+    time.sleep(0.1)  # for messages that should not arrive
     box += stage.all()
     assert [each.data for each in box if isinstance(each, RobotMessage)] == [b"truth"]
     assert not [each for each in box if isinstance(each, LinkEnded)]
     assert {each.name for each in box if isinstance(each, RobotGreeting)} == {"car3", "car2"}
-    assert {word for got in heard.values() for word in got} == {"lie"}  # a session hears itself
+    assert {word for got in heard.values() for word in got} == {"lie"}  # a session receives its own messages
 
 
-def test_without_the_rules_others_would_be_heard_and_hear(
+def test_without_the_rules_others_get_through(
     keys: certificates.Keys, stack: contextlib.ExitStack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rules = access_control.driver_security(keys, "car3")
     del rules["access_control"]
     monkeypatch.setattr(access_control, "driver_security", lambda *_: rules)
-    stage = Stage(keys, stack)
+    stage = ListenerHarness(keys, stack)
     peer = Peer("car3", "a1")
     stage.door.follow(peer)
     other = stage.dial("car2")
-    heard = hearing(other, said(other, "car3", what="down", zid="a1"))
+    heard = received_texts(other, key_of(other, "car3", what="down", zid="a1"))
     box: list[News] = []
 
     def through() -> bool:
-        other.put(said(other, "car3", zid="a1"), b"lie")
+        other.put(key_of(other, "car3", zid="a1"), b"lie")
         stage.door.say(b"there")
         box.extend(stage.all())
         return "there" in heard and any(isinstance(each, RobotMessage) for each in box)
@@ -185,7 +190,7 @@ def test_without_the_rules_others_would_be_heard_and_hear(
     eventually(through)
 
 
-def test_keys_say_who_speaks_and_no_name_makes_one_of_another() -> None:
+def test_keys_name_the_sender_and_names_cannot_forge_keys() -> None:
     key = key_names.robot_key("laptop", "car3", "a1", "up")
     assert key == "vcmvsp/robot/laptop/car3/a1/up"
     assert key_names.robot_speaker(key) == ("laptop", "car3", "a1")
@@ -203,14 +208,14 @@ def test_keys_say_who_speaks_and_no_name_makes_one_of_another() -> None:
             key_names.robot_key(name, vehicle, zid, "up")
 
 
-def test_all_that_a_robot_says_at_once_fits_into_a_message() -> None:
+def test_the_longest_status_fits_into_a_message() -> None:
     many = tuple(Notice(time_ns=2**62, what="stopped", cause="\U0001f916" * 500) for _ in range(messages.NOTICES_AT_ONCE))
     odometry = Odometry(pose=(1.0, 1.0, 1.0), v=1.0, w=1.0)
     sample = Sample(number=1, link=1, arrived_ns=1, measured_ns=1, odometry=odometry, sonar=((1, 1.0),) * 64)
     assert len(encode(RobotStatus(said_ns=2**62, sample=sample, notices=many))) < access_control.MAX_ROBOT
 
 
-def test_who_is_sent_away_is_told_why(keys: certificates.Keys) -> None:
+def test_refusals_have_a_reason(keys: certificates.Keys) -> None:
     def refusal(name: str, vehicle: str = "car3", protocol: int = messages.PROTOCOL) -> str:
         hello = RobotHello(protocol=protocol, vehicle=vehicle, robot="r", session="a1", device="bench")
         return Admission("car3", keys.folder).refusal(name, hello)

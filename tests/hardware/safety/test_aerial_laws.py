@@ -1,4 +1,4 @@
-"""What holds of a vehicle in the air behind the supervisor, whatever it is told."""
+"""Invariants of an aerial vehicle behind the supervisor, for any commands."""
 
 import math
 from typing import Any
@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.hardware.safety.test_ground_laws import FENCES, RADIUS, STARTS, limits, room
-from tests.support.hardware.supervised_flight import Flight, flown, safety_of
+from tests.support.hardware.supervised_flight import Flight, flight_of, safety_of
 from vcmvsp.cosim.types import Velocity
 from vcmvsp.hardware.safety.aerial_supervisor import AerialSupervisor
 from vcmvsp.hardware.safety.obstacles import Others, Polygon
@@ -25,16 +25,16 @@ reals = st.floats(-4.0, 4.0) | st.sampled_from([0.0, 1.0, -1.0])
 commands = st.tuples(reals, reals, reals, reals)
 
 
-def heard(now: int) -> LastReceived:
+def all_received(now: int) -> LastReceived:
     return LastReceived(operator_ns=now, command_ns=now, positioning_ns=now, federation_ns=now)
 
 
-def told(command: Flight) -> Velocity:
+def velocity_of(command: Flight) -> Velocity:
     return Velocity(linear=command[:3], yaw_rate=command[3])
 
 
-def crowd(places: Any, velocity: Any = None) -> Others:
-    """Others of 0.2 m at x, y, z."""
+def others_at(places: Any, velocity: Any = None) -> Others:
+    """Vehicles of radius 0.2 m at x, y, z."""
     rows = np.array(places, float).reshape(-1, 3)
     return Others(rows, np.zeros_like(rows) if velocity is None else np.array(velocity, float), np.full(len(rows), 0.2))
 
@@ -46,13 +46,13 @@ def fly(
     others: Others | None = None,
     ideal: bool = False,
 ) -> list[tuple[Flight, Flight, Any]]:
-    """Place, speeds and decision after each piece of a flight in which each of the commands lasts for some periods."""
+    """Place, speeds and decision after each piece of a flight; each command lasts for some periods."""
     supervisor, now, speeds, seen = AerialSupervisor(parameters), 0, (0.0, 0.0, 0.0, 0.0), []
     for command, periods in asked:
         for _ in range(periods):
-            decision = supervisor.step(now, told(command), place, others, heard(now))
+            decision = supervisor.step(now, velocity_of(command), place, others, all_received(now))
             sent: Flight = (*decision.command.linear, decision.command.yaw_rate)
-            for each in flown(place, speeds, sent, 0.1, parameters, ideal=ideal):
+            for each in flight_of(place, speeds, sent, 0.1, parameters, ideal=ideal):
                 place, speeds = each
                 seen.append((place, speeds, decision))
             now += PERIOD_NS
@@ -65,7 +65,7 @@ def flights(most: int) -> st.SearchStrategy[list[tuple[Flight, int]]]:
 
 def test_it_flies_over_another_and_does_not_come_down_on_it() -> None:
     parameters = safety_of(QUAD, max_climb=1.0, radius_m=0.2, separation_m=0.3)
-    other = crowd([(3.0, 0.0, 1.0)])
+    other = others_at([(3.0, 0.0, 1.0)])
     over = fly(parameters, (0.0, 0.0, 2.0, 0.0), [((1.5, 0.0, 0.0, 0.0), 40)], other)
     assert over[-1][0][0] > 5.0
     assert all(decision.causes == () for _, _, decision in over[60:])
@@ -75,14 +75,14 @@ def test_it_flies_over_another_and_does_not_come_down_on_it() -> None:
     beside = fly(parameters, (0.0, 0.0, 1.0, 0.0), [((1.5, 0.0, 0.0, 0.0), 40)], other)
     assert beside[-1][0][0] == pytest.approx(2.3, abs=1e-2)
     away = fly(parameters, (0.0, 0.0, 2.0, 0.0), [((0.0, 0.0, -1.0, 0.0), 40)], other)
-    assert away[-1][0][2] < -1.0  # far beside it, its height is nobody's business
+    assert away[-1][0][2] < -1.0  # far to the side, every height is free
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_on_a_slant_it_misses_the_edge_of_another(sign: float) -> None:
-    """Above it or beside it, and between both without a gap."""
+def test_a_slanting_flight_misses_another(sign: float) -> None:
+    """Distance is kept above, beside and in between, and used up to 1 cm."""
     parameters = safety_of(QUAD, max_climb=1.0, radius_m=0.2, separation_m=0.3)
-    other, nearest = crowd([(3.0, 0.0, 0.0)]), []
+    other, nearest = others_at([(3.0, 0.0, 0.0)]), []
     for tenth in range(10, 40):
         slant = [((1.5, 0.0, -sign, 0.0), 40)]
         seen = fly(parameters, (0.0, 0.0, 0.1 * tenth * sign, 0.0), slant, other)
@@ -93,16 +93,16 @@ def test_on_a_slant_it_misses_the_edge_of_another(sign: float) -> None:
 
 
 @pytest.mark.parametrize("inside", [0.0, 1e-12, 0.05])
-def test_who_is_a_little_too_near_does_not_come_nearer_in_any_way(inside: float) -> None:
-    """Poses have errors: one that waits below another must not be let through it by a millimetre."""
+def test_a_vehicle_slightly_too_near_comes_no_nearer(inside: float) -> None:
+    """Poses have errors: a vehicle below another one must not pass through it because it is 1 mm too near."""
     parameters = safety_of(QUAD, max_climb=1.0, radius_m=0.2, separation_m=0.3)
-    other, z = crowd([(0.0, 0.0, 1.7)]), 1.0 + inside
+    other, z = others_at([(0.0, 0.0, 1.7)]), 1.0 + inside
     assert fly(parameters, (0.1, 0.0, z, 0.0), [((0.0, 0.0, 1.0, 0.0), 20)], other)[-1][0][2] == pytest.approx(z, abs=1e-9)
     assert fly(parameters, (0.1, 0.0, z, 0.0), [((0.0, 0.0, -1.0, 0.0), 20)], other)[-1][0][2] < 0.0
     assert fly(parameters, (0.1, 0.0, z, 0.0), [((1.0, 0.0, 0.0, 0.0), 20)], other)[-1][0][0] > 1.0
 
 
-def test_where_nobody_is_it_flies() -> None:
+def test_without_others_it_flies() -> None:
     parameters = safety_of(QUAD, max_climb=1.0, radius_m=0.2, separation_m=0.3)
     nobody = Others(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
     assert fly(parameters, (0.0, 0.0, 1.0, 0.0), [((1.5, 0.0, 0.0, 0.0), 40)], nobody)[-1][0][0] > 4.0
@@ -110,9 +110,7 @@ def test_where_nobody_is_it_flies() -> None:
 
 @settings(max_examples=40)
 @given(keep=limits, ideal=st.booleans(), c=st.floats(0.1, 1.0), way=st.sampled_from(["beside", "above", "below"]))
-def test_before_one_that_comes_nearer_it_stands_when_the_distance_is_reached(
-    keep: Limits, ideal: bool, c: float, way: str
-) -> None:
+def test_it_stands_before_an_approaching_one_at_the_distance(keep: Limits, ideal: bool, c: float, way: str) -> None:
     axis, sign = {"beside": (0, 1.0), "above": (2, 1.0), "below": (2, -1.0)}[way]
     parameters = safety_of(keep, max_climb=1.5, radius_m=RADIUS, separation_m=0.3)
     supervisor, place, speeds, now = AerialSupervisor(parameters), (0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), 0
@@ -120,14 +118,14 @@ def test_before_one_that_comes_nearer_it_stands_when_the_distance_is_reached(
     at[axis], going[axis], ask[axis] = 5.0 * sign, -c * sign, 3.0 * sign
     while sign * (at[axis] - place[axis]) - RADIUS - 0.2 >= 0.3:
         command = Velocity(linear=(ask[0], ask[1], ask[2]))
-        sent = supervisor.step(now, command, place, crowd([at], [going]), heard(now)).command
-        place, speeds = list(flown(place, speeds, (*sent.linear, 0.0), 0.1, keep, ideal=ideal))[-1]
+        sent = supervisor.step(now, command, place, others_at([at], [going]), all_received(now)).command
+        place, speeds = list(flight_of(place, speeds, (*sent.linear, 0.0), 0.1, keep, ideal=ideal))[-1]
         at, now = at + 0.1 * going, now + PERIOD_NS
     assert sign * (at[axis] - place[axis]) - RADIUS - 0.2 >= 0.3 - 0.1 * c - 1e-6
     assert abs(speeds[axis]) <= 0.1 * keep.decel + 1e-9
 
 
-def test_from_the_ground_it_climbs_through_the_floor_and_does_not_come_back() -> None:
+def test_it_climbs_from_the_ground_through_the_floor_for_good() -> None:
     parameters = safety_of(QUAD, max_climb=1.0, radius_m=0.2, floor_m=0.5, ceiling_m=2.0)
     seen = fly(
         parameters, (0.0, 0.0, 0.0, 0.0), [((0.0, 0.0, -1.0, 0.0), 10), ((0.0, 0.0, 1.0, 0.0), 40), ((1.0, 0.0, -1.0, 0.0), 40)]
@@ -136,7 +134,7 @@ def test_from_the_ground_it_climbs_through_the_floor_and_does_not_come_back() ->
     assert min(heights) == 0.0
     assert max(heights) == pytest.approx(2.0, abs=1e-2)
     assert heights[-1] == pytest.approx(0.5, abs=1e-2)
-    assert seen[-1][0][0] > 3.0  # the floor holds up nothing else
+    assert seen[-1][0][0] > 3.0  # the floor does not block horizontal flight
     assert seen[-1][2].causes == (Cause.LIMITS, Cause.GEOFENCE)
 
 

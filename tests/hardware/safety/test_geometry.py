@@ -1,4 +1,4 @@
-"""Distances along cones of headings against sampled ones, fences against plain loops, speeds against their distances."""
+"""Distances along cones of headings against sampling, fences against plain loops, speeds against their distances."""
 
 import math
 
@@ -18,7 +18,7 @@ speeds = st.floats(0.0, 3.0)
 
 
 def distance(x: np.ndarray, y: np.ndarray, a: tuple[float, float], b: tuple[float, float]) -> np.ndarray:
-    """From each point to a segment, m."""
+    """Distance from each point to a segment, m."""
     ex, ey = b[0] - a[0], b[1] - a[1]
     length2 = ex * ex + ey * ey
     at = np.clip(((x - a[0]) * ex + (y - a[1]) * ey) / length2, 0.0, 1.0) if length2 > 0.0 else 0.0
@@ -35,7 +35,7 @@ def distance(x: np.ndarray, y: np.ndarray, a: tuple[float, float], b: tuple[floa
     width=st.floats(0.0, 3.5),
     disc=st.booleans(),
 )
-def test_a_sector_is_free_as_far_as_sampling_says(
+def test_a_free_sector_agrees_with_sampling(
     here: tuple[float, float],
     a: tuple[float, float],
     b: tuple[float, float],
@@ -56,8 +56,8 @@ def test_a_sector_is_free_as_far_as_sampling_says(
     rho = np.linspace(0.0, 1.0, 241)[None, :]
     reach = min(free, 20.0) - 1e-6
     inside = distance(here[0] + reach * rho * np.cos(phi), here[1] + reach * rho * np.sin(phi), a, b)
-    assert inside.min() >= radius - 1e-7  # nothing of the sector is touched
-    if math.isfinite(free) and width < math.pi:  # and it is the largest such one
+    assert inside.min() >= radius - 1e-7  # no point of the sector is within the radius
+    if math.isfinite(free) and width < math.pi:  # and the sector is the largest one
         arc = distance(here[0] + free * np.cos(phi), here[1] + free * np.sin(phi), a, b)
         assert arc.min() <= radius + free * width / 240 + 1e-6
 
@@ -92,7 +92,7 @@ def test_the_fastest_speed_just_fits(free: float, u: float, c: float, hold: floa
     def needed(speed: float) -> float:
         return swept(speed, u, hold, decel) + c * (hold + speed / decel)
 
-    if v > max(0.0, u - decel * hold):  # else it must brake as hard as it can anyhow
+    if v > max(0.0, u - decel * hold):  # otherwise maximum braking is needed anyway
         assert needed(v) == pytest.approx(free, abs=1e-6)
     if v >= u:
         assert stops_within(free, u, c, decel)
@@ -102,15 +102,15 @@ def test_the_fastest_speed_just_fits(free: float, u: float, c: float, hold: floa
 
 
 def test_known_braking_distances() -> None:
-    assert fastest(0.5, 0.0, 0.0, 1e-9, 0.75) == pytest.approx(math.sqrt(2 * 0.75 * 0.5))  # the dynamic window's
+    assert fastest(0.5, 0.0, 0.0, 1e-9, 0.75) == pytest.approx(math.sqrt(2 * 0.75 * 0.5))  # the dynamic window approach
     assert swept(0.5, 0.5, 0.1, 0.75) == pytest.approx(0.05 + 0.25 / 1.5)
     assert swept(0.0, 0.5, 0.1, 0.75) == pytest.approx(0.25 / 1.5)
-    # sqrt(v) slows to 0.45 in 1/15 s and 31.7 mm, goes on for 1/30 s, and stops in 135 mm
+    # sqrt(v) slows to 0.45 in 1/15 s and 31.7 mm, continues for 1/30 s, and stops in 135 mm
     assert swept(0.45, 0.5, 0.1, 0.75) == pytest.approx(0.475 / 15 + 0.45 / 30 + 0.45**2 / 1.5)
     assert fastest(math.inf, 0.0, 0.0, 0.1, 1.0) == math.inf
 
 
-def test_who_is_outside_may_only_drive_back() -> None:
+def test_outside_only_a_return_is_free() -> None:
     around = Polygon([(0, 0), (4, 0), (4, 3), (0, 3)]).around(5.0, 1.0, 0.3)
     assert around.speed == RETURN_MPS
     assert around.free(math.pi, math.pi + 0.3).tolist() == [math.inf]
@@ -129,13 +129,13 @@ def test_who_is_outside_may_only_drive_back() -> None:
         [(0, 0), (1, 0), (math.nan, 1)],
     ],
 )
-def test_a_fence_that_is_none_is_refused(corners: list[tuple[float, float]]) -> None:
+def test_an_invalid_fence_is_refused(corners: list[tuple[float, float]]) -> None:
     with pytest.raises(ValueError, match="fence"):
         Polygon(corners)
 
 
 @given(here=points)
-def test_inside_is_what_angles_say(here: tuple[float, float]) -> None:
+def test_inside_agrees_with_angles(here: tuple[float, float]) -> None:
     corners = [(-2.0, -2.0), (2.0, -2.0), (2.0, 2.0), (0.0, -1.0), (-2.0, 2.0)]
     turns = 0.0
     for (ax, ay), (bx, by) in zip(corners, corners[1:] + corners[:1], strict=True):
@@ -146,7 +146,7 @@ def test_inside_is_what_angles_say(here: tuple[float, float]) -> None:
         assert Polygon(order).contains(*here) == (abs(turns) > math.pi)
 
 
-def test_only_who_comes_nearer_counts_as_closing() -> None:
+def test_only_an_approach_counts_as_closing() -> None:
     others = Others(
         np.array([[2.0, 0.0], [0.0, 3.0], [0.0, -1.0]]), np.array([[-0.5, 0.3], [0.0, 1.0], [0.7, 0.0]]), np.full(3, 0.2)
     )
@@ -156,7 +156,7 @@ def test_only_who_comes_nearer_counts_as_closing() -> None:
     assert around.free(0.0, 0.0).tolist() == [pytest.approx(1.3), math.inf, math.inf]
 
 
-def test_who_stands_at_a_wall_to_the_last_bit_is_not_let_through() -> None:
+def test_no_bit_at_a_wall_lets_a_robot_through() -> None:
     fence = Polygon([(0, 0), (6, 1.5), (0, 3)])
     normal = (-0.25 / math.hypot(1, 0.25), 1 / math.hypot(1, 0.25))
     for along in np.random.default_rng(1).uniform(1.5, 4.0, 600).tolist():

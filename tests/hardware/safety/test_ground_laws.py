@@ -1,4 +1,4 @@
-"""What holds of a robot behind the supervisor, whatever it is told: a unicycle that is integrated exactly."""
+"""Invariants of a ground robot behind the supervisor, for any commands: an exactly integrated unicycle."""
 
 import itertools
 import math
@@ -54,12 +54,12 @@ HARD = Limits(max_speed=1.3, max_yaw_rate=1.0, accel=1.77, decel=2.98, yaw_accel
 
 
 def heard(now: int, **ages: int | None) -> LastReceived:
-    """All heard just now, but for those with an age, ns."""
+    """All inputs received at ``now``, except those with an age, ns."""
     return LastReceived(**{name: now - (ages.get(name, 0) or 0) for name in HERE})
 
 
 def room(fence: Polygon, x: float, y: float) -> float:
-    """Signed distance to the fence, m, positive inside: plain loops, another way than the product's."""
+    """Signed distance to the fence, m, positive inside, by plain loops independent of the product code."""
     best, turns = math.inf, 0.0
     for (ax, ay), (bx, by) in zip(fence.a.tolist(), fence.b.tolist(), strict=True):
         along = (bx - ax, by - ay)
@@ -73,7 +73,7 @@ def room(fence: Polygon, x: float, y: float) -> float:
 def ideal(
     pose: Pose, speeds: tuple[float, float], told: tuple[float, float], dt: float, _: Limits
 ) -> Iterator[tuple[Pose, tuple[float, float]]]:
-    """A robot that has the speed it is told at once."""
+    """A robot that reaches the commanded speeds at once."""
     for part in range(1, 5):
         yield arc(pose, *told, dt * part / 4), told
 
@@ -81,7 +81,7 @@ def ideal(
 def ramping(
     pose: Pose, speeds: tuple[float, float], told: tuple[float, float], dt: float, limits: Limits
 ) -> Iterator[tuple[Pose, tuple[float, float]]]:
-    """A robot that accelerates as much as the limits say and brakes no harder; each of the pieces is an arc."""
+    """A robot that accelerates and brakes at the limits; each piece is an arc."""
     (v, w), (dv, dw) = speeds, (told[0] - speeds[0], told[1] - speeds[1])
     ready_v, ready_w = abs(dv) / limits.decel, abs(dw) / limits.yaw_decel
     times = sorted({0.0, dt, 0.5 * dt, min(dt, ready_v), min(dt, ready_w)})  # both speeds are linear in between
@@ -96,7 +96,7 @@ def ramping(
 def drive(
     supervisor: GroundSupervisor, robot: Any, pose: Pose, told: list[tuple[float, float, int]], keep: Limits
 ) -> Iterator[tuple[Pose, tuple[float, float], Any]]:
-    """Pose, command and decision at each piece of a drive in which each of the commands lasts for some periods."""
+    """Pose, command and decision after each piece of a drive; each command lasts for some periods."""
     now, speeds = 0, (0.0, 0.0)
     for v, w, periods in told:
         for _ in range(periods):
@@ -110,7 +110,7 @@ def drive(
 def one_step(
     parameters: Safety, pose: Pose, last: tuple[float, float], command: tuple[float, float], others: Others | None
 ) -> tuple[float, float]:
-    """What becomes of a command a tenth of a second after ``last``."""
+    """Supervised command, v and w, 0.1 s after ``last``."""
     supervisor = GroundSupervisor(parameters)
     supervisor.step(0, Velocity(), pose, None, heard(0))
     supervisor.last = last
@@ -120,7 +120,7 @@ def one_step(
 
 
 def crowd(places: list[tuple[float, float, float, float]]) -> Others:
-    """Others at x, y with velocities."""
+    """Vehicles of radius 0.2 m, from rows x, y, vx, vy."""
     rows = np.array(places, float).reshape(-1, 4)
     return Others(rows[:, :2], rows[:, 2:], np.full(len(rows), 0.2))
 
@@ -168,7 +168,7 @@ def test_a_stricter_yaw_rate_never_gives_a_faster_turn(
 
 @settings(max_examples=300)
 @given(**situations)
-def test_what_is_safe_is_left_alone(name: str, keep: Limits, pose: Pose, last: Any, command: Any, places: Any) -> None:
+def test_safe_commands_are_unchanged(name: str, keep: Limits, pose: Pose, last: Any, command: Any, places: Any) -> None:
     parameters = safety_of(keep, radius_m=RADIUS, fence=FENCES[name], separation_m=0.2)
     once = one_step(parameters, pose, last, command, crowd(places))
     assert one_step(parameters, pose, last, once, crowd(places)) == once
@@ -188,7 +188,7 @@ def test_at_the_fence_it_slows_down_once_and_stands(name: str, robot: Any, yaw: 
     speeds = [command[0] for _, command, _ in drives][3:]
     peak = speeds.index(max(speeds))
     rises = sum(max(0.0, after - before) for before, after in itertools.pairwise(speeds[peak:]))
-    assert rises <= 0.03  # m/s: one that brakes harder than was reckoned with creeps the last millimetres
+    assert rises <= 0.03  # m/s: braking harder than assumed causes a creep over the last millimetres
     assert 0.0 <= speeds[-1] < 1e-2
     (x, y, _), _, last = drives[-1]
     assert room(FENCES[name], x, y) == pytest.approx(RADIUS, abs=1e-2)
@@ -196,7 +196,7 @@ def test_at_the_fence_it_slows_down_once_and_stands(name: str, robot: Any, yaw: 
     assert not last.stop
 
 
-def test_a_goal_beyond_the_fence_is_waited_for_without_trembling() -> None:
+def test_a_goal_beyond_the_fence_causes_no_oscillation() -> None:
     supervisor = GroundSupervisor(safety_of(AMIGO, radius_m=RADIUS, fence=FENCES["square"]))
     pose, goal, seen = (1.0, 1.0, 1.0), (5.0, 2.0), []
     for tick in range(600):
@@ -235,7 +235,7 @@ def test_a_robot_outside_finds_back_into_every_fence() -> None:
 
 @settings(max_examples=60)
 @given(keep=limits, robot=st.sampled_from([ideal, ramping]), c=st.floats(0.1, 1.0))
-def test_before_one_that_comes_head_on_it_stands_when_the_distance_is_reached(keep: Limits, robot: Any, c: float) -> None:
+def test_it_stands_before_an_oncoming_one_at_the_distance(keep: Limits, robot: Any, c: float) -> None:
     supervisor = GroundSupervisor(safety_of(keep, radius_m=RADIUS, separation_m=0.3))
     pose, speeds, x, tick = (0.0, 0.0, 0.0), (0.0, 0.0), 4.0, 0
     while x - pose[0] - RADIUS - 0.2 >= 0.3:
@@ -243,6 +243,6 @@ def test_before_one_that_comes_head_on_it_stands_when_the_distance_is_reached(ke
         told = supervisor.step(tick * PERIOD_NS, Velocity(linear=(2.0, 0, 0)), pose, others, heard(tick * PERIOD_NS)).command
         pose, speeds = list(robot(pose, speeds, (told.linear[0], told.yaw_rate), 0.1, keep))[-1]
         x, tick = x - c * 0.1, tick + 1
-    # all that is missing then is what the other moved itself in its last period
+    # the remaining shortfall is the other vehicle's motion in its last period
     assert x - pose[0] - RADIUS - 0.2 >= 0.3 - c * 0.1 - 1e-6
     assert speeds[0] <= keep.decel * 0.1 + 1e-9

@@ -1,6 +1,6 @@
-"""Random sequences of commands and faults, on the ground and in the air: no law is broken, whatever comes after what.
+"""Random sequences of commands and faults, on the ground and in the air: no law is broken in any order.
 
-``VCMVSP_SEQUENCES=5000 pytest tests/hardware/safety/test_sequences.py`` runs as many of each.
+``VCMVSP_SEQUENCES=5000 pytest tests/hardware/safety/test_sequences.py`` runs 5000 of each.
 """
 
 import math
@@ -54,7 +54,7 @@ KEEP = Limits(max_speed=1.0, max_yaw_rate=1.0, accel=1.0, decel=1.0, yaw_accel=2
 @pytest.mark.parametrize("flies", [False, True], ids=["ground", "air"])
 @pytest.mark.parametrize("fault", FAULTS)
 def test_each_fault_stops_it_or_is_none(flies: bool, fault: str) -> None:
-    """Else the sequences might be watching nothing."""
+    """Otherwise the sequences would not test anything."""
     rehearsal = Rehearsal(flies, "square", KEEP, exact=False)
     rehearsal.run([Stretch((0.5, 0.0, 0.1, 0.2), 12), Stretch((0.5, 0.0, 0.1, 0.2), 12, fault, (0.1, 0.0, 0.0))])
     harmless = ("none", "pose false", "moved", "clock late")
@@ -63,7 +63,7 @@ def test_each_fault_stops_it_or_is_none(flies: bool, fault: str) -> None:
 
 
 @pytest.mark.parametrize("flies", [False, True], ids=["ground", "air"])
-def test_the_watcher_sees_a_robot_that_does_not_brake(flies: bool) -> None:
+def test_the_check_detects_missing_braking(flies: bool) -> None:
     rehearsal = Rehearsal(flies, "square", KEEP, exact=False)
     move = rehearsal._move
     rehearsal._move = lambda command: move(rehearsal._command((0.5, 0.0, 0.0, 0.0)))  # type: ignore[method-assign]

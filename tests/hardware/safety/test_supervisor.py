@@ -1,4 +1,4 @@
-"""What random sequences do not reach: time-outs that are none, what is not watched, limits of a single step."""
+"""Cases outside the random sequences: invalid timeouts, inputs without a timeout, limits of a single step."""
 
 import math
 
@@ -18,7 +18,7 @@ FENCE = Polygon([(-9, -9), (9, -9), (9, 9), (-9, 9)])
 SOURCES = ("operator", "command", "positioning", "federation")
 
 
-def test_what_is_not_waited_for_may_be_silent_for_ever() -> None:
+def test_inputs_without_a_timeout_may_be_silent() -> None:
     deadman = Deadman(safety_of(AMIGO, radius_m=0.18, **dict.fromkeys([f"{name}_s" for name in (*SOURCES, "clock")])))
     assert deadman.check(10**15, LastReceived()) == ()
     assert deadman.check(0, LastReceived()) == ()

@@ -1,4 +1,4 @@
-"""Programs of cflib, unchanged and in processes of their own, fly simulated Crazyflies."""
+"""Unchanged cflib programs, in processes of their own, fly simulated Crazyflies."""
 
 import json
 import math
@@ -22,12 +22,12 @@ from vcmvsp.hardware.stacks.crtp import LOG, PARAMETERS, Crazyflie, Flight, Mano
 from vcmvsp.hardware.stacks.trajectories import HEADER, PIECE, START
 
 UPLOAD = PIECE.pack(*range(32), 2.0) + START.pack(0, 0, 500, 0) + HEADER.pack(1, 1500) + b"\x64\0"
-MOTION_M_PER_S = 0.2  # of cflib's MotionCommander, for distance / speed by the wall clock
+MOTION_M_PER_S = 0.2  # speed of cflib's MotionCommander, which times distance / speed by the wall clock
 NAMES = ("cf1", "cf2", "cf3", "cf4")
 
 
 def free_ports() -> int:
-    """The first of some UDP ports in a row that are free."""
+    """First of four consecutive free UDP ports."""
     while True:
         first = random.randrange(20000, 30000)
         opened = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in NAMES]
@@ -109,7 +109,7 @@ def test_a_connection_brings_tables_and_flies_trajectories_and_a_second_program_
     assert any(line == "stack.crazyflie: cf2: refused packets: 1 second program" for line in lines)
 
 
-def test_a_port_that_is_taken_is_one_error() -> None:
+def test_a_port_in_use_is_one_error() -> None:
     first = free_ports()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", first + 1))
@@ -123,7 +123,7 @@ def test_only_vehicles_that_fly_are_crazyflies() -> None:
 
 
 def valid_packets() -> list[bytes]:
-    """One of each kind."""
+    """One packet of each kind."""
     four = struct.pack("<ffff", 0.1, 0.2, 0.3, 4.0)
     return [
         b"\xff",
@@ -204,10 +204,10 @@ def test_a_go_to_begins_and_ends_at_rest() -> None:
     speeds: list[float] = []
     for tick in range(101):
         now_s = 0.02 * tick
-        at = start.position[0] + sum(0.02 * each for each in speeds)  # it follows exactly
+        at = start.position[0] + sum(0.02 * each for each in speeds)  # ideal tracking
         command = commander.command(VehicleState(position=(at, 0.0, 1.0)), now_s)
         speeds.append(command.linear[0])
     assert speeds[0] == pytest.approx(0.0, abs=1e-9)
     assert speeds[-1] == pytest.approx(0.0, abs=0.05)
-    assert max(speeds) == pytest.approx(140.0 / 64.0 / 2.0, rel=0.05)  # of the polynomial, in the middle
+    assert max(speeds) == pytest.approx(140.0 / 64.0 / 2.0, rel=0.05)  # maximum of the polynomial, at half time
     assert 1.0 + sum(0.02 * each for each in speeds) == pytest.approx(2.0, abs=0.02)

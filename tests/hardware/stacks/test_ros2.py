@@ -1,4 +1,4 @@
-"""ROS 2 nodes drive simulated vehicles: the nodes are those of zenoh-ros2-sdk, what they get is decoded by rosbags."""
+"""ROS 2 nodes drive simulated vehicles: nodes of zenoh-ros2-sdk, messages decoded by rosbags."""
 
 import contextlib
 import json
@@ -36,7 +36,7 @@ STRING = "std_msgs/msg/String"
 
 @contextlib.contextmanager
 def node(port: int, vehicle: str, *options: str) -> Iterator[subprocess.Popen[str]]:
-    """A node in a process of its own, which dials until the run is there."""
+    """A node in a process of its own that connects as soon as the run listens."""
     words = [sys.executable, "-m", "tests.support.hardware.ros2_node", str(port), vehicle, *map(str, GOALS[vehicle]), *options]
     with subprocess.Popen(words, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         try:
@@ -69,13 +69,13 @@ def end_of(result: Result, vehicle: str) -> tuple[float, float]:
     return last["x"], last["y"]
 
 
-def heard(output: IO[str]) -> list[list[str]]:
-    """Sender, content, level and age of each message that a node got by radio."""
+def radio_lines(output: IO[str]) -> list[list[str]]:
+    """Sender, content, level and age of each radio message received by a node."""
     return [line.split() for line in output]
 
 
 @pytest.mark.parametrize("stamped", [(), ("--stamped",)], ids=["Twist", "TwistStamped"])
-def test_in_lock_step_runs_have_the_same_bytes_and_the_radio_loses_what_its_table_says(
+def test_in_lock_step_runs_have_equal_bytes_and_radio_losses_by_table(
     port: int, tmp_path: Path, stamped: tuple[str, ...]
 ) -> None:
     runs, said = [], []
@@ -85,7 +85,7 @@ def test_in_lock_step_runs_have_the_same_bytes_and_the_radio_loses_what_its_tabl
             assert one.stdin
             one.stdin.close()
             assert one.stdout
-            said.append(heard(one.stdout))
+            said.append(radio_lines(one.stdout))
             two.kill()
     first = runs[0]
     assert runs[1].metrics["digest"] == first.metrics["digest"]
@@ -96,7 +96,7 @@ def test_in_lock_step_runs_have_the_same_bytes_and_the_radio_loses_what_its_tabl
     number_of = {sent_ns: number for number, sent_ns in enumerate(sorted(each["sent_ns"] for each in frames), 1)}
     arrived = [each for each in frames if each["outcome"] == "received"]
     assert 40 < len(arrived) < 72  # of 80, with a loss of 0.3
-    assert len(arrived) - len(said[0]) in {0, 1}  # what arrives after the last tick
+    assert len(arrived) - len(said[0]) in {0, 1}  # a frame may arrive after the last tick
     for (sender, content, rssi, age), frame in zip(said[0], arrived, strict=False):
         assert (sender, int(content, 16)) == ("car2", number_of[frame["sent_ns"]])
         assert float(rssi) == pytest.approx(frame["rssi_dbm"], abs=1e-6)
@@ -131,7 +131,7 @@ def test_in_real_time_a_node_drives_and_its_end_is_a_loss(port: int) -> None:
 
 
 @pytest.mark.parametrize("on_lost", ["stop", "hold", "remove"])
-def test_a_silent_node_is_lost_as_an_agent_is(port: int, tmp_path: Path, on_lost: str) -> None:
+def test_a_silent_node_is_lost_like_an_agent(port: int, tmp_path: Path, on_lost: str) -> None:
     asked = scenario(port, "car1", duration_s=3.0)
     asked["agents"] = {"on_lost": on_lost, "hold_s": 0.0, "deadline_s": 3.0}
     asked["vehicle"].pop()
@@ -166,7 +166,7 @@ def test_a_second_publisher_and_other_types_are_refused_by_name(port: int) -> No
 
     def tell(line: str) -> None:
         lines.append(line)
-        if all(any(each in line for line in lines) for each in refusals):  # no node is left then, and the run ends
+        if all(any(each in line for line in lines) for each in refusals):  # no node is left, and the run ends
             process.kill()
             over.set()
 
@@ -182,7 +182,7 @@ def test_a_second_publisher_and_other_types_are_refused_by_name(port: int) -> No
     assert any("car1: refused messages: " in line for line in lines)
 
 
-def test_every_byte_is_that_of_its_type_and_names_and_hashes_are_rmw_zenohs(port: int) -> None:
+def test_bytes_names_and_hashes_are_those_of_rmw_zenoh(port: int) -> None:
     store = get_typestore(Stores.ROS2_JAZZY)
     for name, text in OWN_TYPES.items():
         store.register(get_types_from_msg(text, name))
@@ -202,7 +202,7 @@ def test_every_byte_is_that_of_its_type_and_names_and_hashes_are_rmw_zenohs(port
             static = f"0/car1/tf_static/tf2_msgs::msg::dds_::TFMessage_/{store.hash_rihs01('tf2_msgs/msg/TFMessage')}"
             history = zenoh.ext.HistoryConfig(detect_late_publishers=True)
             zenoh.ext.declare_advanced_subscriber(session, static, samples.append, history=history)
-            with node(port, "car1"):  # the run begins with it
+            with node(port, "car1"):  # the run starts with the node
                 over.wait(60.0)
 
     over = threading.Event()
@@ -221,7 +221,7 @@ def test_every_byte_is_that_of_its_type_and_names_and_hashes_are_rmw_zenohs(port
         assert bytes(store.serialize_cdr(message, name)) == data
         assert attachment is not None
         assert len(attachment.to_bytes()) == 33
-    inputs = "cmd_vel", "radio/send"  # of the node
+    inputs = "cmd_vel", "radio/send"  # inputs of the node
     parts = (
         "clock",
         *inputs,

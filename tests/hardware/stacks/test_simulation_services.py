@@ -1,4 +1,4 @@
-"""Services of simulation_interfaces: the client is zenoh-ros2-sdk's, with its own hashes and definitions."""
+"""Services of simulation_interfaces: client of zenoh-ros2-sdk, with its own hashes and definitions."""
 
 import contextlib
 import json
@@ -15,7 +15,7 @@ import zenoh
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import vcmvsp
-from tests.support.hardware.ros2_caller import MESSAGES, SERVICES, hash_of, qualified
+from tests.support.hardware.ros2_caller import MESSAGES, SERVICES, hash_of, with_packages
 from tests.support.paths import ROOT
 from vcmvsp.cosim.errors import Interrupted
 from vcmvsp.cosim.recording import ros_messages as ros
@@ -28,7 +28,7 @@ from vcmvsp.hardware.stacks import simulation_services as services
 pytestmark = [pytest.mark.processes, pytest.mark.sockets]
 
 CRATE = {"name": "crate", "solid": {"kind": "box", "center": [4.0, -2.0, 0.2], "size": [0.4, 0.4, 0.4]}, "mass_kg": 5.0}
-PERIOD_NS = 100_000_000  # of the ticks
+PERIOD_NS = 100_000_000  # tick period
 
 
 def scenario(port: int, duration_s: float = 4.0) -> dict[str, Any]:
@@ -59,9 +59,9 @@ def caller(port: int, *options: str) -> Iterator["subprocess.Popen[str]"]:
             process.kill()
 
 
-def said_by(process: "subprocess.Popen[str]") -> list[tuple[str, Any]]:
+def answers_of(process: "subprocess.Popen[str]") -> list[tuple[str, Any]]:
     assert process.stdout
-    line = next(each for each in process.stdout if each.startswith("["))  # others are what its node heard by radio
+    line = next(each for each in process.stdout if each.startswith("["))  # other lines are radio messages received by its node
     return [(kind, response) for kind, response in json.loads(line)]
 
 
@@ -74,12 +74,12 @@ def test_calls_pause_step_and_change_a_run_which_is_recorded_and_repeatable(port
     for number in range(2):
         with caller(port) as process:
             results.append(vcmvsp.run(scenario(port), out=tmp_path / f"run{number}"))
-            answers.append(said_by(process))
+            answers.append(answers_of(process))
     said: list[tuple[str, Any]] = answers[0]
     assert answers[1] == said
     assert results[1].metrics["digest"] == results[0].metrics["digest"]
     ((_, features),) = [each for each in said if each[0] == "GetSimulatorFeatures"]
-    assert features["features"]["features"] == [10, 11, 24, 25, 26, 31, 32]  # what the other calls do
+    assert features["features"]["features"] == [10, 11, 24, 25, 26, 31, 32]  # features of the other calls
     codes = [(kind, response["result"]["result"]) for kind, response in said if "result" in response]
     assert [code for kind, code in codes if kind == "SetSimulationState"] == [1, 101, 0, 1]
     assert [code for kind, code in codes if kind == "GetEntities"] == [1, 1, 4, 0, 0]
@@ -107,7 +107,7 @@ def test_calls_pause_step_and_change_a_run_which_is_recorded_and_repeatable(port
     assert replay(tmp_path / "run0").metrics["digest"] == results[0].metrics["digest"]
 
 
-def test_a_call_ends_a_run_as_its_operator_does(port: int) -> None:
+def test_a_call_ends_a_run_like_an_operator(port: int) -> None:
     with caller(port, "--quit") as process, pytest.raises(Interrupted) as ended:
         vcmvsp.run(scenario(port, 1000.0))
     assert ended.value.result is not None
@@ -119,7 +119,7 @@ def test_hashes_are_those_of_rmw_zenoh_and_of_the_sdk() -> None:
     for kind in SERVICES:
         assert type_hash(f"simulation_interfaces/srv/{kind}") == hash_of(kind)
     register_service("example_interfaces/srv/AddTwoInts", "int64 a\nint64 b", "int64 sum")
-    # of the design document of rmw_zenoh
+    # from the design document of rmw_zenoh
     published = "RIHS01_e118de6bf5eeb66a2491b5bda11202e7b68f198d6f67922cf30364858239c81a"
     assert type_hash("example_interfaces/srv/AddTwoInts") == published
 
@@ -128,20 +128,20 @@ def test_rosbags_reads_and_writes_every_request_and_response_to_the_same_bytes()
     services.register()
     store = get_typestore(Stores.ROS2_JAZZY)
     for name, text in MESSAGES.items():
-        store.register(get_types_from_msg(qualified(text), f"simulation_interfaces/msg/{name}"))
+        store.register(get_types_from_msg(with_packages(text), f"simulation_interfaces/msg/{name}"))
     for kind, parts in SERVICES.items():
         for part, text in zip(("Request", "Response"), parts, strict=True):
-            store.register(get_types_from_msg(qualified(text), f"simulation_interfaces/msg/{kind}{part}"))
+            store.register(get_types_from_msg(with_packages(text), f"simulation_interfaces/msg/{kind}{part}"))
             ours = f"simulation_interfaces/srv/{kind}_{part}"
             assert ros.store().fielddefs[ours][1] == store.fielddefs[f"simulation_interfaces/msg/{kind}{part}"][1]
     for service, (kind, _, _) in services.SERVICES.items():
-        if not kind.startswith("GetSimulat"):  # they do not fail
+        if not kind.startswith("GetSimulat"):  # these services cannot fail
             data = services.encoded(service, services.failed(service, 4, "why"))
             message = store.deserialize_cdr(data, f"simulation_interfaces/msg/{kind}Response")
             assert bytes(store.serialize_cdr(message, f"simulation_interfaces/msg/{kind}Response")) == data
 
 
-def test_the_token_of_a_service_and_its_answer_are_rmw_zenohs(port: int) -> None:
+def test_a_service_has_token_and_answer_of_rmw_zenoh(port: int) -> None:
     services.register()
     what = Endpoint("SS", "get_entities", "simulation_interfaces/srv/GetEntities")
     mapping = RmwZenoh(0, "vcmvsp")

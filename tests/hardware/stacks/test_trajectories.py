@@ -16,7 +16,7 @@ def near(values: object) -> object:
     return pytest.approx(values, rel=1e-6, abs=1e-6)
 
 
-def test_uploaded_pieces_come_back() -> None:
+def test_uploaded_round_trip() -> None:
     memory = b"".join(PIECE.pack(*(each for axis in piece.axes for each in axis), piece.duration_s) for piece in PIECES)
     for piece, expected in zip(uncompressed(b"\0" * 7 + memory, 7, 2), PIECES, strict=True):
         assert piece.duration_s == expected.duration_s
@@ -44,7 +44,7 @@ def test_a_reversed_trajectory_is_the_same_way_back_and_a_slow_one_the_same_way(
 
 
 @pytest.mark.parametrize("backwards", [False, True])
-def test_a_moved_trajectory_begins_where_it_is_moved_to(*, backwards: bool) -> None:
+def test_a_moved_trajectory_begins_at_its_place(*, backwards: bool) -> None:
     own = Trajectory(PIECES, reversed=backwards)
     moved = own.moved_to((4.0, 5.0, 6.0), None)
     assert moved.at(0.0).position == near((4.0, 5.0, 6.0))
@@ -52,7 +52,7 @@ def test_a_moved_trajectory_begins_where_it_is_moved_to(*, backwards: bool) -> N
     assert way == near(np.subtract(own.at(0.8).position, own.at(0.0).position))
 
 
-def test_a_turned_trajectory_has_the_yaw_that_it_is_turned_to() -> None:
+def test_a_turned_trajectory_has_its_yaw() -> None:
     at_origin = Piece(1.0, ((0.0, 1.0), (0.0,), (0.0,), (0.5,)))
     turned = Trajectory((at_origin,)).moved_to((1.0, 1.0, 1.0), 0.5 + math.pi / 2)
     assert turned.at(0.0).yaw == near(0.5 + math.pi / 2)
@@ -60,7 +60,7 @@ def test_a_turned_trajectory_has_the_yaw_that_it_is_turned_to() -> None:
 
 
 def bezier(points: "list[float]", share: float) -> float:
-    """By the construction of de Casteljau."""
+    """Point of a Bezier curve by de Casteljau's construction."""
     while len(points) > 1:
         points = [(1.0 - share) * a + share * b for a, b in itertools.pairwise(points)]
     return points[0]

@@ -1,4 +1,4 @@
-"""What a station does in a turn, with a robot in software on a clock that is set: laws of stopping, knowing and saying."""
+"""Turns of a station with a simulated robot on a manual clock: stops, state estimation and reports."""
 
 import math
 from collections.abc import Callable
@@ -22,8 +22,8 @@ SQUARE = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))
 TAG = PartSpec(group="localisation", kind="a test's", params={})
 
 
-class Told:
-    """A driver whose samples a test makes."""
+class ScriptedDriver:
+    """Driver with samples set by a test."""
 
     device, open_deadline_s, close_deadline_s = "test", 1.0, 1.0
 
@@ -51,7 +51,7 @@ class Told:
 
 
 class Tag:
-    """A positioning system that a test speaks for."""
+    """Positioning system with fixes set by a test."""
 
     device = "tag"
 
@@ -71,7 +71,7 @@ class Tag:
 
 
 class Station:
-    """A station on a clock of its own, and the run that gives it orders every 100 ms."""
+    """A station on a manual clock, and a run that sends it orders every 100 ms."""
 
     def __init__(self, told: StationMission, driver: Any = None, tag: Tag | None = None) -> None:
         self.ns = 7_000_000_000
@@ -95,7 +95,7 @@ class Station:
         stop: str = "",
         each: Callable[[], None] = lambda: None,
     ) -> StationReport:
-        """For so long; v None: the run is silent."""
+        """Advances by ``seconds``; the run is silent if v is None."""
         for turn in range(round(1000 * seconds / TURN_MS)):
             self.ns += TURN_MS * MS
             each()
@@ -105,7 +105,7 @@ class Station:
                 command = Velocity(linear=(v, 0.0, self.climb), yaw_rate=w)
                 order = StationOrder(
                     number=self._orders,
-                    sent_ns=5 * self.ns,  # the run's clock is another one
+                    sent_ns=5 * self.ns,  # the run's clock differs
                     command=command,
                     command_ns=5 * self.ns,
                     others=others,
@@ -124,7 +124,7 @@ class Station:
         return [cause for what, cause in self.notices if what == "stopped"]
 
 
-def test_a_robot_goes_where_it_is_told_and_the_station_knows_where_it_is() -> None:
+def test_a_robot_follows_commands_and_the_station_reports_its_pose() -> None:
     station = Station(mission())
     report = station.drive(3.0, v=0.3, w=0.4)
     assert report.state is not None
@@ -133,10 +133,10 @@ def test_a_robot_goes_where_it_is_told_and_the_station_knows_where_it_is() -> No
     v, yaw = 0.3, report.state.yaw
     assert report.state.velocity == pytest.approx((v * math.cos(yaw), v * math.sin(yaw), 0.0), abs=1e-9)
     assert report.causes == ()
-    assert station.stops == []  # standing before the first order is no stop
+    assert station.stops == []  # no stop before the first order
 
 
-def test_limits_and_ramps_hold_whatever_is_wanted() -> None:
+def test_limits_and_ramps_hold_for_any_command() -> None:
     station = Station(mission(max_speed=0.2, accel=0.5))
     report = station.drive(2.0, v=9.0)
     speeds = [each.sent.linear[0] for each in station.said if each.sent is not None]
@@ -145,7 +145,7 @@ def test_limits_and_ramps_hold_whatever_is_wanted() -> None:
     assert report.causes == ("limits",)
 
 
-def test_others_are_kept_away_from() -> None:
+def test_others_keep_their_distance() -> None:
     station = Station(mission(separation_m=0.3))
     rows = np.array([[1.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.25]])
     report = station.drive(8.0, v=0.5, others=rows)
@@ -153,14 +153,14 @@ def test_others_are_kept_away_from() -> None:
     assert station.driver.pose[0] <= 1.5 - 0.25 - 0.3 - 0.2 + 1e-6
 
 
-def test_others_go_on_between_orders_for_a_second() -> None:
+def test_others_move_between_orders_for_a_second() -> None:
     rows = np.array([[1.0, 2.0, 3.0, 0.5, 0.0, -0.5, 0.25]])
     assert others_at(rows, 0.4).position.tolist() == [pytest.approx([1.2, 2.0, 2.8])]
     assert others_at(rows, 9.0).position.tolist() == [pytest.approx([1.5, 2.0, 2.5])]
     assert len(others_at(None, 0.0).position) == 0
 
 
-def test_without_a_word_of_the_run_the_robot_stops_until_it_is_back() -> None:
+def test_silence_of_the_run_stops_the_robot_until_its_return() -> None:
     station = Station(mission(federation_s=0.5, command_s=None))
     station.drive(1.0, v=0.4)
     before_ns = station.ns
@@ -174,11 +174,11 @@ def test_without_a_word_of_the_run_the_robot_stops_until_it_is_back() -> None:
 
 
 @pytest.mark.parametrize(
-    ("pace", "cause"),  # of the run's time, as its agent tells the age of its command
+    ("pace", "cause"),  # run time per wall time, in the agent's command age
     [(None, "no command for 0.5 s"), (0.5, "no command for 0.5 s: the run is late by 0.51 s")],
 )
-def test_a_command_that_is_old_stops_the_robot_until_there_is_a_new_one(pace: float | None, cause: str) -> None:
-    """The run lives, its agent does not."""
+def test_an_old_command_stops_the_robot_until_a_new_one(pace: float | None, cause: str) -> None:
+    """Orders arrive, but their command gets old."""
     station = Station(mission(command_s=0.5, federation_s=0.5))
     station.drive(1.0, v=0.4)
     given_ns = 5 * station.ns
@@ -212,15 +212,15 @@ def test_one_late_tick_of_the_run_stops_no_robot(late_ms: int) -> None:
 
     station.ns += TURN_MS * MS
     station.said.append(station.onboard.turn(station.ns, order(1000, 200, 200)))  # a slow agent
-    station.drive(late_ms / 1000)  # the run says nothing
+    station.drive(late_ms / 1000)  # no message of the run
     station.ns += TURN_MS * MS
-    station.said.append(station.onboard.turn(station.ns, order(1001, 220 + late_ms, 220)))  # the agent is not to blame
+    station.said.append(station.onboard.turn(station.ns, order(1001, 220 + late_ms, 220)))  # the agent is not late
     assert station.stops == []
     assert station.driver.pose[0] > 0.4 * (1.0 + late_ms / 1000) - 0.2
 
 
 @pytest.mark.parametrize("operator", [0.5, None])
-def test_an_operator_who_falls_silent_stops_it_for_good(operator: float | None) -> None:
+def test_silence_of_the_operator_stops_it_for_good(operator: float | None) -> None:
     station = Station(mission(operator_s=operator))
     report = station.drive(1.0, v=0.4)
     assert report.causes == (("operator",) if operator else ())
@@ -243,7 +243,7 @@ def test_the_first_halt_counts_and_stays() -> None:
     assert station.onboard.stands
 
 
-def test_a_number_that_is_none_stops_it_and_passes() -> None:
+def test_a_non_finite_number_stops_it_briefly() -> None:
     station = Station(mission())
     station.drive(1.0, v=0.4)
     assert station.drive(0.5, v=math.nan).causes == ("not_finite",)
@@ -252,7 +252,7 @@ def test_a_number_that_is_none_stops_it_and_passes() -> None:
     assert station.drive(0.5, v=0.4).causes == ()
 
 
-def test_a_station_that_was_held_up_stops_its_robot_first() -> None:
+def test_a_delayed_station_stops_its_robot_first() -> None:
     station = Station(mission())
     station.drive(1.0, v=0.4)
     station.ns += 2_000 * MS
@@ -266,7 +266,7 @@ def test_rows_of_others_must_be_rows() -> None:
         Station(mission()).drive(0.1, v=0.0, others=np.zeros((2, 3)))
 
 
-def test_what_was_not_delivered_is_said_again() -> None:
+def test_undelivered_notices_are_repeated() -> None:
     station = Station(mission())
     station.drive(1.0, v=0.4)
     station.onboard.halt("enough")
@@ -278,7 +278,7 @@ def test_what_was_not_delivered_is_said_again() -> None:
     assert station.onboard.turn(station.ns).notices == ()
 
 
-# A robot that knows where it is, and one that does not
+# Robots with and without a state of their own
 
 
 def sample(
@@ -289,8 +289,8 @@ def sample(
     )
 
 
-def test_a_state_that_the_robot_knows_is_gone_on_with_and_then_grows_old() -> None:
-    driver = Told()
+def test_a_state_of_the_robot_is_extrapolated_until_too_old() -> None:
+    driver = ScriptedDriver()
     station = Station(msgspec.structs.replace(mission(positioning_s=1.0), flies=True), driver)
     assert station.drive(0.1, v=0.0).causes[:1] == ("positioning",)
     attitude = quaternion_from_yaw(0.3)
@@ -305,12 +305,12 @@ def test_a_state_that_the_robot_knows_is_gone_on_with_and_then_grows_old() -> No
     assert driver.sent[-1].linear[0] == pytest.approx(0.1)
     later = station.drive(0.5, v=0.1).state
     assert later is not None
-    assert later.velocity == (0.0, 0.0, 0.0)  # it is not believed to go on for ever
+    assert later.velocity == (0.0, 0.0, 0.0)  # extrapolation ends
     assert station.drive(0.5, v=0.1).causes == ("positioning",)
 
 
-def test_what_flies_stays_below_its_ceiling() -> None:
-    driver = Told()
+def test_flight_stays_below_the_ceiling() -> None:
+    driver = ScriptedDriver()
     station = Station(msgspec.structs.replace(mission(ceiling_m=3.0, max_climb=0.7, decel=1.0), flies=True), driver)
     height, climbs = 1.0, list[float]()
 
@@ -329,8 +329,8 @@ def test_what_flies_stays_below_its_ceiling() -> None:
 
 
 @pytest.mark.parametrize("tag", [None, Tag()])
-def test_a_pose_that_is_no_number_stops_the_robot_at_once(tag: Tag | None) -> None:
-    driver = Told()
+def test_a_non_finite_pose_stops_the_robot_at_once(tag: Tag | None) -> None:
+    driver = ScriptedDriver()
     station = Station(msgspec.structs.replace(mission(), localisation=TAG if tag else None), driver, tag)
 
     def told(x: float) -> Callable[[], None]:
@@ -344,15 +344,15 @@ def test_a_pose_that_is_no_number_stops_the_robot_at_once(tag: Tag | None) -> No
     assert station.drive(0.4, v=0.1, each=told(0.0)).causes == ()
     report = station.drive(0.02, v=0.1, each=told(math.nan))
     assert report.causes == ("positioning",)
-    assert (report.state, report.odometry) == (None, None)  # what is no number is not handed on
+    assert (report.state, report.odometry) == (None, None)  # non-finite values are not reported
     assert station.drive(0.4, v=0.1, each=told(0.0)).causes == ()
 
 
 # Positions without heading
 
 
-class Guided:
-    """A robot in software with a tag of 5 Hz."""
+class TaggedRobot:
+    """A simulated robot with a tag of 5 Hz."""
 
     def __init__(self, *, sigma_m: float = 0.05, offset: tuple[float, float] = (0.0, 0.0), **changed: Any) -> None:
         self.tag, self.offset, self.sigma_m = Tag(), offset, sigma_m
@@ -371,7 +371,7 @@ class Guided:
 
 
 def test_positions_and_odometry_are_fused() -> None:
-    guided = Guided()
+    guided = TaggedRobot()
     report = guided.drive(20.0, v=0.3, w=0.2)
     assert report.state is not None
     assert report.covariance is not None
@@ -386,7 +386,7 @@ def test_positions_and_odometry_are_fused() -> None:
 
 
 def test_without_positions_the_robot_stops_until_they_are_back() -> None:
-    guided = Guided(positioning_s=1.0)
+    guided = TaggedRobot(positioning_s=1.0)
     guided.drive(2.0, v=0.3)
     guided.fixes = False
     assert guided.drive(1.5, v=0.3).causes == ("positioning",)
@@ -395,9 +395,9 @@ def test_without_positions_the_robot_stops_until_they_are_back() -> None:
     assert guided.drive(1.0, v=0.3).causes == ()
 
 
-def test_positions_that_go_far_astray_stop_the_robot_for_good() -> None:
-    """Else it would take itself to be inside a fence that it has long left."""
-    guided = Guided()
+def test_far_wrong_positions_stop_the_robot_for_good() -> None:
+    """Otherwise a robot far outside the fence would be considered inside."""
+    guided = TaggedRobot()
     guided.drive(3.0, v=0.3)
     guided.offset = (5.0, 0.0)
     report = guided.drive(3.0, v=0.3)
@@ -408,7 +408,7 @@ def test_positions_that_go_far_astray_stop_the_robot_for_good() -> None:
     assert guided.station.driver.pose[0] < 3.0 * 0.3 + 2.0 * 0.3
 
 
-def test_a_robot_that_does_not_move_as_it_is_told_is_stopped_until_it_is_told_to_stand() -> None:
+def test_a_robot_off_its_command_is_stopped_until_a_zero_command() -> None:
     station = Station(mission())
     station.drive(1.0, v=0.4)
     pose, station.driver._most = station.driver.pose, (0.0, 0.0)
@@ -421,15 +421,15 @@ def test_a_robot_that_does_not_move_as_it_is_told_is_stopped_until_it_is_told_to
     assert len(station.stops) == 1
 
 
-def test_a_robot_that_is_kept_from_driving_from_the_beginning_says_why() -> None:
+def test_a_robot_blocked_from_the_start_reports_the_cause() -> None:
     station = Station(mission(operator_s=0.5))
     station.drive(1.0, v=0.0)
     station.drive(3.0, v=0.4)
     assert station.stops == ["no message of the operator for 0.5 s"]
 
 
-def test_a_position_that_jumps_a_little_is_left_out_and_then_believed_with_a_notice() -> None:
-    guided = Guided()
+def test_a_small_jump_of_positions_is_omitted_then_accepted_with_a_notice() -> None:
+    guided = TaggedRobot()
     guided.drive(3.0, v=0.3)
     guided.offset = (0.9, 0.0)
     assert guided.drive(0.6, v=0.3).gated >= 2
@@ -440,8 +440,8 @@ def test_a_position_that_jumps_a_little_is_left_out_and_then_believed_with_a_not
     assert [what for what, cause in guided.station.notices if "jumped" in cause] == ["warned"]
 
 
-def test_what_the_robot_did_while_it_was_not_heard_is_not_taken_for_standing_still() -> None:
-    driver, tag = Told(), Tag()
+def test_motion_during_a_loss_is_not_taken_for_standstill() -> None:
+    driver, tag = ScriptedDriver(), Tag()
     station = Station(msgspec.structs.replace(mission(), localisation=TAG), driver, tag)
 
     def turn(x: float, link: int, fix: float | None = None) -> StationReport:
@@ -467,8 +467,8 @@ def test_what_the_robot_did_while_it_was_not_heard_is_not_taken_for_standing_sti
     assert report.state.position[0] == pytest.approx(1.5, abs=0.05)
 
 
-def test_positions_alone_do_not_let_a_robot_drive_that_is_not_heard() -> None:
-    driver, tag = Told(), Tag()
+def test_positions_alone_do_not_let_a_silent_robot_drive() -> None:
+    driver, tag = ScriptedDriver(), Tag()
     station = Station(msgspec.structs.replace(mission(positioning_s=1.0), localisation=TAG), driver, tag)
     driver.next = sample(1, station.ns)
 

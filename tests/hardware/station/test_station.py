@@ -1,4 +1,4 @@
-"""Stations as processes of their own: with a robot in software, and with an emulated one on a real pseudo-terminal."""
+"""Stations in processes of their own, with a simulated robot and with an emulated one on a pseudo-terminal."""
 
 import os
 import select
@@ -18,7 +18,7 @@ import msgspec
 import pytest
 
 from tests.support.hardware.driver_runs import eventually
-from tests.support.hardware.stations import BENCH, driven, mission
+from tests.support.hardware.stations import BENCH, mission, ready_station
 from tests.support.netsim.gateway_context import free_ports
 from tests.support.paths import ROOT
 from vcmvsp.cosim.util.codec import encode
@@ -32,13 +32,13 @@ from vcmvsp.hardware.stations import Station
 
 pytestmark = [pytest.mark.processes, pytest.mark.sockets]
 
-PATIENT = msgspec.structs.replace(ROBOTS["amigo"], watchdog_s=60.0)  # it is not the robot's own watchdog that stops it
+PATIENT = msgspec.structs.replace(ROBOTS["amigo"], watchdog_s=60.0)  # the robot's own watchdog must not stop it
 HERE = ROOT
 
 
 @pytest.fixture(autouse=True)
 def _alone(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Stations listen to nobody else, and those that are killed leave nothing behind."""
+    """Isolates stations from others, and removes the files of killed ones."""
     with tempfile.TemporaryDirectory(prefix="vcmvsp-", dir="/tmp") as folder:
         monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
         yield
@@ -53,24 +53,24 @@ def drives(report: StationReport) -> bool:
 
 
 def zero_ns(served: ArcosServer, after_ns: int) -> int | None:
-    """When the robot was first told zero speed after that, on its own clock."""
+    """First time of a zero speed command after ``after_ns``, on the robot's clock, or None."""
     with served.lock:
         heard = list(served.device.heard)
     return next((ns for ns, number, value in heard if ns >= after_ns and number == Command.VEL and not value), None)
 
 
 def driven_ns(served: ArcosServer) -> int:
-    """When the robot was last told to drive, on its own clock."""
+    """Time of the last non-zero speed command, on the robot's clock."""
     with served.lock:
         heard = list(served.device.heard)
     return next((ns for ns, number, value in reversed(heard) if number == Command.VEL and value), 0)
 
 
-def test_a_robot_drives_and_its_state_is_told() -> None:
+def test_a_robot_drives_and_reports_its_state() -> None:
     def is_there(report: StationReport) -> bool:
         return report.odometry is not None and report.odometry.pose[0] > 0.3 and report.odometry.v > 0.39 and not report.causes
 
-    with driven(mission()) as run:
+    with ready_station(mission()) as run:
         report = run.until(is_there, v=0.4)
         assert report.state is not None
         assert report.state.position[0] == pytest.approx(report.odometry.pose[0], abs=0.25) if report.odometry else False
@@ -91,7 +91,7 @@ def test_a_robot_drives_and_its_state_is_told() -> None:
     assert run.notices[1:] == [("stopped", "the run is over")]
 
 
-def test_a_station_whose_turns_take_too_long_hears_its_run_all_the_same(tmp_path: Path) -> None:
+def test_a_station_with_slow_turns_still_receives_orders(tmp_path: Path) -> None:
     (tmp_path / "slow.py").write_text(
         "import time\n"
         "from vcmvsp.hardware.drivers.bench_robot import Bench\n"
@@ -101,7 +101,7 @@ def test_a_station_whose_turns_take_too_long_hears_its_run_all_the_same(tmp_path
         "        return super().read()\n"
     )
     told = mission(PartSpec(group="driver", kind="slow.py:Slow", params=BENCH.params))
-    with driven(msgspec.structs.replace(told, folder=str(tmp_path))) as run:
+    with ready_station(msgspec.structs.replace(told, folder=str(tmp_path))) as run:
         report = run.until(drives, v=0.4)
         assert report.late_s > 0.0
 
@@ -114,7 +114,7 @@ def test_positions_of_a_tag_are_fused() -> None:
         params={"listen": f"udp://127.0.0.1:{port}"},
     )
     told = msgspec.structs.replace(mission(), localisation=tag, fusion={"start_sigma_m": 0.5, "noise": {"turn": 0.02}})
-    with driven(told) as run, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as engine:
+    with ready_station(told) as run, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as engine:
 
         def hears(report: StationReport) -> bool:
             datagram = struct.pack(">HHQIffffQ", 0xE298, 0x026B, 7, 1, 0.2, 0.1, 0.0, 0.01, time.time_ns())
@@ -127,8 +127,8 @@ def test_positions_of_a_tag_are_fused() -> None:
         assert report.fix_age_s is not None
 
 
-def test_an_order_that_cannot_be_read_stops_the_robot_and_ends_the_station() -> None:
-    with serve_pty(Device(PATIENT)) as served, driven(mission(arcos(served))) as run:
+def test_an_unreadable_order_stops_the_robot_and_ends_the_station() -> None:
+    with serve_pty(Device(PATIENT)) as served, ready_station(mission(arcos(served))) as run:
         run.until(drives, v=0.2)
         assert run.station._link.send(b"\x81\xa3bad")
         with pytest.raises(DriverError, match="an invalid order"):
@@ -138,8 +138,8 @@ def test_an_order_that_cannot_be_read_stops_the_robot_and_ends_the_station() -> 
     assert run.said[-1].failed
 
 
-def test_a_robot_that_is_unplugged_is_named() -> None:
-    with serve_pty(Device(PATIENT)) as served, driven(mission(arcos(served), vehicle="car7")) as run:
+def test_an_unplugged_robot_is_named() -> None:
+    with serve_pty(Device(PATIENT)) as served, ready_station(mission(arcos(served), vehicle="car7")) as run:
         run.until(drives, v=0.2)
         served.close()
         with pytest.raises(DriverError, match=f"the robot of car7: {served.url}: .*unplugged"):
@@ -148,7 +148,7 @@ def test_a_robot_that_is_unplugged_is_named() -> None:
 
 @pytest.fixture
 def hanging(tmp_path: Path) -> Callable[..., StationMission]:
-    """A mission with somebody's own driver, that hangs when it is asked for something."""
+    """A mission with a custom driver that hangs in the method ``where``."""
     (tmp_path / "hanging.py").write_text(
         "import time\n"
         "class Hanging:\n"
@@ -166,12 +166,12 @@ def hanging(tmp_path: Path) -> Callable[..., StationMission]:
     return told
 
 
-def test_a_driver_that_hangs_is_given_up(hanging: Callable[..., StationMission]) -> None:
+def test_a_hanging_driver_times_out(hanging: Callable[..., StationMission]) -> None:
     with ExitStack() as stack:
         opening, leaving, turning = (Station.start(hanging(where)) for where in ("open", "open", "read"))
         for each in (opening, leaving, turning):
             stack.callback(each.close)
-        last = leaving.close()  # who hangs while it opens hears that nobody needs it any more
+        last = leaving.close()  # a close while the driver still opens ends the station
         assert last[-1].failed == ""
         with pytest.raises(DriverError, match=r"nowhere: the driver hangs: opening it took longer than 2\.1 s"):
             opening.wait_ready()
@@ -179,7 +179,7 @@ def test_a_driver_that_hangs_is_given_up(hanging: Callable[..., StationMission])
             turning.wait_ready()
 
 
-def test_a_station_that_does_not_say_that_it_is_ready_is_ended(hanging: Callable[..., StationMission]) -> None:
+def test_a_station_not_ready_in_time_is_ended(hanging: Callable[..., StationMission]) -> None:
     stuck = Station.start(hanging("open", open_s=60.0))
     os.kill(stuck.pid, signal.SIGSTOP)
     with pytest.raises(DriverError, match="did not connect to the robot in time"):
@@ -187,12 +187,12 @@ def test_a_station_that_does_not_say_that_it_is_ready_is_ended(hanging: Callable
     assert stuck.close()[-1].failed
 
 
-def test_a_port_that_is_in_use_and_one_that_is_not_there() -> None:
+def test_a_port_in_use_and_a_missing_one() -> None:
     with ExitStack() as stack:
         nowhere = Station.start(mission(PartSpec(group="driver", kind="arcos", params={"port": "/dev/ttyNONE"})))
         wrong = Station.start(mission(PartSpec(group="driver", kind="arcos", params={"prot": "x"})))
         served = stack.enter_context(serve_pty(Device(PATIENT)))
-        stack.enter_context(driven(mission(arcos(served))))
+        stack.enter_context(ready_station(mission(arcos(served))))
         second = Station.start(mission(arcos(served), vehicle="car2"))
         for each in (nowhere, wrong, second):
             stack.callback(each.close)
@@ -204,18 +204,18 @@ def test_a_port_that_is_in_use_and_one_that_is_not_there() -> None:
             wrong.wait_ready()
 
 
-def test_a_station_that_was_killed_is_said_to_have_been() -> None:
-    with driven(mission()) as run:
+def test_a_killed_station_is_reported() -> None:
+    with ready_station(mission()) as run:
         run.until(drives, v=0.4)
         os.kill(run.station.pid, signal.SIGKILL)
         with pytest.raises(DriverError, match="was killed by SIGKILL; the robot's own watchdog"):
             run.until(lambda _: False, v=0.4)
 
 
-def test_a_station_that_is_told_to_end_stops_its_robot() -> None:
-    with serve_pty(Device(PATIENT)) as served, driven(mission(arcos(served))) as run:
+def test_a_terminated_station_stops_its_robot() -> None:
+    with serve_pty(Device(PATIENT)) as served, ready_station(mission(arcos(served))) as run:
         run.until(drives, v=0.2)
-        os.kill(run.station.pid, signal.SIGINT)  # this one is not heard
+        os.kill(run.station.pid, signal.SIGINT)  # a station ignores SIGINT
         run.until(drives, v=0.2)
         os.kill(run.station.pid, signal.SIGTERM)
         with pytest.raises(DriverError, match="SIGTERM"):
@@ -223,11 +223,11 @@ def test_a_station_that_is_told_to_end_stops_its_robot() -> None:
         eventually(lambda: not served.device.is_open)
 
 
-def test_nothing_waits_for_a_station_that_hangs() -> None:
-    with driven(mission()) as run:
+def test_a_hanging_station_blocks_nothing() -> None:
+    with ready_station(mission()) as run:
         run.until(drives, v=0.4)
         os.kill(run.station.pid, signal.SIGSTOP)
-        for _ in range(2000):  # more than the link holds
+        for _ in range(2000):  # more than the link's capacity
             run.order(0.4)
         assert run.station.close(time.monotonic() + 0.5)[-1].failed == "its station did not end in time and was killed"
 
@@ -270,7 +270,7 @@ def lives(pid: int) -> bool:
 
 @contextmanager
 def another_run(robot: ArcosServer, **limits: Any) -> Iterator["subprocess.Popen[str]"]:
-    """A run in a process of its own, which drives the robot; at the end it is killed, and its station ends."""
+    """A run in a process of its own that drives the robot; it is killed at the end, and its station ends."""
     command = [sys.executable, "-c", RUN, encode(mission(arcos(robot), **limits)).hex()]
     run = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=HERE, start_new_session=True)
     try:
@@ -290,9 +290,9 @@ def test_when_the_run_is_killed_the_robot_stops_and_the_port_is_free(robot: Arco
         killed_ns = robot.now_ns
     told_ns = zero_ns(robot, killed_ns)
     assert told_ns is not None
-    assert told_ns - killed_ns < 5_000_000_000  # some ms on a machine that is not loaded
+    assert told_ns - killed_ns < 5_000_000_000  # some ms without load
     eventually(lambda: not robot.device.is_open)
-    with driven(mission(arcos(robot))) as again:  # nobody holds its port any more
+    with ready_station(mission(arcos(robot))) as again:  # the port is free again
         again.until(drives, v=0.2)
 
 
@@ -304,6 +304,6 @@ def test_when_the_run_is_frozen_the_robot_stops_until_it_is_back(robot: ArcosSer
         eventually(lambda: zero_ns(robot, driven_ns(robot)) is not None)
         told_ns = zero_ns(robot, driven_ns(robot))
         assert told_ns is not None
-        assert told_ns - frozen_ns < 8_000_000_000  # 1.5 s and a turn, on a machine that is not loaded
+        assert told_ns - frozen_ns < 8_000_000_000  # 1.5 s plus one turn without load
         run.send_signal(signal.SIGCONT)
-        eventually(lambda: is_driving(robot))  # the run is back, and says so
+        eventually(lambda: is_driving(robot))  # the run continues to send orders

@@ -1,4 +1,4 @@
-"""The bridge process by itself, where the test is the run, and the run's side of it."""
+"""The bridge process alone, driven by the test, and the run's side of it."""
 
 import asyncio
 import itertools
@@ -102,7 +102,7 @@ def due(*rows: tuple[int, int, int], taken: int = 0, settled: tuple[int, ...] = 
 
 
 def hear(process: BridgeClient, kind: type, seconds: float = PATIENCE_S) -> Any:
-    """The next word of this kind."""
+    """Next message of this kind."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         select.select([process], [], [], end - time.monotonic())
@@ -132,7 +132,7 @@ def test_a_custom_gateway_gets_deliveries_losses_and_levels(
     process.send(messages.LevelRows(first=1, dbm=np.arange(3.0, 9.0).reshape(2, 3)))
     process.send(messages.LevelRows(first=0, dbm=np.arange(3.0).reshape(1, 3)))
     wait_for(lambda: said() == ["level 2.0"])
-    os.kill(process.pid, signal.SIGSTOP)  # it hears all of it at once, however long we take to say it
+    os.kill(process.pid, signal.SIGSTOP)  # they arrive together, however long sending takes
     now_ns = time.monotonic_ns()
     process.send(due((1, 2, now_ns + 20_000_000), (1, 1, now_ns + 10_000_000), taken=2, settled=(0, 1)))
     process.send(messages.AgentDatagram(sender=2, receiver=0, at_ns=now_ns + 15_000_000, payload=b"said"))
@@ -142,12 +142,12 @@ def test_a_custom_gateway_gets_deliveries_losses_and_levels(
     process.leave()
     went = [each for each in process.close() if isinstance(each, messages.Delivered)]
     first, second = np.concatenate([each.due for each in went]).tolist()
-    assert (first, second) == (1, 0)  # what an agent said is none of them
+    assert (first, second) == (1, 0)  # messages of agents are not counted
     assert (np.concatenate([each.at_ns for each in went]) >= now_ns + np.array([10_000_000, 20_000_000])).all()
     assert said()[-1] == "closed"
 
 
-def test_a_gateway_that_cannot_be_opened_ends_the_bridge_and_those_behind_it_are_neither_opened_nor_closed(
+def test_a_gateway_that_cannot_open_ends_the_bridge_before_later_gateways(
     probe: messages.GatewaySpec, tmp_path: Path, started: list[BridgeClient]
 ) -> None:
     second = messages.GatewaySpec(name="second", kind="probe.py:Probe", params={"out": str(tmp_path / "second.txt")})
@@ -161,7 +161,7 @@ def test_a_gateway_that_cannot_be_opened_ends_the_bridge_and_those_behind_it_are
 
 
 class Deaf:
-    """In the place of the link to a run that does not read."""
+    """Link to a run that does not read."""
 
     def __init__(self, *says: messages.Down) -> None:
         self.says, self.ended = [encode(each) for each in says], False
@@ -237,7 +237,7 @@ def test_counts_of_many_vehicles_are_split_into_messages() -> None:
 def test_an_error_of_a_gateway_that_delivers_ends_the_bridge_with_its_name(
     error: str, probe: messages.GatewaySpec, tmp_path: Path, started: list[BridgeClient]
 ) -> None:
-    """Also one of the operating system, which the bridge's own link may raise."""
+    """Also an error of the operating system, which the bridge's own link may raise."""
     probe.params["fails"] = "deliver"
     (tmp_path / "probe.py").write_text(PROBE.replace('RuntimeError("no luck")', f'{error}("no luck")'))
     started.append(process := BridgeClient.start(opening(probe, folder=tmp_path)))
@@ -272,7 +272,7 @@ def test_batches_wait_for_the_one_before_and_the_excess_stays_in_the_socket(
         numbers += hear(process, messages.NewDatagrams).number.tolist()
     process.send(due(taken=MOST))
     time.sleep(0.1)
-    assert process.read() == []  # nothing is settled: there is no room for more
+    assert process.read() == []  # nothing is acknowledged: there is no room for more
     process.send(due(taken=MOST, settled=tuple(range(1000))))
     while len(numbers) < MOST + 1000:
         numbers += hear(process, messages.NewDatagrams).number.tolist()
@@ -284,7 +284,7 @@ def test_the_process_ends_with_the_run_however_that_ended(started: list[BridgeCl
     first = free_ports(300)
     process = BridgeClient.start(opening(udp(first)))
     process.wait_ready()
-    process._link.close()  # as the operating system does with whoever is killed
+    process._link.close()  # as the operating system does with a killed process
     assert process._process.why_ended(PATIENCE_S) == "ended with exit code 0"
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
         program.bind(("127.0.0.1", first))
@@ -336,7 +336,7 @@ STEP_S = 7.0
 
 
 class Silent:
-    """A link to somebody who says nothing, and how long each wait was to be: one for less than no time has no end."""
+    """Link without messages, which records the timeout of each wait; a negative timeout would never end."""
 
     ended = False
 
@@ -358,7 +358,7 @@ class Silent:
 
 @pytest.fixture
 def slow_clock(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Seconds pass between any two looks at the clock."""
+    """A clock that advances by seconds between two readings."""
     now = itertools.count(0.0, STEP_S)
     monkeypatch.setattr(process_client, "time", SimpleNamespace(monotonic=lambda: next(now)))
 

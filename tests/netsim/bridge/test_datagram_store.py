@@ -31,7 +31,7 @@ def test_each_vehicle_has_room_for_its_own_number_of_bytes() -> None:
     assert put(store, size=10)
 
 
-def test_what_is_not_settled_or_has_not_left_counts_as_held() -> None:
+def test_unacknowledged_and_undelivered_datagrams_count_as_held() -> None:
     store = DatagramStore(1)
     for _ in range(MOST):
         put(store)
@@ -54,7 +54,7 @@ def test_batches_are_shared_fairly_among_vehicles() -> None:
         for _ in range(2 if sender == 7 else 300):
             put(store, sender)
     seen: set[int] = set()
-    for _ in range(-(-20 * BATCH_OF_ONE // BATCH)):  # who was not in one, is in one of the next
+    for _ in range(-(-20 * BATCH_OF_ONE // BATCH)):  # missing in one batch, present in the next
         numbers = store.batch()
         assert len(numbers) <= BATCH
         senders = [store[number].sender for number in numbers]
@@ -95,7 +95,7 @@ def test_a_lost_unicast_datagram_is_reported() -> None:
     assert store.settle(broadcast) is None
 
 
-def test_what_agents_say_takes_no_room_of_a_vehicles_programs() -> None:
+def test_messages_of_agents_take_no_room_of_programs() -> None:
     store = DatagramStore(1)
     numbers = [store.speak(0, b"said") for _ in range(MOST + 1)]
     assert put(store)

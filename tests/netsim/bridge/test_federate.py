@@ -1,4 +1,4 @@
-"""The federate by itself: the test is the bridge process, the clock and the kernel."""
+"""The bridge's federate alone: the test stands in for the bridge process, the clock and the kernel."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.netsim.channels import standing
+from tests.support.netsim.channels import at_rest
 from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.received import receptions_at
 from vcmvsp.cosim.types import RECEPTIONS, Array, Datagrams, Message, Reception, Traffic
@@ -24,7 +24,7 @@ RUN = RunInfo(scenario="test", seed=1, duration_ns=10**10, vehicles=("a", "b"))
 
 
 class Beside:
-    """In the place of the process."""
+    """Stand-in for the bridge process."""
 
     has_outbox = False
 
@@ -44,7 +44,7 @@ class Beside:
 
 
 class Clock:
-    """A clock that is ``ahead_ns`` of the machine's, and goes so many times as quickly."""
+    """A clock ``ahead_ns`` of the machine's that runs at a multiple of its rate."""
 
     ahead_ns = 0
 
@@ -90,7 +90,7 @@ def made(*, agents: bool = False) -> tuple[Bridge, Beside, Clock]:
 
 
 def came(first: int, *rows: tuple[int, int]) -> messages.NewDatagrams:
-    """Broadcasts: sender and when."""
+    """Sender and time of each broadcast."""
     sender, came_ns = np.array(rows, np.int64).T
     n = len(rows)
     return messages.NewDatagrams(
@@ -116,7 +116,7 @@ def test_a_run_that_is_behind_catches_up_before_it_takes_more(monkeypatch: pytes
     bridge, process, clock = made()
     wall_ns = 5_000 * MS
     monkeypatch.setattr(time, "monotonic_ns", lambda: wall_ns)
-    clock.ahead_ns = 1_000 * MS - wall_ns  # it is 1 s in the run's time
+    clock.ahead_ns = 1_000 * MS - wall_ns  # run time 1 s
     process.says = [came(0, (0, wall_ns))]
     assert bridge.poll(1_000 * MS)
     assert len(sent(bridge, 1_000 * MS)) == 1
@@ -125,14 +125,14 @@ def test_a_run_that_is_behind_catches_up_before_it_takes_more(monkeypatch: pytes
     wall_ns += BEHIND_NS + 2 * MS
     assert bridge.poll(1_001 * MS)
     step = bridge.step(1_001 * MS, [])
-    assert (step.events, step.next_ns) == ([], 1_002 * MS + BEHIND_NS)  # when it has caught up
-    assert bridge.step(1_001 * MS, []).events == []  # nor where it is woken again in this instant
+    assert (step.events, step.next_ns) == ([], 1_002 * MS + BEHIND_NS)  # after it has caught up
+    assert bridge.step(1_001 * MS, []).events == []  # nor when it is woken again at this instant
     assert bridge.poll(1_022 * MS)
     assert len(sent(bridge, 1_022 * MS)) == 1
 
     process.says = [came(2, (0, wall_ns))]
     wall_ns += PATIENCE_NS
-    assert bridge.poll(1_023 * MS)  # it never catches up: programs are not left alone for ever
+    assert bridge.poll(1_023 * MS)  # it never catches up: programs are served nevertheless
     assert len(sent(bridge, 1_023 * MS)) == 1
     assert [each.taken for each in process.heard] == [1, 2, 3]
 
@@ -146,8 +146,8 @@ def test_lateness_is_measured_on_the_wall_clock_at_any_speed(monkeypatch: pytest
     assert bridge.poll(now_ns)
     process.has_outbox = True
     step = bridge.step(now_ns, [])
-    assert (len(step.events), step.next_ns) == (1, now_ns + 10 * AGAIN_NS)  # a millisecond later, there
-    wall_ns += BEHIND_NS - MS  # which is ten times as much in the run's time
+    assert (len(step.events), step.next_ns) == (1, now_ns + 10 * AGAIN_NS)  # a millisecond later
+    wall_ns += BEHIND_NS - MS  # ten times as much in run time
     process.says = [came(1, (0, wall_ns))]
     assert bridge.poll(now_ns)
     assert len(sent(bridge, now_ns)) == 1
@@ -157,14 +157,14 @@ def test_lateness_is_measured_on_the_wall_clock_at_any_speed(monkeypatch: pytest
     assert sent(bridge, now_ns) == []
 
 
-def test_levels_are_told_as_they_are_when_they_are_asked_for() -> None:
+def test_levels_are_those_at_the_time_of_the_query() -> None:
     bridge = bridge_of(("a", "b"), lambda states: states.position[:, None, 0] + states.position[:, 0], Clock())
     bridge.start(RUN)
     process: Any = Beside()
     bridge._process = process
     process.says = [messages.LevelsRequest()]
     bridge.poll(MS)
-    bridge.step(MS, [Event("world/states", 0, standing(("a", "b"), [(1.0, 0.0, 0.0), (5.0, 0.0, 0.0)]))])
+    bridge.step(MS, [Event("world/states", 0, at_rest(("a", "b"), [(1.0, 0.0, 0.0), (5.0, 0.0, 0.0)]))])
     (told,) = process.heard
     assert (told.first, told.dbm.tolist()) == (0, [[2.0, 6.0], [6.0, 10.0]])
 
@@ -212,7 +212,7 @@ def test_a_killed_process_is_reported_with_the_command_that_cleans_up(killed: bo
     assert told == words
 
 
-def test_equal_payloads_of_a_program_and_an_agent_are_told_apart() -> None:
+def test_equal_payloads_of_a_program_and_an_agent_are_distinguished() -> None:
     bridge, process, _ = made(agents=True)
     process.says = [msgspec.structs.replace(came(0, (0, 0)), payloads=(b"same",))]
     bridge.poll(MS)
@@ -229,7 +229,7 @@ def test_equal_payloads_of_a_program_and_an_agent_are_told_apart() -> None:
         frame=number,
         settled=number,
     )
-    bridge.step(3 * MS, [heard, Event("radio/traffic", 3 * MS, traffic)])  # in the order of their keys
+    bridge.step(3 * MS, [heard, Event("radio/traffic", 3 * MS, traffic)])  # ordered by key
     assert not [each for each in process.heard if isinstance(each, messages.AgentDatagram)]
     bridge.step(3 * MS, [heard])
     (spoken,) = [each for each in process.heard if isinstance(each, messages.AgentDatagram)]
@@ -256,7 +256,7 @@ def test_datagrams_are_sent_when_they_came_however_late_the_instant_is_in_order_
         clock.ahead_ns = now_ns - time.monotonic_ns()
         process.says = [came(number, *((sender, now_ns - clock.ahead_ns + offset) for sender, offset in rows))]
         number += len(rows)
-        bridge._took_ns = 0  # however slow this machine is
+        bridge._took_ns = 0  # however slow the machine is
         assert bridge.poll(now_ns)
         (datagrams,) = sent(bridge, now_ns)
         assert datagrams.sender.tolist() == [sender for sender, _ in rows]
@@ -266,7 +266,7 @@ def test_datagrams_are_sent_when_they_came_however_late_the_instant_is_in_order_
 
 
 def test_a_run_that_catches_up_asks_for_one_instant_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each that it asked for would be one in which it is asked again."""
+    """Each requested instant would be one at which it is asked again."""
     bridge, process, clock = made()
     wall_ns = 5_000 * MS
     monkeypatch.setattr(time, "monotonic_ns", lambda: wall_ns)
@@ -282,7 +282,7 @@ def test_a_run_that_catches_up_asks_for_one_instant_only(monkeypatch: pytest.Mon
     for now_ns in range(1_002 * MS, again_ns - BEHIND_NS, MS):
         wall_ns += MS // 10
         assert not bridge.poll(now_ns)
-        assert bridge.step(now_ns, []).next_ns == again_ns  # as it is when it is woken by traffic
+        assert bridge.step(now_ns, []).next_ns == again_ns  # as when traffic wakes it
     assert bridge.poll(again_ns)
     assert len(sent(bridge, again_ns)) == 1
 
@@ -299,7 +299,7 @@ def traffic(*rows: tuple[int, int, int, int], settled: tuple[int, ...] = ()) -> 
     )
 
 
-def test_columns_grow_and_keep_what_they_hold() -> None:
+def test_growing_columns_keep_their_content() -> None:
     columns = Columns("a", "b")
     for k in range(5000):
         columns.add(a=ints(k))
@@ -310,7 +310,7 @@ def test_columns_grow_and_keep_what_they_hold() -> None:
     assert columns["b"][4999] == 8
 
 
-def test_deliveries_are_told_with_what_carried_them_and_how_late_they_were() -> None:
+def test_deliveries_are_reported_with_their_frame_and_lateness() -> None:
     lateness = Lateness(("a", "b"))
     lateness.sent(ints(0, 2), ints(0, 1), ints(1, 0), ints(0, 1), ints(100, 200))
     lateness.sent(ints(1), ints(0), ints(1), ints(-1), ints(150))
@@ -336,11 +336,11 @@ def test_deliveries_are_told_with_what_carried_them_and_how_late_they_were() -> 
     assert (third["number"], third["frame"], third["late_s"]) == (1, 42, None)  # the run ended before
 
 
-def test_losses_are_counted_for_each_vehicle_a_datagram_was_meant_for() -> None:
+def test_losses_are_counted_per_intended_receiver() -> None:
     lateness = Lateness(tuple("abcd"))
     to_all, to_one = -1, 2
     lateness.sent(ints(0, 1, 2), ints(0, 0, 0), ints(0, 0, 0), ints(to_all, to_one, to_all), ints(1, 2, 3))
-    lateness.due(traffic((0, 1, 10, 7), (0, 1, 12, 7)), ints(10, 12))  # it is doubled on its way
+    lateness.due(traffic((0, 1, 10, 7), (0, 1, 12, 7)), ints(10, 12))  # duplicated on its way
     assert lateness.summary({})["lost"] == 0  # the others may still receive it
     lateness.due(traffic((0, 3, 20, 9), settled=(0, 1)), ints(20))
     assert lateness.summary({})["lost"] == 1 + 1  # the first at c, the second at c

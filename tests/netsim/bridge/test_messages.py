@@ -1,4 +1,4 @@
-"""What is too long for one message reaches the bridge's process whole, and in its order."""
+"""Content that exceeds one message reaches the bridge's process complete and in order."""
 
 from unittest import mock
 
@@ -10,7 +10,7 @@ from vcmvsp.cosim.types import Array, Traffic, frozen
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.bridge import messages
 
-ROOM = 200_000  # bytes of a message, as far as every Linux goes (`cosim.processes.child_process`)
+ROOM = 200_000  # largest message, bytes, that every Linux accepts (`cosim.processes.child_process`)
 
 
 def traffic(deliveries: int, settled: int) -> tuple[Traffic, Array]:
@@ -28,7 +28,7 @@ def traffic(deliveries: int, settled: int) -> tuple[Traffic, Array]:
 
 
 @given(deliveries=st.integers(0, 20), settled=st.integers(0, 20), most=st.integers(1, 8))
-def test_deliveries_come_whole_and_before_what_is_settled(deliveries: int, settled: int, most: int) -> None:
+def test_deliveries_arrive_complete_and_before_acknowledgements(deliveries: int, settled: int, most: int) -> None:
     told, at_ns = traffic(deliveries, settled)
     with mock.patch.object(messages, "MOST_DUE", most):
         said = list(messages.due_in_chunks(42, told, at_ns))

@@ -9,7 +9,7 @@ from vcmvsp.netsim.bridge.datagram_store import Pacer, TimedDelivery, new_loop
 
 
 class Turning:
-    """A loop whose time is said; what is called later is called when that has come."""
+    """Event loop with a clock set by the test; callbacks run when their time has come."""
 
     def __init__(self) -> None:
         self.now_ns = 0
@@ -101,7 +101,7 @@ def test_late_deliveries_leave_in_order_and_let_other_tasks_run() -> None:
     assert 0 < early < 1000
 
 
-def test_the_loop_wakes_for_timers_and_for_what_comes() -> None:
+def test_the_loop_wakes_for_timers_and_arrivals() -> None:
     loop = new_loop()
 
     async def trial() -> bytes:

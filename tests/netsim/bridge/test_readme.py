@@ -1,4 +1,4 @@
-"""The example of the README works as it stands there, and so does its gateway of one's own."""
+"""The README's example and its user-written gateway work as printed."""
 
 import asyncio
 import json
@@ -15,8 +15,8 @@ import pytest
 
 from tests.support.cosim.run_processes import PROGRAM
 from tests.support.docs.readme_pages import PAGES, block
-from tests.support.netsim.bridge_runs import BridgeRun, running
-from tests.support.netsim.gateway_context import TestHall, free_ports, opened
+from tests.support.netsim.bridge_runs import BridgeRun, background_run
+from tests.support.netsim.gateway_context import RunlessContext, free_ports, open_gateway
 from tests.support.paths import ROOT
 from vcmvsp.cosim.config import builtin_kinds
 from vcmvsp.netsim.bridge.gateways.base import Gateway
@@ -29,7 +29,7 @@ README = PAGES[PAGE]
 
 
 def at_ports(first: int, text: str) -> str:
-    """The same, but for the ports."""
+    """The same text with other ports."""
     return re.sub(r"\b18(\d{3})\b", lambda port: str(first + int(port[1])), text)
 
 
@@ -50,7 +50,7 @@ def test_the_worked_example(tmp_path: Path) -> None:
 
     started = [start("echo.py"), run := start(*PROGRAM, *shorter, stderr=subprocess.PIPE)]
     try:
-        lines = [run.stderr.readline() for _ in range(2)] if run.stderr else []  # from then on its ports are there
+        lines = [run.stderr.readline() for _ in range(2)] if run.stderr else []  # its ports are open from now on
         started.append(ask := start("ask.py", stdout=subprocess.PIPE))
         said = ask.communicate(timeout=500)[0].splitlines()
         _, rest = run.communicate(timeout=500)
@@ -75,9 +75,9 @@ def test_the_worked_example(tmp_path: Path) -> None:
 
 
 def test_the_ten_lines_of_the_radios_page(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(socket, "setdefaulttimeout", lambda seconds: None)  # for all tests after this one
+    monkeypatch.setattr(socket, "setdefaulttimeout", lambda seconds: None)  # for all later tests
     run = BridgeRun("car1", "car2", "car3", delay={"seconds": 0.02})
-    with running(run):
+    with background_run(run):
         space: dict[str, Any] = {}
         exec(
             compile(
@@ -101,9 +101,9 @@ def test_the_custom_gateway_of_the_page_works(tmp_path: Path) -> None:
 
     async def trial() -> list[str]:
         gateway: Gateway = space["RollCall"](out=str(path))
-        context = TestHall(("a", "b", "c"))
-        async with opened(gateway, context):
-            await asyncio.sleep(0.01)  # by then, all that was due before has been delivered
+        context = RunlessContext(("a", "b", "c"))
+        async with open_gateway(gateway, context):
+            await asyncio.sleep(0.01)  # everything due before is delivered by then
         (line,) = context.lines
         assert str(path) in line
         return path.read_text().splitlines()

@@ -1,4 +1,4 @@
-"""Whole runs with programs: made again they are the same, and what they leave fits together."""
+"""Whole runs with programs: a replay equals the run, and its files agree with each other."""
 
 import contextlib
 import json
@@ -34,9 +34,9 @@ CHANNELS: dict[str, dict[str, Any]] = {
 
 @contextlib.contextmanager
 def programs(first_port: int) -> Iterator[None]:
-    """The first vehicle's says something to all, the second's to the third, over and over.
+    """The first vehicle's program broadcasts, the second's sends to the third, repeatedly.
 
-    They end after twice as many as the run has time for: a run that lags behind must not get ever more of them.
+    They end after twice the run's duration: a run that lags behind must not receive ever more datagrams.
     """
     stop = threading.Event()
 
@@ -44,7 +44,7 @@ def programs(first_port: int) -> Iterator[None]:
         said = 0
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
             while said < MOST_SAID and not stop.wait(PERIOD_S):
-                with contextlib.suppress(ConnectionError):  # there is no run yet, or no more
+                with contextlib.suppress(ConnectionError):  # the run has not started, or has ended
                     program.sendto(b"to all", ("127.0.0.1", first_port))
                     program.sendto(b"to one", ("127.0.0.1", first_port + 100 + 3))
                     said += 1
@@ -59,7 +59,7 @@ def programs(first_port: int) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("channel", CHANNELS)
-def test_a_run_with_programs_is_made_again_to_the_byte_and_what_it_leaves_fits_together(channel: str, tmp_path: Path) -> None:
+def test_a_replay_with_programs_is_equal_to_the_byte_and_its_files_agree(channel: str, tmp_path: Path) -> None:
     first_port, folder = free_ports(300), tmp_path / "run"
     with programs(first_port):
         run = vcmvsp.run(
@@ -82,9 +82,9 @@ def test_a_run_with_programs_is_made_again_to_the_byte_and_what_it_leaves_fits_t
         assert carried["sender"] == row["sender"] or channel == "flooding"
     given = [(now_ns, value) for _, now_ns, value in read_inputs(folder / "hardware.mcap") if isinstance(value, Datagrams)]
     to = np.concatenate([each.to for _, each in given])
-    entered_ns = np.concatenate([np.maximum(each.sent_ns, now_ns) for now_ns, each in given])  # later than sent, if held up
+    entered_ns = np.concatenate([np.maximum(each.sent_ns, now_ns) for now_ns, each in given])  # later than sent, if delayed
     assert about["datagrams"] == len(to)
     arrived = {(row["number"], row["receiver"]) for row in deliveries}
     missing = int(np.where(to < 0, 2, 1).sum()) - len(arrived)
-    assert missing - 2 * int((entered_ns > 1_400_000_000).sum()) <= about["lost"] <= missing  # some are under way at the end
+    assert missing - 2 * int((entered_ns > 1_400_000_000).sum()) <= about["lost"] <= missing  # some are on the air at the end
     assert about["lost"] > 0 or "loss" not in CHANNELS[channel]["radio"]

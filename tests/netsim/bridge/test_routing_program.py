@@ -1,4 +1,4 @@
-"""Routing programs on the vehicles, with the commands of the page: routes, what crosses five hops, and the repair."""
+"""Routing programs on the vehicles, with the commands of the page: routes, delivery over five hops, and repair."""
 
 import contextlib
 import json
@@ -30,7 +30,7 @@ pytestmark = [
 ]
 
 PAGE = "netsim/bridge/README.md"
-PROGRAMS = {"babel": "babeld -w", "bird": "bird -f"}  # words of their scripts
+PROGRAMS = {"babel": "babeld -w", "bird": "bird -f"}  # parts of their command lines
 CARS = ("car1", "car2", "car3", "car4", "car5", "car6", "relief")
 ASK_EVERY_S, READY_S, ROUTES_S, REPAIR_S, DELIVERY_S = 2.0, 40.0, 60.0, 120.0, 240.0
 LOSS, HOPS = 0.02, 5
@@ -38,13 +38,13 @@ DATAGRAM_BYTES = 228  # with the headers of UDP and IPv4
 
 
 def command(words: str) -> str:
-    """The command of the page in which these words stand; it is given as root."""
+    """Command of the page that contains these words; it runs as root."""
     (line,) = [line for line in block(PAGE, "sudo sh babel.sh").splitlines() if words in line]
     return line.partition("  ")[0].removeprefix("sudo ")
 
 
 class Chain:
-    """The run of the page, with a routing program."""
+    """The page's run, with a routing program."""
 
     def __init__(self, folder: Path, program: str) -> None:
         self.folder, self.name = folder, f"{program}{os.getpid()}"
@@ -71,7 +71,7 @@ class Chain:
 
     @property
     def time_s(self) -> float:
-        """Time of the run, a little less than exact: it keeps to the wall clock."""
+        """Run time, s, slightly late: the run keeps to the wall clock."""
         return time.monotonic() - self.began_s
 
     def until(self, holds: Callable[[], bool], latest_s: float) -> None:
@@ -82,7 +82,7 @@ class Chain:
 
 @contextlib.contextmanager
 def running(folder: Path, program: str) -> Iterator[Chain]:
-    """The run of the page, while the program routes."""
+    """The page's run, while the program routes."""
     folder.mkdir()
     made = Chain(folder, program)
     start = [*VCMVSP, "net", "up", "chain.toml", "--out", "out"]
@@ -108,7 +108,7 @@ def running(folder: Path, program: str) -> Iterator[Chain]:
 
 
 def next_hop(chain: Chain, car: str, to: str) -> str:
-    """The vehicle to which a vehicle sends packets for an address; empty: no route."""
+    """Next hop of a vehicle for an address; empty: no route."""
     routes = chain.call(command("ip route").replace("car1", car))
     found = re.search(rf"^{re.escape(to)} via 10\.77\.0\.(\d+) ", routes, re.MULTILINE)
     return CARS[int(found[1]) - 1] if found else ""
@@ -120,25 +120,25 @@ def routed(folder: Path, program: str) -> None:
 
 
 def check_routes(chain: Chain) -> None:
-    """A machine with other work delays the hellos of the program, which then takes links for worse than they are: ask again."""
+    """Repeats a failed check: a machine with other work delays the program's hellos, so that links seem worse than they are."""
     both = (("car1", "10.77.0.6"), ("car6", "10.77.0.1"))
     chain.until(lambda: all(next_hop(chain, *each) for each in both), ROUTES_S)
-    hops = list(pairwise(("car1", "car2", "relief", "car4", "car5", "car6")))  # once car3 is out of range
+    hops = list(pairwise(("car1", "car2", "relief", "car4", "car5", "car6")))  # after car3 is out of range
     chain.until(lambda: all(next_hop(chain, car, "10.77.0.6") == to for car, to in hops), REPAIR_S)
     chain.until(lambda: answers(chain) >= 8, REPAIR_S)  # of 20, with 0.98^10 = 0.82
-    for _ in range(2):  # a busy machine takes less than 2000 receptions of the first thousand datagrams
+    for _ in range(2):  # a busy machine delivers fewer than 2000 receptions of the first thousand datagrams
         chain.until(lambda: share_delivered(chain) > 0.5, DELIVERY_S)  # with 0.98^5 = 0.90
 
 
 def answers(chain: Chain) -> int:
-    """Answers to 20 requests over all hops; they are forwarded by four vehicles."""
+    """Replies to 20 requests over all hops, forwarded by four vehicles."""
     said = chain.call(command(" ping "), check=False)
     found = re.search(r"(\d+) received", said)
     return int(found[1]) if found and "ttl=60" in said else 0
 
 
 def share_delivered(chain: Chain) -> float:
-    """Share of 1000 datagrams that arrive over all hops; 0: the programs did not come together."""
+    """Share of 1000 datagrams that arrive over all hops; 0: the programs did not meet."""
     chain.call(command("iperf3 -s"), check=False)
     said = chain.call(f"{command('iperf3 -4')} -t 10 --json", check=False)
     told = json.loads(said)["end"].get("sum") if said else None
@@ -148,7 +148,7 @@ def share_delivered(chain: Chain) -> float:
 
 
 def share_lost(folder: Path) -> float:
-    """Datagrams with the outcome "random loss", as a share of these and the received ones, over all links."""
+    """Share of the outcome "random loss" among lost and received datagrams, over all links."""
     rows = pq.read_table(folder / "out" / "radio.parquet", filters=[("size_bytes", "==", DATAGRAM_BYTES)])
     outcomes = Counter(rows["outcome"].to_pylist())
     lost, received = outcomes["random loss"], outcomes["received"]
@@ -157,9 +157,10 @@ def share_lost(folder: Path) -> float:
 
 
 def test_routes_over_five_hops_carry_datagrams_and_are_repaired(tmp_path: Path) -> None:
-    """Each link loses its share of datagrams, to the next hop alone; how many cross all links in time, a busy machine changes.
+    """Each link loses its share of datagrams to the next hop; the number that cross all links in time depends on the machine's
+    load.
 
-    The programs have runs of their own, side by side, because each run lasts a minute of wall-clock time.
+    The programs have runs of their own, in parallel, because each run lasts a minute of wall-clock time.
     """
     with ThreadPoolExecutor() as pool:
         list(pool.map(partial(routed, tmp_path), PROGRAMS))
@@ -167,6 +168,6 @@ def test_routes_over_five_hops_carry_datagrams_and_are_repaired(tmp_path: Path) 
         assert share_lost(tmp_path / program) == pytest.approx(LOSS, abs=0.012)  # four deviations of 2000 receptions
 
 
-def test_the_page_says_which_losses_there_are() -> None:
+def test_the_page_lists_the_losses() -> None:
     assert f"probability = {LOSS}" in block(PAGE, 'name = "chain"')
     assert f"0.98^{HOPS} = {0.98**HOPS:.2f}" in PAGES[PAGE]

@@ -1,4 +1,4 @@
-"""Programs and a run: a kernel, a radio, a bridge process and sockets."""
+"""Programs and a run: kernel, radio, bridge process and sockets."""
 
 import socket
 import subprocess
@@ -12,7 +12,15 @@ import numpy as np
 import pytest
 
 from tests.support.cosim.receptions import receptions_in
-from tests.support.netsim.bridge_runs import BROADCAST, BridgeRun, all_of, running, until_each_of, wait_for, what_is_there
+from tests.support.netsim.bridge_runs import (
+    BROADCAST,
+    BridgeRun,
+    background_run,
+    receive_all,
+    receive_available,
+    receive_each_of,
+    wait_for,
+)
 from tests.support.netsim.gateway_context import PATIENCE_S
 from vcmvsp.cosim.clock import SECOND_NS, WallClock
 from vcmvsp.cosim.errors import FederateError
@@ -37,18 +45,18 @@ def test_a_scenario_that_is_only_checked_opens_nothing() -> None:
     assert run.told == []
 
 
-def test_what_arrives_is_what_the_radio_says_datagram_by_datagram() -> None:
+def test_arrivals_equal_the_radios_reports_datagram_by_datagram() -> None:
     count = 2000
     run = BridgeRun("a", "b", "c", loss={"probability": 0.3}, delay={"seconds": 0.002, "jitter_s": 0.004})
-    with run.program(1) as b, run.program(2) as c, running(run):
+    with run.program(1) as b, run.program(2) as c, background_run(run):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as a:
             for k in range(count):
                 a.sendto(b"%d" % k, run.port(0, BROADCAST if k % 3 else 3))
                 time.sleep(0.0001)
         wait_for(lambda: len(run.reports) == count)
         wait_for(lambda: run.left == sum(int((report.received_ns >= 0).sum()) for report in run.reports))
-        heard = {1: [int(each) for each in what_is_there(b)], 2: [int(each) for each in what_is_there(c)]}
-    said: dict[int, int] = {}  # by number: sockets are read one after the other, each in its order
+        heard = {1: [int(each) for each in receive_available(b)], 2: [int(each) for each in receive_available(c)]}
+    said: dict[int, int] = {}  # by number: sockets are read in turn, each in its order
     for to, own in ((-1, [k for k in range(count) if k % 3]), (2, [k for k in range(count) if not k % 3])):
         numbers = [
             n for _, value in run.sent for n, meant in zip(value.number.tolist(), value.to.tolist(), strict=True) if meant == to
@@ -86,7 +94,7 @@ def test_datagrams_enter_when_they_came_in_order_and_none_before_the_beginning_o
 
     def note(*what: Any) -> None:
         log(*what)
-        taken_ns.append(clock.logical_ns(time.monotonic_ns()))  # of a run that is late, it is not what it takes for now
+        taken_ns.append(clock.logical_ns(time.monotonic_ns()))  # of a late run, not the time that it believes
 
     run.bridge._log = note
     with run.program(1) as b, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as a:
@@ -102,7 +110,7 @@ def test_datagrams_enter_when_they_came_in_order_and_none_before_the_beginning_o
             for _ in range(50):
                 said_ns.append(time.monotonic_ns())
                 a.sendto(b"x", run.port(0, BROADCAST))
-            all_of(b, 50)
+            receive_all(b, 50)
         finally:
             run.stop()
     assert run.error is None
@@ -123,7 +131,7 @@ def test_a_flooding_program_costs_others_no_datagram() -> None:
         while True:
             s.sendto(bytes(1400), ("127.0.0.1", int(sys.argv[1])))
     """)
-    with run.program(1) as b, running(run):
+    with run.program(1) as b, background_run(run):
         flooding = subprocess.Popen([sys.executable, "-c", flood, str(run.port(2, 4)[1])])
         try:
             wait_for(lambda: len(run.reports) > 1000)
@@ -131,12 +139,12 @@ def test_a_flooding_program_costs_others_no_datagram() -> None:
                 for k in range(300):
                     a.sendto(b"%d" % k, run.port(0, 2))
                     time.sleep(0.001)
-                assert all_of(b, 300) == [b"%d" % k for k in range(300)]
+                assert receive_all(b, 300) == [b"%d" % k for k in range(300)]
         finally:
             flooding.kill()
             flooding.wait()
     counts: dict[str, dict[str, int]] = run.bridge.lateness["counts"]
-    assert set(counts) <= {"c"}  # nobody else lost anything on the way to the radio
+    assert set(counts) <= {"c"}  # no other loss on the way to the radio
 
 
 def test_ports_in_use_end_the_run_before_it_begins_and_leave_no_process() -> None:
@@ -150,7 +158,7 @@ def test_ports_in_use_end_the_run_before_it_begins_and_leave_no_process() -> Non
 
 
 class Agents:
-    """Says something in the name of vehicles, ten times a second, so many times, and keeps what they hear."""
+    """Sends for its vehicles ten times a second, a set number of times, and collects the receptions."""
 
     name, slot, wake_slot = "agents", Slot.AGENT, Slot.AGENT
     reads: tuple[str, ...] = ("radio/receptions",)
@@ -189,50 +197,50 @@ def test_programs_and_agents_hear_each_other_and_nothing_twice() -> None:
         ]
 
     with run.program(1) as b, run.program(2) as c:
-        with running(run), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as a:
+        with background_run(run), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as a:
             for payload in own:
                 a.sendto(payload, run.port(0, BROADCAST))
-            heard_b, heard_c = until_each_of(b, [*own, said]), until_each_of(c, [*own, said])
+            heard_b, heard_c = receive_each_of(b, [*own, said]), receive_each_of(c, [*own, said])
             wait_for(lambda: len(by_agents()) >= 2 * 3)
-        heard_b += what_is_there(b)
-        heard_c += what_is_there(c)
+        heard_b += receive_available(b)
+        heard_c += receive_available(c)
     assert [each for each in heard_b if each in own] == own
     assert {each for each in heard_b if each not in own} == {said}
     assert heard_c.count(b"one") == heard_c.count(b"two") == heard_c.count(b"") == 1
     assert sorted(by_agents()) == sorted((name, "a", each) for name in "bc" for each in own if each)
 
 
-def test_what_agents_said_is_delivered_once_for_each_time_that_it_was_heard() -> None:
+def test_messages_of_agents_are_delivered_once_per_reception() -> None:
     agents = Agents({"b": b"said"}, times=10)
     run = BridgeRun("a", "b", "c", hear=True, agents=[agents])
     with run.program(2) as c:
-        with running(run), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as b:
+        with background_run(run), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as b:
             for _ in range(5):
-                b.sendto(b"said", run.port(1, BROADCAST))  # the same as its agent says
-            assert all_of(c, 5 + 10) == [b"said"] * (5 + 10)
+                b.sendto(b"said", run.port(1, BROADCAST))  # as its agent sends
+            assert receive_all(c, 5 + 10) == [b"said"] * (5 + 10)
             wait_for(lambda: agents.acted > 10)
-        assert what_is_there(c) == []
+        assert receive_available(c) == []
 
 
 def test_many_deliveries_are_split_into_messages(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vcmvsp.netsim.bridge.messages.MOST_DUE", 3)
     names = [f"v{k}" for k in range(8)]
     run = BridgeRun(*names)
-    with run.program(3) as heard, running(run), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
+    with run.program(3) as heard, background_run(run), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
         for k in range(100):
             program.sendto(b"%d" % k, run.port(0, BROADCAST))
-        assert all_of(heard, 100) == [b"%d" % k for k in range(100)]
+        assert receive_all(heard, 100) == [b"%d" % k for k in range(100)]
         wait_for(lambda: run.left == 700)
     assert run.bridge.lateness["delivered"] == 700
 
 
 def test_datagrams_contend_for_the_air_as_frames_of_agents_do() -> None:
     run = BridgeRun("a", "b", "c", preset="wifi-g-54", mac={"kind": "dcf"})
-    with run.program(2) as c, running(run), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
+    with run.program(2) as c, background_run(run), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
         for k in range(200):
             program.sendto(b"a%d" % k, run.port(0, 3))
             program.sendto(b"b%d" % k, run.port(1, 3))
-        heard = all_of(c, 400)
+        heard = receive_all(c, 400)
     assert [each for each in heard if each.startswith(b"a")] == [b"a%d" % k for k in range(200)]
     assert [each for each in heard if each.startswith(b"b")] == [b"b%d" % k for k in range(200)]
     assert max(report.access_ns for report in run.reports) > 0
@@ -243,7 +251,7 @@ def test_datagrams_contend_for_the_air_as_frames_of_agents_do() -> None:
 def test_at_another_speed_delays_are_so_much_shorter_on_the_wall_clock(speed: float) -> None:
     run = BridgeRun("a", "b", clock=WallClock(speed), delay={"seconds": 0.1})
     took_s = []
-    with run.program(1) as b, running(run), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as a:
+    with run.program(1) as b, background_run(run), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as a:
         for _ in range(3):
             began = time.monotonic()
             a.sendto(b"x", run.port(0, 2))
@@ -254,7 +262,7 @@ def test_at_another_speed_delays_are_so_much_shorter_on_the_wall_clock(speed: fl
 
 
 class Halting:
-    """Holds up the run, once, at half a second, until it is let go on."""
+    """Blocks the run once, at 0.5 s, until it is released."""
 
     name, slot, wake_slot = "halting", Slot.AGENT, Slot.AGENT
     reads: tuple[str, ...] = ()
@@ -280,7 +288,7 @@ def test_datagrams_during_a_pause_get_the_time_of_the_pause() -> None:
     halting = Halting()
     run = BridgeRun("a", "b", agents=[halting], delay={"seconds": 0.1})
     run.kernel._tolerance_ns = 100 * MS
-    with running(run), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as a:
+    with background_run(run), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as a:
 
         def say(often: int) -> None:
             for _ in range(often):
@@ -295,7 +303,7 @@ def test_datagrams_during_a_pause_get_the_time_of_the_pause() -> None:
         wait_for(lambda: sum(len(value.number) for _, value in run.sent) == 70)
     assert run.kernel._clock.slipped_ns > 400 * MS
     sent_ns = np.concatenate([value.sent_ns for _, value in run.sent])
-    assert sent_ns[0] >= 500 * MS  # and not long before that
-    assert sent_ns[59] <= 700 * MS  # nor when it came to go on: its next instant is at 0.6 s
+    assert sent_ns[0] >= 500 * MS  # and not long before
+    assert sent_ns[59] <= 700 * MS  # nor when it resumed: its next instant is at 0.6 s
     assert (np.diff(sent_ns) >= 0).all()
     assert all(row["late_s"] is None or row["late_s"] >= 0.0 for row in run.bridge.table().to_pylist())

@@ -1,4 +1,4 @@
-"""Several radios of a vehicle: programs reach each, and lose there what the recording says of that radio."""
+"""Several radios of a vehicle: programs reach each, and lose the datagrams that the recording lists as lost on that radio."""
 
 import contextlib
 import json
@@ -21,8 +21,8 @@ import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.cosim.run_processes import VCMVSP
 from tests.support.docs.readme_pages import block
-from tests.support.netsim.gateway_context import TestHall, free_ports, opened
-from tests.support.netsim.vehicle_namespaces import RUN, called, heard, udp
+from tests.support.netsim.gateway_context import RunlessContext, free_ports, open_gateway
+from tests.support.netsim.vehicle_namespaces import RUN, next_datagram, run_command, udp
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.runs.api import check
 from vcmvsp.cosim.runs.replay import replay
@@ -34,7 +34,7 @@ T = TypeVar("T", bound=Callable[..., Any])
 PAGE = "netsim/bridge/README.md"
 NAME = f"radios{os.getpid()}"
 LOSS = {"near": 0.3, "far": 0.0}
-SIZES = {"near": 120, "far": 240}  # bytes of datagrams, which tell them from what the kernel sends
+SIZES = {"near": 120, "far": 240}  # payload, bytes, that tells datagrams from the kernel's own packets
 ADDRESSES = {"near": ("10.77.0.1", "10.77.0.2"), "far": ("10.78.0.1", "10.78.0.2")}
 COUNT = 200
 READY_S = 60.0
@@ -60,7 +60,7 @@ def scenario(**own: Any) -> dict[str, Any]:
 
 
 def in_namespaces(test: T) -> T:
-    """Mark a test that makes namespaces of Linux."""
+    """Marks a test that makes network namespaces of Linux."""
     marks = (pytest.mark.processes, pytest.mark.sockets, pytest.mark.needs("ip", "ping"))
     for mark in (*marks, pytest.mark.usefixtures("namespaces_allowed")):
         test = mark(test)
@@ -74,7 +74,7 @@ def frames_of(folder: Path) -> pd.DataFrame:
 
 @contextlib.contextmanager
 def talking(ports: dict[str, int]) -> Iterator[None]:
-    """Programs of car1 that send to all on each radio, and to car3."""
+    """Programs of car1 that broadcast on each radio and send to car3."""
     stop = threading.Event()
 
     def talk() -> None:
@@ -82,7 +82,7 @@ def talking(ports: dict[str, int]) -> Iterator[None]:
             while not stop.wait(0.004):
                 for name, first in ports.items():
                     for port in (first, first + 3):
-                        with contextlib.suppress(ConnectionError):  # there is no run yet, or no more
+                        with contextlib.suppress(ConnectionError):  # the run has not started, or has ended
                             program.sendto(bytes(SIZES[name]), ("127.0.0.1", port))
 
     thread = threading.Thread(target=talk)
@@ -152,7 +152,7 @@ def up(folder: Path) -> Iterator[None]:
 
 
 def on(vehicle: str, words: str, tries: int = 1) -> str:
-    """Output of a command on a vehicle's machine, which fails in all tries but the last at most."""
+    """Output of a command on a vehicle's machine; retried if it fails."""
     command = [*VCMVSP, "net", "exec", vehicle, "--run", NAME, "--", *words.split()]
     for _ in range(tries):
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=READY_S)
@@ -171,8 +171,8 @@ def received(listener: socket.socket) -> list[int]:
 
 
 @in_namespaces
-def test_datagrams_lose_what_the_recording_says_of_their_radio(tmp_path: Path) -> None:
-    """The recording says which datagrams must arrive; the load of the machine changes neither."""
+def test_datagrams_are_lost_as_recorded_on_their_radio(tmp_path: Path) -> None:
+    """The recording lists the datagrams that must arrive; the machine's load changes neither."""
     with contextlib.ExitStack() as open_sockets:
         with up(tmp_path):
             told = vcmvsp_command("net", "status").out
@@ -180,14 +180,14 @@ def test_datagrams_lose_what_the_recording_says_of_their_radio(tmp_path: Path) -
             for name, (own, other) in ADDRESSES.items():
                 sender = open_sockets.enter_context(udp("car1", own, run=NAME))
                 listeners[name] = open_sockets.enter_context(udp("car2", other, 9000, run=NAME))
-                on("car1", f"ping -c 5 -i 0.2 {other}", tries=30)  # until ARP knows it
+                on("car1", f"ping -c 5 -i 0.2 {other}", tries=30)  # until ARP has resolved it
                 for number in range(COUNT):
                     sender.sendto(number.to_bytes(4, "big") + bytes(SIZES[name] - 4), (other, 9000))
                     time.sleep(0.002)
             names = on("car3", "cat /etc/hosts")
             for command in COMMANDS:
                 vehicle, _, words = command.partition(" -- ")
-                on(vehicle.split()[-1], words.replace("ping", "ping -c 5 -i 0.2"), tries=30)  # links lose
+                on(vehicle.split()[-1], words.replace("ping", "ping -c 5 -i 0.2"), tries=30)  # losses of the links
             routes = on("car1", "ip route get 10.77.0.2")
         came = {name: received(listener) for name, listener in listeners.items()}
     frames = frames_of(tmp_path / "out")
@@ -218,25 +218,25 @@ def test_datagrams_lose_what_the_recording_says_of_their_radio(tmp_path: Path) -
 @in_namespaces
 async def test_the_routing_table_chooses_the_radio() -> None:
     radios = {"near": (0, 1), "far": (0, 1, 2)}
-    context = TestHall(("car1", "car2", "car3"), run=RUN, radios=radios)
-    async with opened(Ip(), context):
+    context = RunlessContext(("car1", "car2", "car3"), run=RUN, radios=radios)
+    async with open_gateway(Ip(), context):
         links = {}
         for vehicle in context.vehicles:
-            _, said = await called(vehicle, "ip", "-br", "link")
+            _, said = await run_command(vehicle, "ip", "-br", "link")
             links[vehicle] = {line.split()[0]: line.split()[2] for line in said.splitlines()}
             del links[vehicle]["lo"]
         for address, radio in (("10.77.0.2", "near"), ("fd77::2", "near"), ("10.78.0.2", "far"), ("fd77:0:0:1::2", "far")):
             with udp("car1", "::" if ":" in address else "0.0.0.0") as sender, udp("car2", address, 9000) as listener:
                 context.offered.clear()
                 sender.sendto(b"to one", (address, 9000))
-                await heard(listener)
+                await next_datagram(listener)
             # The kernel may ask for a neighbour's address at any time, on either radio.
             assert [each.radio for each in context.offered if each.payload.endswith(b"to one")] == [radio]
-        await called("car1", "ip", "route", "add", "10.77.0.2/32", "via", "10.78.0.2")
+        await run_command("car1", "ip", "route", "add", "10.77.0.2/32", "via", "10.78.0.2")
         with udp("car1", "10.77.0.1") as sender, udp("car2", "10.77.0.2", 9000) as listener:
             context.offered.clear()
             sender.sendto(b"by far", ("10.77.0.2", 9000))
-            assert await heard(listener) == (b"by far", "10.77.0.1")
+            assert await next_datagram(listener) == (b"by far", "10.77.0.1")
         assert [each.radio for each in context.offered if each.payload.endswith(b"by far")] == ["far"]
     macs = {name: [ethernet.mac_of(row, number).hex(":") for row in range(3)] for number, name in enumerate(radios)}
     assert links == {
@@ -248,12 +248,12 @@ async def test_the_routing_table_chooses_the_radio() -> None:
 
 @in_namespaces
 async def test_a_single_radio_is_as_without_a_name() -> None:
-    context = TestHall(("car1", "car2"), run=RUN, radios={"only": (0, 1)})
-    async with opened(Ip(), context):
+    context = RunlessContext(("car1", "car2"), run=RUN, radios={"only": (0, 1)})
+    async with open_gateway(Ip(), context):
         with udp("car1", "10.77.0.1") as sender, udp("car2", "10.77.0.2", 9000) as listener:
             sender.sendto(b"x", ("10.77.0.2", 9000))
-            assert await heard(listener) == (b"x", "10.77.0.1")
-        _, said = await called("car1", "ip", "-br", "link", "show", "radio0")
+            assert await next_datagram(listener) == (b"x", "10.77.0.1")
+        _, said = await run_command("car1", "ip", "-br", "link", "show", "radio0")
     assert ethernet.mac_of(0).hex(":") in said
 
 
@@ -289,7 +289,9 @@ def test_networks_of_radios_follow_each_other_and_stay_private() -> None:
         (("near", "far"), {"ip": {"routes": {"car1": ["10.78.5.0/24"]}}}, "overlaps 10.78.0.0/16"),
     ],
 )
-def test_what_several_radios_cannot_have_is_one_line(radios: tuple[str, ...], bridge: dict[str, Any], message: str) -> None:
+def test_features_without_several_radios_give_one_error_line(
+    radios: tuple[str, ...], bridge: dict[str, Any], message: str
+) -> None:
     tables: Any = [{"name": name} for name in radios] or {}
     cars = [{"name": f"car{i}", "position": [float(i), 0.0, 0.0]} for i in (1, 2)]
     with pytest.raises(ScenarioError) as caught:

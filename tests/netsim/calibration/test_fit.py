@@ -1,4 +1,4 @@
-"""Fits to logs that a known radio has made, files, and what is refused."""
+"""Fits to logs of a known radio, their files, and rejected input."""
 
 import math
 import tomllib
@@ -60,7 +60,7 @@ def test_known_truth_comes_back_within_its_standard_errors(lost: float) -> None:
 
 
 def test_the_offset_of_rays_comes_back_and_less_is_left_than_of_log_distance() -> None:
-    """Levels by rays round a building, 4 dB less and with 2 dB of scatter, cut off at a sensitivity."""
+    """Levels by rays round a building, 4 dB lower, with 2 dB of scatter, cut off at a sensitivity."""
     rays = rays_among(Box(center=(0.0, 0.0, 5.0), size=(30.0, 30.0, 10.0), material="concrete"), ground="concrete")
     rng = np.random.default_rng(3)
     a, b = (30.0 * np.exp(1j * rng.uniform(0.0, 2.0 * math.pi, 60)) for _ in range(2))
@@ -100,7 +100,9 @@ def test_without_losses_and_correlation_it_is_ordinary_least_squares() -> None:
 
 
 def test_standard_errors_know_that_neighbours_are_alike() -> None:
-    """A robot on a tour round its base: ten times the rows on the same way tell hardly more, and are not said to."""
+    """A robot on a tour round its base: ten times the rows on the same way add hardly any information, and standard errors say
+    so.
+    """
     base = np.tile((-5.0, -5.0, 1.0), (400, 1))
     way = tour(400)
     level = mean_of(base, way) - shadows(base, way, 3, Shadowing(4.0, 10.0))
@@ -133,7 +135,7 @@ def test_losses_of_walls_come_back(seed: int) -> None:
     loss = np.concatenate([walls.loss_db(Line.between(a[i], b[i : i + 1])) for i in range(250)])
     log = links(a, b, mean_of(a, b) - loss + rng.normal(0.0, 3.0, 250), -98.0)
     found = fit(log, sightline=sightline)
-    assert list(found.walls_db) == ["concrete", "plasterboard"]  # nothing is said of the wood, which no row crosses
+    assert list(found.walls_db) == ["concrete", "plasterboard"]  # no estimate for wood: no row crosses it
     assert abs(normal_score(found.walls_db["concrete"], 12.0)) < 4.0
     assert abs(normal_score(found.walls_db["plasterboard"], 4.0)) < 4.0
     assert abs(normal_score(found.exponent, 3.0)) < 4.0
@@ -161,7 +163,7 @@ def test_a_sensitivity_that_received_rows_contradict_is_refused() -> None:
         fit(links(a, b, mean_of(a, b)), sensitivity_dbm=-60.0)
 
 
-def test_walls_that_nothing_was_heard_through_are_named() -> None:
+def test_walls_without_receptions_are_named() -> None:
     rng = np.random.default_rng(1)
     a, b = points(rng, 60), points(rng, 60)
     sightline = Sightline(BOXES[:1])
@@ -175,7 +177,7 @@ def test_walls_that_nothing_was_heard_through_are_named() -> None:
 
 
 @pytest.mark.parametrize(("correlation", "error"), [(0.0, 1e-12), (0.5, 0.002), (0.9, 0.031), (0.99, 0.085), (-0.4, 0.0005)])
-def test_two_values_below_their_mean_are_as_likely_as_the_closed_form_says(correlation: float, error: float) -> None:
+def test_the_probability_of_two_values_below_their_mean_is_the_closed_form(correlation: float, error: float) -> None:
     """``1/4 + asin(rho) / (2 pi)`` (W. Sheppard, 1899)."""
     matrix = 9.0 * np.array([[1.0, correlation], [correlation, 1.0]])
     exact = math.log(0.25 + math.asin(correlation) / (2.0 * math.pi))
@@ -281,7 +283,7 @@ def test_the_table_builds_layers_with_the_mean_and_spread_that_were_found() -> N
         assert 16.0 - loss[0] + gain.mean() == pytest.approx(level, abs=0.05)
 
 
-def test_what_was_not_found_is_not_in_the_table() -> None:
+def test_parameters_without_an_estimate_are_not_in_the_table() -> None:
     bare = calibrated(walls_db={}, fading_db=None, shadowing_db=None, correlation_distance_m=None)
     assert list(bare.table()) == ["path_loss"]
     assert bare.table()["path_loss"]["reference_loss_db"] == pytest.approx(58.0)

@@ -4,7 +4,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.netsim.channels import make_channel, one, send
+from tests.support.netsim.channels import make_channel, only_report, send
 from vcmvsp.cosim.types import Array, FrameReport, Message
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.impairments.delay import NoDelay
@@ -18,14 +18,14 @@ pytestmark = pytest.mark.slow
 
 def broadcast(channel: Channel, sender: str, places: dict[str, tuple[float, float, float]], sent_ns: int = 0) -> FrameReport:
     message = Message(sender=sender, body={}, size_bytes=100)
-    return one(channel.send(sent_ns, message, tuple(places), np.array(list(places.values()))))
+    return only_report(channel.send(sent_ns, message, tuple(places), np.array(list(places.values()))))
 
 
 @pytest.mark.parametrize(
     ("preset", "within_m", "beyond_m"), [("wss", 43_055.0, 43_056.0), ("wifi-b-1", 85.56, 85.57), ("zigbee", 31.4, 31.5)]
 )
-def test_a_preset_reaches_as_far_as_its_law_says(preset: str, within_m: float, beyond_m: float) -> None:
-    """802.11b: a node of ns-3.44 with this path loss receives at the one distance and not at the other."""
+def test_the_range_of_a_preset_follows_its_law(preset: str, within_m: float, beyond_m: float) -> None:
+    """802.11b: in ns-3.44 a node with this path loss receives at the first distance and not at the second."""
     assert send(make_channel(preset), within_m, beyond_m).outcome == ("received", "below sensitivity")
 
 
@@ -42,7 +42,7 @@ def test_an_ideal_channel_delivers_everything_at_once_but_not_in_no_time() -> No
     assert report.received_ns.tolist() == [7 + 1_800] * 3
 
 
-def test_the_report_says_what_was_sent_and_how_it_arrived() -> None:
+def test_the_report_contains_the_frame_and_its_outcomes() -> None:
     places = {"a": (0.0, 0.0, 0.0), "b": (3.0, 4.0, 0.0), "c": (0.0, 0.0, 300.0)}
     report = broadcast(make_channel("wifi-b-1"), "b", places, sent_ns=12)
     assert (report.frame, report.sender, report.sent_ns, report.size_bytes) == (0, "b", 12, 100)
@@ -93,7 +93,7 @@ def test_unicast_and_broadcast_draw_the_same() -> None:
 
 
 def outcomes(channel: Channel, order: tuple[str, ...], frames: int = 150) -> dict[tuple[str, str], list[int]]:
-    """Reception times of every link, when every vehicle of ``order`` sends every second, in that order."""
+    """Reception times of every link when the vehicles of ``order`` send in turn every second."""
     places = {name: (float(ord(name)), 0.0, 0.0) for name in order}
     found: dict[tuple[str, str], list[int]] = {}
     for k in range(frames):
@@ -109,9 +109,9 @@ SPREAD: dict[str, Any] = {"shadowing": {"sigma_db": 20.0}, "fading": {"kind": "r
 
 
 @pytest.mark.parametrize("layers", [CHANCE, CHANCE | SPREAD], ids=["chance", "spread"])
-def test_a_link_fares_the_same_whoever_else_takes_part_and_in_whatever_order(layers: dict[str, Any]) -> None:
+def test_a_link_is_independent_of_other_vehicles_and_their_order(layers: dict[str, Any]) -> None:
     alone = outcomes(make_channel("wifi-b-1", **layers), ("a", "b", "c"))
-    assert len({tuple(times) for times in alone.values()}) == 6  # six links, six fates
+    assert len({tuple(times) for times in alone.values()}) == 6  # six links with different outcomes
     for order in [*permutations("abc"), tuple("zabyxc"), tuple("abcdefghijklmnopqrstuvw")]:
         others_too = outcomes(make_channel("wifi-b-1", **layers), order)
         assert {link: others_too[link] for link in alone} == alone
@@ -127,12 +127,12 @@ def test_seeds_repeat_and_differ() -> None:
     assert outcomes(channel, ("a", "b")) == once
 
 
-def test_a_lonely_vehicle_talks_to_nobody() -> None:
+def test_a_lone_vehicle_sends_to_no_receiver() -> None:
     report = send(make_channel("wifi-b-1", **CHANCE))
     assert (report.receivers, report.outcome, report.received_ns.tolist()) == ((), (), [])
 
 
-def test_nobody_sends_from_nowhere_or_to_nobody() -> None:
+def test_a_sender_and_receiver_without_position_are_refused() -> None:
     with pytest.raises(ValueError, match="sender ghost has no position; vehicles with a position: a, b"):
         broadcast(make_channel(), "ghost", {"a": (0.0, 0.0, 0.0), "b": (1.0, 0.0, 0.0)})
     with pytest.raises(ValueError, match="unknown receiver 'car7'; receivers: car1"):
@@ -140,7 +140,7 @@ def test_nobody_sends_from_nowhere_or_to_nobody() -> None:
 
 
 class Tunnel:
-    """A stranger's loss layer: the frame is lost beyond 10 m, by a cause of its own."""
+    """A user-written loss layer: frames are lost beyond 10 m, with a cause of its own."""
 
     cause = "tunnel"
 
@@ -149,7 +149,7 @@ class Tunnel:
 
 
 class Nothing:
-    """A stranger's path loss that cannot tell."""
+    """A user-written path loss that returns no number."""
 
     def loss_db(self, paths: Paths) -> Floats:
         return np.full(paths.distance_m.shape, np.nan)
@@ -164,7 +164,7 @@ def test_layers_of_ones_own() -> None:
     channel = Channel(path_loss=LogDistance(), phy=Dsss(), loss=Tunnel(), delay=NoDelay())
     assert send(channel, 5.0, 15.0).outcome == ("received", "tunnel")
     unknown = Channel(path_loss=Nothing(), phy=Dsss(), loss=NoLoss(), delay=NoDelay())
-    assert send(unknown, 5.0).outcome == ("below sensitivity",)  # a level that is not a number is not heard
+    assert send(unknown, 5.0).outcome == ("below sensitivity",)  # a level that is not a number is not received
 
 
 def test_air_time_must_not_be_zero() -> None:

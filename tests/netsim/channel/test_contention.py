@@ -1,4 +1,4 @@
-"""Contention through the channel: messages in, reports out, whatever the mac."""
+"""Contention through the channel: messages in, reports out, for every medium access."""
 
 import math
 from typing import Any
@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.stats import ks_2samp
 
 from tests.support.cosim.receptions import receptions_in
-from tests.support.netsim.channels import make_channel, standing
+from tests.support.netsim.channels import at_rest, make_channel
 from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
 from vcmvsp.cosim.types import FrameReport, Message
@@ -47,7 +47,7 @@ def contended(preset: str, mac: str, **changes: Any) -> Channel:
 
 
 def play(channel: Channel, offers: list[Offer], cuts: list[int], names: tuple[str, ...] = NAMES) -> list[FrameReport]:
-    """Everything that is reported, the channel being advanced at the offers and at other times too."""
+    """All reports, with the channel advanced at the offers and at other times."""
     reports = []
     places = np.concatenate([PLACES, np.full((len(names) - len(NAMES), 3), 1e9)])
     for time_us, sender, to in sorted([*offers, *((cut, -1, -1) for cut in cuts)]):
@@ -68,7 +68,7 @@ STEADY: dict[str, Any] = {"jammer": JAMMER, "fading": {"kind": "none"}}
 def test_every_frame_is_reported_once_however_the_channel_is_advanced(
     preset: str, mac: str, offers: list[Offer], cuts: list[int], changes: dict[str, Any]
 ) -> None:
-    """With levels that are others at every attempt, and with levels that stay."""
+    """With levels that change at every attempt, and with constant levels."""
     whole = play(contended(preset, mac, **changes), offers, [])
     assert sorted(report.frame for report in whole) == list(range(len(offers)))
     assert encode(play(contended(preset, mac, **changes), offers, cuts)) == encode(whole)
@@ -96,8 +96,8 @@ def test_a_radio_of_its_own_sensitivity_hears_more() -> None:
 
 @pytest.mark.parametrize(("phy", "mac"), [(Dsss(), Dcf()), (Ofdm(), Dcf()), (Ieee802154(), Csma154())], ids=str)
 @pytest.mark.parametrize("power_dbm", [None, -60.0])
-def test_who_answers_with_little_power_is_not_heard(phy: Phy, mac: Mac, power_dbm: float | None) -> None:
-    """Its own radio's: the sender tries again, at least four times in all, before the next frame goes."""
+def test_a_weak_acknowledgement_is_lost(phy: Phy, mac: Mac, power_dbm: float | None) -> None:
+    """The acknowledgement is too weak: the sender retries, at least four times in all, before the next frame."""
     radios = {"car1": Radio(tx_power_dbm=power_dbm, antenna_height_m=0.0)}
     channel = Channel(phy=phy, mac=mac, path_loss=LogDistance(), loss=NoLoss(), delay=NoDelay(), radios=radios)
     for _ in range(2):
@@ -109,7 +109,7 @@ def test_who_answers_with_little_power_is_not_heard(phy: Phy, mac: Mac, power_db
 
 
 class Fade:
-    """100 dB for whatever begins in a time, ns; for nothing unless set."""
+    """Attenuates by 100 dB whatever begins within an interval, ns; nothing unless set."""
 
     during_ns = range(0)
 
@@ -119,7 +119,7 @@ class Fade:
 
 @pytest.mark.parametrize(("phy", "mac", "pause_us"), [(Dsss(), Dcf(), 20), (Ofdm(), Dcf(), 20), (Ieee802154(), Csma154(), 200)])
 def test_an_acknowledgement_fades_at_its_own_time(phy: Phy, mac: Mac, pause_us: int) -> None:
-    """The data have arrived; where the channel fades just behind them, they are sent again before the next frame goes."""
+    """The data have arrived; the channel fades just behind them, and they are repeated before the next frame."""
     fading, pauses = Fade(), []
     for fades in (False, True):
         channel = Channel(phy=phy, mac=mac, path_loss=LogDistance(), loss=NoLoss(), delay=NoDelay(), fading=fading)
@@ -134,7 +134,7 @@ def test_an_acknowledgement_fades_at_its_own_time(phy: Phy, mac: Mac, pause_us: 
 
 
 class Catch:
-    """A medium, and the mac that opens it, on which nothing is ever sent."""
+    """A medium, and the medium access that opens it, without any traffic."""
 
     def __init__(self) -> None:
         self.offered: list[Offered] = []
@@ -156,7 +156,7 @@ class Catch:
 
 
 def gains(fading: Fading) -> tuple[Floats, Floats]:
-    """Of 2000 frames and of their acknowledgements 1 ms later, over the mean."""
+    """Gains of 2000 frames and of their acknowledgements 1 ms later, relative to the mean."""
     mac = Catch()
     channel = Channel(phy=Dsss(), mac=mac, path_loss=LogDistance(), loss=NoLoss(), delay=NoDelay(), fading=fading)
     data, answers = [], []
@@ -181,7 +181,7 @@ def test_without_doppler_an_acknowledgement_fades_independently(fading: Fading) 
 
 @pytest.mark.parametrize("kind", [Rayleigh, Nakagami, Rician])
 def test_with_doppler_it_meets_the_channel_as_it_is_then(kind: Any) -> None:
-    """A millisecond later: what the next frame meets."""
+    """A millisecond later, as the next frame does."""
     data, answers = gains(kind(doppler_hz=50.0))
     assert answers[:-1] == pytest.approx(data[1:])
 
@@ -206,14 +206,14 @@ def test_frames_cut_off_by_the_end_are_reported_as_under_way() -> None:
 
 
 def test_the_federate_is_stepped_twice_a_frame_and_hears_at_its_end() -> None:
-    """Once to send it and once when it ends; the handing over may need one step more."""
+    """Once to send and once at its end; delivery may need one step more."""
     radio = RadioFederate(make_channel("wifi-b-1", mac={"kind": "dcf"}))
     radio.start(RunInfo(scenario="test", seed=1, duration_ns=10**12, vehicles=NAMES))
     steps = 0
     for k in range(50):
         now = k * 100 * MS
         sends = [Event(f"{name}/send", now, Message(sender=name, body={"k": k}, size_bytes=60)) for name in NAMES]
-        step = radio.step(now, [Event("world/states", now, standing(NAMES, PLACES)), *sends])
+        step = radio.step(now, [Event("world/states", now, at_rest(NAMES, PLACES)), *sends])
         reports, due = [], step.next_ns
         while due is not None:
             step, steps = radio.step(due, []), steps + 1

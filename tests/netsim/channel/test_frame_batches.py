@@ -1,4 +1,4 @@
-"""Broadcasts of one instant: together they fare as one after the other."""
+"""Broadcasts of one instant: a batch fares as the same frames in turn."""
 
 from typing import Any
 
@@ -22,9 +22,9 @@ TABLES: dict[str, dict[str, Any]] = {
     "late": {"delay": {"seconds": 1e-4, "jitter_s": 1e-3}},
 }
 INSTANT = st.tuples(
-    st.integers(0, 3_000_000),  # ns since the one before: some frames still wait for their radio, some begin at once
-    st.integers(0, 2),  # where everybody is
-    st.lists(st.integers(0, 6), min_size=2, max_size=7, unique=True),  # who sends, in this order
+    st.integers(0, 3_000_000),  # ns since the previous one: some frames still wait for their radio, some begin together
+    st.integers(0, 2),  # positions, m
+    st.lists(st.integers(0, 6), min_size=2, max_size=7, unique=True),  # senders in this order
     st.lists(st.sampled_from((20, 20, 300, 1500)), min_size=7, max_size=7),
 )
 
@@ -47,7 +47,7 @@ def test_broadcasts_of_one_instant_fare_as_one_after_the_other(
         got = together.send_all(now_ns, messages, NAMES, places[where])
         assert got is not None
         assert list(map(encode, got)) == list(map(encode, _one_by_one(apart, now_ns, messages, places[where])))
-    alone = Message(sender=NAMES[0], body={}, size_bytes=20)  # what is sent next goes on from there
+    alone = Message(sender=NAMES[0], body={}, size_bytes=20)  # the next frames continue from this state
     after = [channel.send(now_ns, alone, NAMES, places[0]) for channel in (together, apart)]
     assert encode(after[0]) == encode(after[1])
 
@@ -59,17 +59,17 @@ def _one_by_one(channel: Channel, now_ns: int, messages: list[Message], places: 
 @pytest.mark.parametrize(
     "tables",
     [
-        {"mac": {"kind": "dcf"}},  # they share the air
-        {"fading": {"kind": "rayleigh"}},  # each frame has a level of its own
-        {"shadowing": {"sigma_db": 4.0}},  # distance is not all
+        {"mac": {"kind": "dcf"}},  # frames share the air
+        {"fading": {"kind": "rayleigh"}},  # each frame has its own level
+        {"shadowing": {"sigma_db": 4.0}},  # loss depends on more than distance
     ],
 )
-def test_what_has_to_be_sent_one_by_one_is_refused_and_leaves_no_trace(tables: dict[str, Any]) -> None:
+def test_frames_that_must_be_sent_singly_are_refused_without_effect(tables: dict[str, Any]) -> None:
     messages = [Message(sender=name, body={}, size_bytes=20) for name in ("car0", "car2")]
     places = np.arange(21.0).reshape(7, 3)
     channel, other = make_channel("wifi-b-1", **tables), make_channel("wifi-b-1", **tables)
     assert channel.send_all(0, messages, NAMES, places) is None
-    assert channel.send_all(0, messages[:1] * 2, NAMES, places) is None  # twice the same
+    assert channel.send_all(0, messages[:1] * 2, NAMES, places) is None  # twice the same name
     ways = [_one_by_one(each, 0, messages, places) + each.advance(10**8) for each in (channel, other)]
     assert encode(ways[0]) == encode(ways[1])
 

@@ -1,4 +1,4 @@
-"""The layers together: through the channel, whatever the mac."""
+"""All layers together, through the channel, for every medium access."""
 
 from pathlib import Path
 from typing import Any
@@ -45,7 +45,7 @@ def fates(reports: list[FrameReport]) -> list[Any]:
 @pytest.mark.parametrize(("preset", "mac"), MACS)
 @pytest.mark.parametrize("unicast", [False, True])
 def test_layers_that_touch_nothing_change_nothing(preset: str, mac: str, unicast: bool) -> None:
-    """A jammer that is off, changes long after; and levels that are asked for each attempt."""
+    """An idle jammer, changes long after the end, and levels recomputed at each attempt."""
     without = fates(play(channel(preset, mac), unicast=unicast))
     jammer = {"sources": [{"power_dbm": 60.0, "position": [0.0, 0.0, 0.0], "from_s": 1000.0}]}
     script = {"changes": [{"from_s": 1000.0, "loss": 1.0, "attenuation_db": 99.0, "delay_s": 9.0}]}
@@ -55,8 +55,8 @@ def test_layers_that_touch_nothing_change_nothing(preset: str, mac: str, unicast
 
 
 @pytest.mark.parametrize(("preset", "mac"), MACS)
-def test_a_jammer_spoils_what_it_drowns(preset: str, mac: str) -> None:
-    """Beside car1: whom car1 hears from elsewhere is drowned, farther receivers hear their neighbours."""
+def test_a_jammer_destroys_weaker_frames(preset: str, mac: str) -> None:
+    """A jammer beside car1 drowns what arrives there from elsewhere; distant receivers still receive their neighbours."""
     sources = [{"power_dbm": 10.0, "position": [15.0, 1.0, 0.0]}]
     before, after = play(channel(preset, mac)), play(channel(preset, mac, jammer={"sources": sources}))
     changed = [(a, b) for x, y in zip(before, after, strict=True) for a, b in zip(x.outcome, y.outcome, strict=True) if a != b]
@@ -71,8 +71,8 @@ def test_a_jammer_spoils_what_it_drowns(preset: str, mac: str) -> None:
         assert (report.sinr_db[heard] < report.snr_db[heard]).all()
 
 
-def test_a_weak_jammer_costs_what_it_adds_to_the_noise() -> None:
-    """Success over one link is that of the error rate at signal over noise and jammer."""
+def test_a_weak_jammer_adds_to_the_noise() -> None:
+    """Success over one link equals the error rate at the ratio of signal to noise plus jammer."""
     from vcmvsp.netsim.phy.ofdm import OfdmErrors
 
     jammer = {"sources": [{"power_dbm": -5.0, "position": [0.0, 50.0, 0.0]}]}
@@ -90,7 +90,7 @@ def test_a_weak_jammer_costs_what_it_adds_to_the_noise() -> None:
 
 @pytest.mark.parametrize(("preset", "mac"), MACS)
 def test_a_trace_takes_the_place_of_the_models(preset: str, mac: str, tmp_path: Path) -> None:
-    """A link with a level of its own, one that loses everything, one that is late."""
+    """A link with recorded levels, one that loses everything, one that delays."""
     rows = ["0,car0,car4,-60,0,0.0", "0,car0,car1,-60,1,0.0", "0,car0,car2,-60,0,0.5"]
     (tmp_path / "links.csv").write_text("\n".join(["time_s,sender,receiver,rssi_dbm,loss,delay_s", *rows]))
     air = channel(preset, mac, trace={"file": str(tmp_path / "links.csv")}, loss={"probability": 1.0})
@@ -127,7 +127,7 @@ def test_a_delay_is_queue_and_access_and_air(preset: str, mac: str, changes: dic
 
 @pytest.mark.parametrize(("preset", "mac"), MACS[1:])
 @settings(max_examples=40)
-@example(offers=[(0, 1, 1000, 0), (0, 1, 1000, 1)])  # one gives up before the other, which it waits for, has ended
+@example(offers=[(0, 1, 1000, 0), (0, 1, 1000, 1)])  # one gives up before the end of the other, for which it waits
 @given(
     offers=st.lists(
         st.tuples(st.integers(0, 9_000), st.integers(0, 2_000), st.sampled_from([1, 100, 1000]), st.integers(0, 4)),
@@ -136,7 +136,7 @@ def test_a_delay_is_queue_and_access_and_air(preset: str, mac: str, changes: dic
     ).map(sorted)
 )
 def test_no_frame_is_decided_before_the_predicted_time(preset: str, mac: str, offers: list[tuple[int, int, int, int]]) -> None:
-    """Frames of all sizes, among radios that do not all hear each other, on their way to the radio for different times."""
+    """Frames of all sizes among partly hidden radios, with different delays on their way to the radio."""
     air = channel(preset, mac, path_loss={"exponent": 4.0})
     sent, told = 0, None
     reports: list[FrameReport] = []
@@ -164,7 +164,7 @@ def test_no_frame_is_decided_before_the_predicted_time(preset: str, mac: str, of
 def test_frames_sent_together_get_the_budgets_of_frames_sent_alone(
     preset: str, mac: str, path_loss: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Budgets of those who send at one instant are worked out at once: the same to the last bit."""
+    """Budgets of frames sent at one instant are computed together: equal to the last bit."""
 
     def told() -> list[bytes]:
         air = channel(preset, mac, path_loss={"kind": path_loss}, loss={"probability": 0.2})

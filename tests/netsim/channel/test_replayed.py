@@ -1,4 +1,4 @@
-"""Recorded frames fare as they did, whatever is drawn; what the recording does not know is drawn as if it knew nothing."""
+"""Recorded frames have their recorded outcomes, for all draws; unrecorded frames are drawn as in a run without recording."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -35,7 +35,7 @@ def lossy(seed: int = 1, **more: Any) -> Channel:
 
 
 def reports(channel: Channel, sends: Sends, places: np.ndarray = PLACES) -> list[FrameReport]:
-    """What becomes of these frames, until all is decided."""
+    """Reports of these frames, until all are decided."""
     found = []
     for time_ns, sender, to in sends:
         found += channel.advance(time_ns)
@@ -76,7 +76,7 @@ def test_the_same_frames_fare_the_same_whatever_seed_draws(tmp_path: Path, mac: 
 
 
 def test_a_report_is_the_recorded_one_to_the_last_bit(tmp_path: Path) -> None:
-    """Also what no table tells: which layers there were. ``fading`` has none here."""
+    """Also what no table contains: the layers of the run. ``fading`` does not exist here."""
     then = reports(lossy(), SENDS)
     for now, before in zip(reports(again(saved(tmp_path, then)), SENDS), then, strict=True):
         for name in FrameReport.__struct_fields__:
@@ -105,8 +105,8 @@ def test_the_recorded_delay_counts_from_when_the_frame_is_sent_now(tmp_path: Pat
         assert mine.outcome == other.outcome
 
 
-def test_what_is_not_recorded_is_drawn_as_if_nothing_were(tmp_path: Path) -> None:
-    """A recording that was cut goes on as the run would have: frames keep their numbers, and so their draws."""
+def test_unrecorded_frames_are_drawn_as_without_a_recording(tmp_path: Path) -> None:
+    """A truncated recording continues as the run would have: frames keep their numbers, and so their draws."""
     whole = reports(lossy(1), SENDS)
     channel = again(saved(tmp_path, whole[:30]), seed=1)
     assert table(reports(channel, SENDS)).equals(table(whole))
@@ -116,7 +116,7 @@ def test_what_is_not_recorded_is_drawn_as_if_nothing_were(tmp_path: Path) -> Non
 @settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(order=st.permutations(range(40)), kept=st.integers(0, 40))
 def test_a_frame_is_known_by_its_sender_and_number(tmp_path: Path, order: list[int], kept: int) -> None:
-    """In whatever order senders take turns: the k-th broadcast of each fares as its k-th did."""
+    """The k-th broadcast of each sender has the outcome of its recorded k-th, in whatever order senders take turns."""
     sends = [(k * 50 * MS, "abcb"[k % 4], None) for k in range(40)]
     then = reports(lossy(), sends)[:kept]
     turns = [sends[k][1] for k in order]
@@ -127,7 +127,7 @@ def test_a_frame_is_known_by_its_sender_and_number(tmp_path: Path, order: list[i
         assert [each.outcome for each in now if each.sender == name][: len(before)] == before
 
 
-def test_a_frame_to_somebody_else_is_drawn(tmp_path: Path) -> None:
+def test_a_frame_to_another_receiver_is_drawn(tmp_path: Path) -> None:
     then = reports(lossy(), SENDS)
     path = saved(tmp_path, then)
     redirected = [(time_ns, sender, "b" if to else to) for time_ns, sender, to in SENDS]
@@ -138,7 +138,7 @@ def test_a_frame_to_somebody_else_is_drawn(tmp_path: Path) -> None:
     assert [each.outcome for each in now if each.sender != "c"] == [each.outcome for each in then if each.sender != "c"]
 
 
-def test_how_many_were_not_recorded_is_told_at_the_end(tmp_path: Path) -> None:
+def test_the_number_of_unrecorded_frames_is_reported_at_the_end(tmp_path: Path) -> None:
     path, told = saved(tmp_path, reports(lossy(), SENDS)[:77]), list[str]()
     channel = lossy()
     channel.recorded = RecordedFrames(path, told.append)
@@ -152,8 +152,8 @@ def test_how_many_were_not_recorded_is_told_at_the_end(tmp_path: Path) -> None:
     assert len(told) == 1
 
 
-def test_nobody_hears_a_vehicle_that_is_alone(tmp_path: Path) -> None:
-    """Its frames are in no recording, and nobody misses them there."""
+def test_a_lone_vehicle_has_no_receivers(tmp_path: Path) -> None:
+    """A lone vehicle's frames have no receivers, so no recording contains them; none is missing."""
     channel = again(saved(tmp_path, []))
     (report,) = channel.send(0, Message(sender="a", body={}, size_bytes=9), ("a",), PLACES[:1])
     assert (report.receivers, unknown(channel)) == ((), 0)
@@ -166,6 +166,6 @@ def test_files_that_are_no_recording_are_refused(tmp_path: Path) -> None:
     path.write_bytes(b"PAR1 and nothing else")
     with pytest.raises(UsageError, match="cannot be read"):
         RecordedFrames(path)
-    pq.write_table(pa.table({"frame": [1], "sender": ["a"]}), path)  # names are written otherwise
+    pq.write_table(pa.table({"frame": [1], "sender": ["a"]}), path)  # names are written differently
     with pytest.raises(UsageError, match="no column sender, receiver"):
         RecordedFrames(path)

@@ -1,4 +1,4 @@
-"""What an operator does to the radio of a run: who is cut off, numbers that change; all else fares as it would have."""
+"""Runtime changes of the radio: disconnected vehicles and changed values; all else is as without them."""
 
 import math
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.netsim.channels import make_channel, standing
+from tests.support.netsim.channels import at_rest, make_channel
 from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.tables.schema import RunFacts, radio_table, write_table
 from vcmvsp.cosim.types import Changed, FrameReport, Message, Outage, Probability
@@ -43,11 +43,11 @@ OFFERS = st.lists(
 
 
 def where() -> Event:
-    return Event("world/states", 0, standing(NAMES, [(0.0, 0.0, 0.0), (20.0, 0.0, 0.0), (0.0, 50.0, 0.0), (70.0, 0.0, 0.0)]))
+    return Event("world/states", 0, at_rest(NAMES, [(0.0, 0.0, 0.0), (20.0, 0.0, 0.0), (0.0, 50.0, 0.0), (70.0, 0.0, 0.0)]))
 
 
 def sends(offers: Sequence[tuple[int, str, str | None]]) -> list[Event]:
-    """Messages at these times, us."""
+    """Frames at these times, us."""
     return [
         Event(f"{sender}/send", at_us * 1000, Message(sender=sender, body={}, size_bytes=80, to=None if to == sender else to))
         for at_us, sender, to in sorted(offers, key=lambda each: each[:2])
@@ -63,9 +63,9 @@ def changed(at_ns: int, key: str, value: float) -> Event:
 
 
 def fates(radio: RadioFederate, told: Sequence[Event], cuts: Sequence[int] = (), *, asked: bool = True) -> list[FrameReport]:
-    """Every report of a run, by frames: stepped when something is sent, when it asks for it, and at other times (ns) too.
+    """Every report of a run, by frames: stepped at transmissions, at requested times, and at further times, ns.
 
-    What the operator does is handed over at the next step, as by the kernel.
+    Changes are applied at the next step, as by the kernel.
     """
     radio.start(RUN)
     waiting = [where(), *sorted(told, key=lambda each: (each.time_ns, isinstance(each.value, Message)))]
@@ -88,7 +88,7 @@ def fates(radio: RadioFederate, told: Sequence[Event], cuts: Sequence[int] = (),
     start=st.integers(-1, 10),
     air=st.integers(1, 4),
 )
-def test_outages_do_what_a_script_with_the_same_changes_does(
+def test_outages_equal_a_script_with_the_same_changes(
     cuts: list[tuple[set[str], int, int]], sender: str, start: int, air: int
 ) -> None:
     operated, changes = RuntimeChanges(), list[Change]()
@@ -110,7 +110,7 @@ def radio(preset: str = "wifi-b-1", mac: str = "ideal", **changes: Any) -> Radio
 
 
 def bare(report: FrameReport, at: int) -> Any:
-    """What a report says of one of the receivers."""
+    """Report for one receiver, without its frame."""
     return encode([getattr(report, name)[at] for name in ("received_ns", "outcome", "rssi_dbm", "sinr_db")])
 
 
@@ -135,7 +135,7 @@ def test_nothing_passes_in_an_outage_and_all_else_fares_as_without_it(
                 assert bare(cut, at) == bare(plain, at)
                 continue
             assert cut.received_ns[at] == -1
-            behind = plain.outcome[at] in ("received", "random loss")  # what the air spoils is told as ever
+            behind = plain.outcome[at] in ("received", "random loss")  # losses on the air are reported as ever
             assert cut.outcome[at] == ("outage" if behind else plain.outcome[at])
 
 
@@ -149,10 +149,10 @@ def test_nothing_passes_in_an_outage_and_all_else_fares_as_without_it(
         ("radio.delay.jitter_s", 0.0, {"delay": {"seconds": 0.02}}),
     ],
 )
-def test_from_a_change_on_a_run_is_one_that_always_had_that_number(
+def test_after_a_change_a_run_equals_one_that_always_had_the_value(
     preset: str, mac: str, key: str, value: float, tables: dict[str, Any]
 ) -> None:
-    """The draws of a frame are its own: earlier frames fare as without the change, later ones as with that number from 0 on."""
+    """Draws belong to frames: earlier frames fare as without the change, later ones as with the new value from 0 on."""
     rng, at_ns = np.random.default_rng(1), 251 * MS + 7
     offers = [(int(t), NAMES[s], None) for t, s in zip(rng.integers(0, 500_000, 120), rng.integers(0, 4, 120), strict=True)]
     one = fates(radio(preset, mac), sends(offers))
@@ -179,7 +179,7 @@ def test_changes_apply_at_their_time_whenever_the_radio_hears_of_them(
     events = [*sends(offers), *told]
     whole = fates(radio(preset, mac), events)
     assert encode(fates(radio(preset, mac), events, cuts)) == encode(whole)
-    assert encode(fates(radio(preset, mac), events, asked=False)) == encode(whole)  # not even when it would like to
+    assert encode(fates(radio(preset, mac), events, asked=False)) == encode(whole)  # not even when it has something to send
 
 
 def test_layers_go_by_their_names_in_whatever_order_they_stand() -> None:
@@ -190,7 +190,7 @@ def test_layers_go_by_their_names_in_whatever_order_they_stand() -> None:
     assert report.outcome == ("random loss",)
 
 
-def test_a_new_start_forgets_what_was_done() -> None:
+def test_a_restart_drops_all_changes() -> None:
     offers = [(k * 1000, "car1", None) for k in range(50)]
     used, told = radio(), [outage(0, 20 * MS, "car1"), changed(0, "radio.loss.probability", 1.0)]
     assert {each for report in fates(used, [*sends(offers), *told]) for each in report.outcome} <= {
@@ -219,7 +219,7 @@ def test_recorded_frames_fare_as_recorded(tmp_path: Path) -> None:
 
 @dataclass(frozen=True)
 class Rain(NoLoss):
-    """Somebody's own layer."""
+    """A user-written layer."""
 
     share: Probability
     drops: int = 3
@@ -230,7 +230,7 @@ class Rain(NoLoss):
 
 
 class Snow(NoLoss):
-    """One that does not say what it was made of."""
+    """A user-written layer that does not store its configuration."""
 
     def __init__(self, share: float) -> None:
         self.share = share
@@ -253,7 +253,7 @@ def layered(loss: Loss, delay: Any = None) -> RadioFederate:
         (layered(Snow(0.5)), {}),
     ],
 )
-def test_what_may_change_are_the_numbers_of_the_layers_that_there_are(made: RadioFederate, keys: dict[str, float]) -> None:
+def test_only_values_of_existing_layers_may_change(made: RadioFederate, keys: dict[str, float]) -> None:
     assert made.adjustable() == {f"radio.{key}": value for key, value in keys.items()}
     for key, value in made.adjustable().items():
         made.check_change(key, value)
@@ -287,7 +287,7 @@ def test_bad_changes_are_refused_and_change_nothing(key: str, value: float, word
     assert made.adjustable() == before
 
 
-def test_a_change_is_judged_behind_those_before_it() -> None:
+def test_a_change_is_validated_after_earlier_ones() -> None:
     made = layered(NoLoss(), UniformDelay(0.01, 0.05))
     with pytest.raises(ValueError, match=r"must not be less than from_s = 0\.1"):
         made.check_change("radio.delay.from_s", 0.1)

@@ -1,4 +1,4 @@
-"""Layers that somebody else has written: what they must have, and what becomes of an answer that makes no sense."""
+"""User-written layers: required methods, and the error for answers of wrong type, shape or value."""
 
 import re
 from pathlib import Path
@@ -30,7 +30,7 @@ TIMES = [
     "np.ones(n, bool)",
     "None",
 ]
-ANSWERS = {  # of a layer's verbs: arguments, where n is, a good answer, bad ones
+ANSWERS = {  # of a layer's methods: arguments, where n is, a good answer, bad ones
     "path_loss.loss_db": ("paths", "len(paths.distance_m)", "np.ones(n)", LEVELS),
     "walls.loss_db": ("paths", "len(paths.distance_m)", "np.ones(n)", LEVELS),
     "shadowing.loss_db": ("paths", "len(paths.distance_m)", "np.ones(n, int)", LEVELS),
@@ -60,7 +60,7 @@ CASES = [(key, bad) for key, (_, _, _, bads) in ANSWERS.items() for bad in bads]
 
 
 def own(folder: Path, layer: str, failing: str = "", bad: str = "None", *, calls: int = 4, attributes: str = ATTRIBUTES) -> str:
-    """A kind: an own layer whose verb ``failing`` answers ``bad`` after some calls."""
+    """Registered kind of a user-written layer whose method ``failing`` returns ``bad`` after some calls."""
     text = f"import numpy as np\n\n\nclass Own:\n    {attributes}    calls = 0\n"
     for key, (arguments, count, good, _) in ANSWERS.items():
         if key.startswith(f"{layer}."):
@@ -73,7 +73,7 @@ def own(folder: Path, layer: str, failing: str = "", bad: str = "None", *, calls
 
 
 def scenario(layer: str, kind: str) -> dict[str, Any]:
-    """A vehicle that drives away from two others, and tells them ten times a second where it is."""
+    """A vehicle that drives away from two others and reports its position to them ten times a second."""
     driver = {"name": "car0", "kind": "p2dx", "agent": {"kind": "trajectory", "path": "straight", "speed": 0.5}}
     others = [{"name": f"car{i}", "kind": "p2dx", "pose": [-1.0, float(i), 0.0]} for i in (1, 2)]
     return {
@@ -103,7 +103,7 @@ def test_a_layer_with_its_verbs_is_enough(layer: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(("verb", "bad"), CASES)
 def test_a_wrong_answer_is_one_error_that_names_layer_and_class(verb: str, bad: str, tmp_path: Path) -> None:
     layer, _, method = verb.partition(".")
-    with pytest.raises((FederateError, ScenarioError)) as caught:  # the latter where a channel that is built asks
+    with pytest.raises((FederateError, ScenarioError)) as caught:  # the latter where the channel asks during assembly
         send_often(air(layer, own(tmp_path, layer, verb, bad, calls=0 if layer == "mac" else 4)))
     assert f"{layer} Own (own.py line 4): {method} must return " in str(caught.value)
 
@@ -120,7 +120,7 @@ def test_a_layer_that_raises_is_named_with_the_line(verb: str, tmp_path: Path) -
 
 
 @pytest.mark.parametrize("verb", ["path_loss.loss_db", "fading.gain_db", "loss.lost", "delay.delay_ns", "phy.air_time_ns"])
-def test_the_recording_until_a_wrong_answer_is_whole(verb: str, tmp_path: Path) -> None:
+def test_the_recording_before_a_wrong_answer_is_complete(verb: str, tmp_path: Path) -> None:
     layer, bad = verb.partition(".")[0], ANSWERS[verb][3][0]
     with pytest.raises(FederateError, match=rf"radio: {layer} Own \(own.py line 4\)") as caught:
         vcmvsp.run(scenario(layer, own(tmp_path, layer, verb, bad)), out=tmp_path / "out")
@@ -133,7 +133,7 @@ def test_the_recording_until_a_wrong_answer_is_whole(verb: str, tmp_path: Path) 
 
 @pytest.mark.parametrize("layer", ["loss", "script", "trace", "delivery"])
 @pytest.mark.parametrize("cause", ["", "cause = 'received'", "cause = 'under way'", "cause = ''", "cause = 3", "cause = None"])
-def test_what_loses_frames_must_have_a_cause_of_its_own(layer: str, cause: str, tmp_path: Path) -> None:
+def test_a_loss_layer_needs_a_cause_of_its_own(layer: str, cause: str, tmp_path: Path) -> None:
     rest = "columns = ('loss',)\n"
     kind = own(tmp_path, layer, attributes=f"{cause or 'pass'}\n    {rest}")
     with pytest.raises(ScenarioError, match=rf"radio\.{layer}: {layer} Own \(own.py line 4\): (has no )?cause") as caught:
@@ -143,7 +143,7 @@ def test_what_loses_frames_must_have_a_cause_of_its_own(layer: str, cause: str, 
 
 @pytest.mark.parametrize("name", ["tx_power_dbm", "sensitivity_dbm", "noise_dbm", "preamble_snr_db", "errors"])
 @pytest.mark.parametrize("value", ["'3'", "float('nan')", "property(lambda self: [][0])"])
-def test_what_a_phy_says_of_itself_is_checked(name: str, value: str, tmp_path: Path) -> None:
+def test_properties_of_a_phy_are_checked(name: str, value: str, tmp_path: Path) -> None:
     kind = own(tmp_path, "phy", attributes=f"{ATTRIBUTES}    {name} = {value}\n")
     with pytest.raises(ScenarioError, match=rf"radio\.phy: phy Own \(own.py line 4\): {name}"):
         air("phy", kind)

@@ -1,4 +1,4 @@
-"""A trial of the channel alone: what adds up, what repeats, what does not depend on what."""
+"""Trials of the channel alone: conservation of frames, repeatability, and independence of batch sizes."""
 
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(autouse=True)
 def _as_it_is_written(monkeypatch: pytest.MonkeyPatch) -> None:
-    """To compile takes longer than all tests here."""
+    """Runs plain Python code: compiling takes longer than all tests here."""
     monkeypatch.setenv("VCMVSP_COMPILED", "0")
 
 
@@ -95,7 +95,7 @@ def gaps_ns(what: broadcast_trial.TrialTraffic, row: int) -> Floats:
 
 
 def test_jittered_periods_are_uniform_around_the_period() -> None:
-    """First frame as of periodic traffic; Kolmogorov-Smirnov at 0.1 %: 1.95 / sqrt(n)."""
+    """First frame as with periodic traffic; Kolmogorov-Smirnov at 0.1 %: 1.95 / sqrt(n)."""
     what = plan(places(3), kind="jitter", jitter=0.2, rate_hz=20.0, duration_s=100.0)
     sent = list(what.sendings())
     assert [time_ns for time_ns, _ in sent] == sorted(time_ns for time_ns, _ in sent)
@@ -123,7 +123,7 @@ def test_another_radio_changes_no_times_of_the_others(kind: str) -> None:
 
 
 def test_a_saturated_radio_alone_is_never_idle() -> None:
-    """Ideal access: a frame per time on the air, until the end of sending."""
+    """Ideal access: one frame per air time, until the end of sending."""
     counts = broadcast_trial.run(make_channel("wifi-b-1", mac={"kind": "ideal"}), plan(places(2, 10.0), kind="saturated"))
     assert counts["frames"] == 2 * np.ceil(1.0 / 1280e-6)  # 100 bytes of payload
     assert counts["delay_s"]["mean"] == pytest.approx(1280e-6)
@@ -131,7 +131,7 @@ def test_a_saturated_radio_alone_is_never_idle() -> None:
 
 @pytest.mark.parametrize("count", [3, 10])
 def test_saturated_unicast_to_one_radio_is_bianchis(count: int) -> None:
-    """Equal levels: nothing is received in a collision; see `reproduction.validation.medium_access`."""
+    """Equal levels: no frame survives a collision; see `reproduction.validation.medium_access`."""
     channel = make_channel("wifi-b-11", mac={"kind": "dcf"}, path_loss=dict(medium_access.EQUAL))
     reports: list[FrameReport] = []
     what = plan(places(count + 1), kind="saturated", to="v0", size_bytes=1000, duration_s=8.0)
@@ -213,7 +213,7 @@ def test_without_anybody_else_there_is_nothing_to_receive() -> None:
         assert counts["delay_s"] == {"mean": None, "p50": None, "p95": None, "p99": None}
 
 
-def test_nobody_sends_in_a_time_shorter_than_all_phases() -> None:
+def test_a_duration_shorter_than_all_phases_has_no_frames() -> None:
     counts = broadcast_trial.run(make_channel("ideal"), plan(places(3), rate_hz=1e-6, duration_s=1e-6))
     assert (counts["frames"], counts["delivery_ratio"]) == (0, None)
 
@@ -233,7 +233,7 @@ def test_progress_never_goes_back_nor_beyond_the_end() -> None:
     st.lists(st.tuples(st.integers(0, 10**12), st.integers(1, 4)), min_size=1, max_size=40),
     st.lists(st.integers(0, 100), max_size=40),
 )
-def test_percentiles_are_those_of_all_delays(same: list[tuple[int, int]], each: list[int]) -> None:
+def test_percentiles_cover_all_delays(same: list[tuple[int, int]], each: list[int]) -> None:
     delays = Delays()
     values, counts = np.array(same, np.int64).T
     delays.add(values, counts)
@@ -250,7 +250,7 @@ def test_delays_that_come_again_and_again_stay_exact() -> None:
     delays = Delays(kept=100)
     for begin in range(0, 1000, 50):
         delays.add(values[begin : begin + 50])
-        assert delays.mean_s() is not None  # puts them away: 40 of them kept, and 40 more
+        assert delays.mean_s() is not None  # writes them: 40 of them held, and 40 more
     assert delays.percentiles_s(5, 50, 99) == pytest.approx(np.percentile(values / 1e9, [5, 50, 99]), rel=1e-12)
 
 
@@ -259,7 +259,7 @@ def test_percentiles_of_too_many_delays_are_right_within_half_a_bin(values: list
     delays = Delays(kept=2)
     for begin in range(0, len(values), 3):
         delays.add(np.array(values[begin : begin + 3], np.int64))
-        assert delays.mean_s() is not None  # puts them away
+        assert delays.mean_s() is not None  # writes them
     found = delays.percentiles_s(0, 50, 95, 100)
     assert found == pytest.approx(np.percentile(np.array(values) / 1e9, [0, 50, 95, 100]), rel=1.01 * 2.0**-13, abs=1e-18)
 
@@ -271,8 +271,8 @@ def facts_of(what: broadcast_trial.TrialTraffic) -> RunFacts:
     return RunFacts(scenario="trial", seed=what.seed, end_ns=what.end_ns, vehicles=what.names)
 
 
-def test_rows_are_those_of_a_run_in_order_of_sending(tmp_path: Path) -> None:
-    """In one group the very bytes, in many groups the same rows, also where frames are decided out of order."""
+def test_rows_equal_a_runs_in_order_of_sending(tmp_path: Path) -> None:
+    """One group gives the same bytes, many groups the same rows, also where frames are decided out of order."""
     what, reports = plan(places(10), rate_hz=300.0, duration_s=0.1), list[FrameReport]()
     broadcast_trial.run(make_channel("wifi-b-1", mac={"kind": "dcf"}), what, sink=reports.append)
     numbers = [report.frame for report in reports]
@@ -291,7 +291,7 @@ def test_rows_are_those_of_a_run_in_order_of_sending(tmp_path: Path) -> None:
     assert files(tmp_path) == ["many", "one", "whole"]
 
 
-def test_a_run_that_breaks_off_leaves_what_was_there_before(tmp_path: Path) -> None:
+def test_an_aborted_run_leaves_the_earlier_file(tmp_path: Path) -> None:
     path = tmp_path / "rows.parquet"
     path.write_text("old")
 

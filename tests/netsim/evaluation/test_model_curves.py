@@ -1,4 +1,4 @@
-"""Positions from a file, packet errors by SNR, levels by distance, coverage: what is right, and what is refused."""
+"""Curves of radio models: positions from a file, packet errors by SNR, levels by distance, coverage; rejected input."""
 
 import math
 from collections.abc import Mapping
@@ -55,7 +55,7 @@ def test_positions_come_with_or_without_a_header(head: str, tmp_path: Path) -> N
         ("1,2e9,3\n", "line 1, column y: must be from -1e"),
     ],
 )
-def test_what_is_no_position_is_named(text: str, problem: str, tmp_path: Path) -> None:
+def test_an_invalid_position_is_named(text: str, problem: str, tmp_path: Path) -> None:
     (tmp_path / "p.csv").write_text(text)
     with pytest.raises(UsageError) as error:
         read_positions(tmp_path / "p.csv")
@@ -76,7 +76,7 @@ def test_what_is_no_position_is_named(text: str, problem: str, tmp_path: Path) -
         ("1,a,1,2,3\n0,b,1,2,3\n1,a,4,5,6\n", "line 3: the times of a must increase, and 1 s is not after the one before"),
     ],
 )
-def test_what_is_no_position_over_time_is_named(text: str, problem: str, tmp_path: Path) -> None:
+def test_an_invalid_position_over_time_is_named(text: str, problem: str, tmp_path: Path) -> None:
     (tmp_path / "p.csv").write_text(text)
     with pytest.raises((UsageError, ScenarioError)) as error:
         read_positions(tmp_path / "p.csv")
@@ -151,7 +151,7 @@ def test_a_range_that_is_none_is_refused(text: str, problem: str) -> None:
         (Ieee802154(), "oqpsk", "oqpsk", OqpskErrors()),
     ],
 )
-def test_packet_errors_are_those_of_the_model(phy: Any, model: str, name: str, wanted: Any) -> None:
+def test_packet_errors_equal_the_model(phy: Any, model: str, name: str, wanted: Any) -> None:
     errors, called = error_rate(phy, model)
     assert (errors, called) == (wanted, name)
     snr_db = np.arange(-12.0, 25.0, 0.37)
@@ -211,7 +211,7 @@ def make(preset: str = "wifi-b-1", radios: Mapping[str, Radio] | None = None, **
 
 
 def reported(channel: Channel, sender: str, places: Mapping[str, Vec3], frames: int = 1) -> tuple[Floats, Floats]:
-    """Mean level and share of receptions by sending frames, (n,) each."""
+    """Mean level and share of receptions of each transmission, (n,) each."""
     names, position = tuple(places), np.array(list(places.values()))
     levels, received = [], []
     for k in range(frames):
@@ -221,7 +221,7 @@ def reported(channel: Channel, sender: str, places: Mapping[str, Vec3], frames: 
     return np.mean(levels, axis=0), np.mean(received, axis=0)
 
 
-def test_the_level_is_what_the_channel_reports_to_a_receiver_that_stands_there() -> None:
+def test_the_level_equals_the_channels_report_to_a_receiver_there() -> None:
     rng = np.random.default_rng(1)
     antennas = np.column_stack([rng.uniform(-40.0, 60.0, (40, 2)), np.full(40, 0.5)])
     car: Vec3 = (1.0, -2.0, 0.0)
@@ -262,7 +262,7 @@ def test_the_chance_of_success_is_the_share_of_many_frames(fading: dict[str, Any
     there = {f"r{k}": tuple(place) for k, place in enumerate(antennas.tolist())}
     frames = 1500
     _, received = reported(make("wifi-g-54", **layers), "car", {"car": car, **there}, frames)
-    noise = 4.5 * np.sqrt(0.25 / frames) * (3.0 if "doppler_hz" in fading else 1.0)  # a process repeats itself
+    noise = 4.5 * np.sqrt(0.25 / frames) * (3.0 if "doppler_hz" in fading else 1.0)  # equal in the same process
     assert np.ptp(found.success) > 0.5
     np.testing.assert_allclose(found.success, received, atol=noise + 2.0 / 233)
 
@@ -275,7 +275,7 @@ def test_rayleigh_fading_over_a_threshold_in_closed_form() -> None:
     np.testing.assert_allclose(found.success, np.exp(-(10.0 ** ((-82.0 - found.level_dbm) / 10.0))), atol=1.0 / 233)
 
 
-def test_a_place_is_the_same_whatever_else_is_asked() -> None:
+def test_a_place_is_independent_of_other_places() -> None:
     channel = make(**SHADOWED, fading={"kind": "rayleigh"})
     antennas = np.random.default_rng(3).uniform(-50.0, 50.0, (5000, 3))
     everywhere = coverage(channel, "car", np.zeros(3), antennas, seed=SEED)
@@ -301,7 +301,7 @@ def test_range_of_the_log_distance_law() -> None:
     assert range_m(make(phy={"tx_power_dbm": -90.0}), "car", 0.0) == 0.0
 
 
-def test_the_weakest_level_is_the_sensitivity_or_what_the_preamble_needs() -> None:
+def test_the_weakest_level_is_the_sensitivity_or_the_preambles_need() -> None:
     noise_dbm = 10.0 * math.log10(1.380649e-23 * 290.0 * 20e6) + 30.0 + 7.0
     assert floor_dbm(make()) == -82.0
     assert floor_dbm(make(phy={"sensitivity_dbm": -100.0})) == pytest.approx(noise_dbm + 4.0, abs=1e-9)

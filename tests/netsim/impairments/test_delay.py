@@ -1,4 +1,4 @@
-"""Delays, the rate limit, copies and the order of arrival: exact where they are fixed, and distributed as they say."""
+"""Delays, rate limit, copies and order of arrival: exact values, and distributions of random ones."""
 
 import math
 from typing import Any
@@ -58,7 +58,7 @@ def test_fixed_delays_need_no_random_numbers() -> None:
 
 
 @pytest.mark.parametrize("kind", ["none", "fixed"])
-def test_the_travel_time_of_the_wave_is_counted_if_asked(kind: str) -> None:
+def test_propagation_delay_counts_if_enabled(kind: str) -> None:
     delay = {"kind": kind, "propagation": True} | ({"seconds": 0.0} if kind == "fixed" else {})
     plain, propagating = (
         send(make_channel("wifi-b-1", delay=keys, path_loss={"exponent": 2.0}), 30.0, 299.792458)
@@ -166,7 +166,7 @@ def test_delivery_without_parameters_changes_nothing(received_ns: list[int]) -> 
 
 @given(times, st.sampled_from([None, 0.0, 0.0005, 0.004]), st.sampled_from([1e5, 1e6, 3e6]))
 def test_rate_is_lindleys_recursion(received_ns: list[int], queue_s: float | None, rate_bps: float) -> None:
-    """Frame by frame, with times that may go back and frames that were lost before."""
+    """Frame by frame, with times that may go back and frames that were lost earlier."""
     service, free, expected = math.ceil(1000 * 1e9 / rate_bps), 0, []
     for t in received_ns:
         wait = max(0, free - t)
@@ -211,7 +211,7 @@ def test_a_copy_is_sure_or_never_at_the_ends() -> None:
 
 @given(times, st.sampled_from([0.0, 0.5, 1.0]), st.sampled_from([0.0, 0.002]))
 def test_in_order_nothing_overtakes(received_ns: list[int], duplicate: float, delay_s: float) -> None:
-    """Whatever arrives later was sent later, copies included; nothing is early; each is as early as that allows."""
+    """Whatever arrives later was sent later, copies included; nothing arrives early, and no later than the order demands."""
     rng = np.random.default_rng(len(received_ns))
     layer = opened(duplicate=duplicate, duplicate_delay_s=delay_s, reorder=False)
     arrivals, copies = one_link(layer, received_ns, draw=lambda: rng.random((1, 2)))
@@ -229,7 +229,7 @@ calls = st.lists(
 
 @given(calls)
 def test_links_do_not_know_of_each_other(sent: list[tuple[int, list[int], int]]) -> None:
-    """All receivers in one call, or one at a time on a network of their own: the same."""
+    """All receivers in one call equal one receiver at a time on a network of its own."""
     settings: dict[str, Any] = {
         "rate_bps": 1e6,
         "queue_s": 0.002,

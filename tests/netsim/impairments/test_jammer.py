@@ -1,4 +1,4 @@
-"""Jammers: when they are on, where they are, and what of them arrives."""
+"""Jammers: when they transmit, where they are, and their level at receivers."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -69,7 +69,7 @@ def test_a_jammer_moves_along_its_path(t_s: float, place: tuple[float, float, fl
     assert heard(moving, at_ns=round(t_s * 1e9)) == pytest.approx(heard(standing), rel=1e-9)
 
 
-def test_a_pulse_has_the_whole_power() -> None:
+def test_a_pulse_has_full_power() -> None:
     source = Emitter(power_dbm=0.0, position=(0.0, 0.0, 0.0), from_s=0.005, to_s=0.025, duty=0.2, period_s=0.01)
     assert heard(source, at_ns=6 * MS) == heard(Emitter(power_dbm=0.0, position=(0.0, 0.0, 0.0)))
 
@@ -83,7 +83,7 @@ def test_a_pulse_has_the_whole_power() -> None:
     st.floats(0.001, 1.0),
 )
 def test_on_is_when_any_nanosecond_is(begin: int, length: int, start: int, air: int, period: int, duty: float) -> None:
-    """Against every pulse that there is, in whole ns."""
+    """Compared with a scan of every pulse, in whole ns."""
     source = Emitter(
         power_dbm=0.0,
         position=(0.0, 0.0, 0.0),
@@ -97,7 +97,7 @@ def test_on_is_when_any_nanosecond_is(begin: int, length: int, start: int, air: 
     assert on(source, start, air) == any(max(first, start) < min(last, start + air) for first, last in pulses)
 
 
-def test_a_period_that_is_no_whole_number_does_not_drift() -> None:
+def test_a_fractional_period_does_not_drift() -> None:
     """1000.5 ns: pulse 2 000 000 begins at 2.001 s to the nanosecond."""
     source = Emitter(power_dbm=0.0, position=(0.0, 0.0, 0.0), duty=0.5, period_s=1.0005e-6)
     assert [on(source, 2_001_000_000 + t, 1) for t in (-1, 0)] == [False, True]

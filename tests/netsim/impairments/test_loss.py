@@ -1,4 +1,4 @@
-"""Independent losses and bursts against their closed forms, and that asking changes nothing."""
+"""Independent losses and bursts: closed forms, and results that do not depend on the order of calls."""
 
 import math
 from functools import partial
@@ -27,7 +27,7 @@ LINKS = np.array([key64(7, f"radio/car1/car{i}") for i in range(2, 10)], np.uint
 
 @pytest.fixture(scope="module")
 def uniforms() -> np.ndarray:
-    """Of 1e5 frames on 8 links."""
+    """Uniform draws of 1e5 frames on 8 links."""
     return link_uniform(LINKS, FRAMES, LOSS_SLOT)
 
 
@@ -46,7 +46,7 @@ def test_probabilities_0_and_1_are_exact(uniforms: np.ndarray) -> None:
     frame = make_frame(*uniforms.shape[:2])
     assert not Bernoulli(0.0).lost(frame, lambda: uniforms).any()
     assert Bernoulli(1.0).lost(frame, lambda: uniforms).all()
-    assert not Bernoulli(0.0).lost(make_frame(4), lambda: np.zeros((4, 2))).any()  # the smallest draw there is
+    assert not Bernoulli(0.0).lost(make_frame(4), lambda: np.zeros((4, 2))).any()  # the smallest possible draw
 
 
 def test_links_frames_and_layers_are_independent(uniforms: np.ndarray) -> None:
@@ -64,7 +64,7 @@ def test_links_frames_and_layers_are_independent(uniforms: np.ndarray) -> None:
 
 @pytest.mark.parametrize("receivers", [1, 9, 300, 5000])
 def test_blocks_change_no_draw(receivers: int) -> None:
-    """Any order of frames and slots gives what the generator gives for each frame alone."""
+    """Any order of frames and slots gives the draws that the generator gives for each frame alone."""
     names = tuple(f"car{i}" for i in range(receivers))
     draws = LinkDraws(SenderLinks(3, "leader", names))
     keys = np.array([key64(3, f"radio/leader/{name}") for name in names], np.uint64)
@@ -77,8 +77,8 @@ def test_blocks_change_no_draw(receivers: int) -> None:
             assert alone.shape == (receivers, 2)
 
 
-def test_what_goes_by_draws_alone_is_the_same_of_many_frames_at_once() -> None:
-    """As frame by frame, in any order, for whichever layer has the slot by now."""
+def test_losses_by_draws_alone_are_equal_for_many_frames_at_once() -> None:
+    """Equal to frame by frame, in any order, for whichever layer has the slot by now."""
     draws = LinkDraws(SenderLinks(3, "leader", ("a", "b", "c")))
     frame = make_frame(3)
     for number in (0, 1, 255, 256, 2):
@@ -90,7 +90,7 @@ def test_what_goes_by_draws_alone_is_the_same_of_many_frames_at_once() -> None:
             assert np.array_equal(draws.made(number, DELAY_SLOT, delay.delay_ns_by), late_ns)
 
 
-def test_a_loss_derived_from_one_that_goes_by_draws_alone_has_its_own_say() -> None:
+def test_a_derived_loss_overrides_losses_by_draws_alone() -> None:
     class Never(Bernoulli):
         def lost(self, frame: Frame, draw: Draw) -> Bools:
             return np.zeros(frame.rssi_dbm.shape, np.bool_)
@@ -125,7 +125,7 @@ def test_stationary_loss(p: float, r: float) -> None:
 
 @pytest.mark.parametrize(("p", "r"), RATES)
 def test_bursts_last_as_long_as_they_should(p: float, r: float) -> None:
-    """Mean and spread of the exponential sojourns: 1/r bad, 1/p good; sampled 50 times as quickly as anything changes."""
+    """Mean and spread of the exponential sojourns: 1/r bad, 1/p good; sampled at 50 times the fastest rate."""
     step = 0.02 / (p + r)
     states = history(GilbertElliott(p, r), np.arange(60_000) * step, 20)
     for wanted, rate in ((True, r), (False, p)):
@@ -134,7 +134,7 @@ def test_bursts_last_as_long_as_they_should(p: float, r: float) -> None:
             changes = np.flatnonzero(np.diff(link.astype(int))) + 1
             runs, first = np.diff(changes), link[changes[0]]
             lengths += (runs[0 if first else 1 :: 2] * step).tolist()
-        # what is shorter than a step is missed: those that are seen last about one step longer
+        # Sojourns shorter than a step are missed: visible ones last about one step longer.
         mean, error = np.mean(lengths), 1.0 / rate / math.sqrt(len(lengths))
         assert mean == pytest.approx(1.0 / rate, rel=0.03 + 4.5 * error * rate)
         assert np.std(lengths) == pytest.approx(1.0 / rate, rel=0.08)

@@ -1,4 +1,4 @@
-"""Changes at run time: when they begin and end, which links they concern, and what several of them do together."""
+"""Scripted changes: begin, end, affected links, and the sum of several."""
 
 import math
 from typing import Any
@@ -74,7 +74,7 @@ def test_links_without_vehicles_are_reported() -> None:
 
 
 def test_losses_of_several_are_independent_and_the_rest_adds_up() -> None:
-    """1 - 0.7 x 0.5 of what both concern."""
+    """1 - 0.7 x 0.5 on the link that both affect."""
     script = Script(
         (
             Change(from_s=0.0, to_s=9.0, loss=0.3, attenuation_db=3.0, delay_s=0.1),
@@ -93,7 +93,7 @@ spans = st.lists(st.tuples(st.integers(0, 12), st.one_of(st.none(), st.integers(
 
 @given(spans, st.integers(0, 20), st.integers(1, 4))
 def test_changes_apply_exactly_while_they_overlap_the_frame(found: list[tuple[int, int | None]], start: int, air: int) -> None:
-    """Against the definition, in whole ns: change k weakens by 2^k dB, so that the sum tells which are present."""
+    """Compared with the definition, in whole ns: change k attenuates by 2^k dB, so that the sum tells which are present."""
     changes = tuple(
         Change(from_s=begin / 1e9, to_s=None if length is None else (begin + length) / 1e9, attenuation_db=2.0**k)
         for k, (begin, length) in enumerate(found)
@@ -107,8 +107,8 @@ def test_changes_apply_exactly_while_they_overlap_the_frame(found: list[tuple[in
     assert -Script(changes).gain_db(sent, half)[0] == sum(overlapping)
 
 
-def test_answers_do_not_depend_on_what_was_asked_before() -> None:
-    """Nor can what is answered be changed."""
+def test_answers_do_not_depend_on_earlier_calls() -> None:
+    """Returned arrays are read-only."""
     changes = (
         Change(from_s=1.0, to_s=2.0, loss=0.4),
         Change(from_s=1.5, to_s=3.0, links=("*/car2",), attenuation_db=4.0),
@@ -141,7 +141,7 @@ def test_bad_changes_are_refused_with_their_key(change: dict[str, Any], message:
     assert raised.value.key == "radio.script.changes[1]" + (".loss" if "must be a number" in message else "")
 
 
-def test_no_draw_changes_what_is_total_or_absent() -> None:
+def test_probabilities_0_and_1_ignore_the_draw() -> None:
     sent, most = frame("car1", "car2", "car3"), 1.0 - 2.0**-53
     total = Script((Change(from_s=0.0, links=("car1/car2",), loss=1.0), Change(from_s=0.0, loss=0.0)))
     for draw in (0.0, 0.5, most):

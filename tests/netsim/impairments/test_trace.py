@@ -1,4 +1,4 @@
-"""Traces: what a file says of a link and when, what is refused, and that size does not matter."""
+"""Traces: values per link and time, rejected files, and large files."""
 
 from bisect import bisect_right
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ ROWS = """time_s,sender,receiver,snr_db,loss,delay_s
 
 
 def frame(at_s: float, sender: str = "car1", receivers: Sequence[str] = ("car2", "car3", "car4")) -> Frame:
-    """A frame of 1 ms that begins then, sent 2 ms before."""
+    """A frame of 1 ms that begins at this time, sent 2 ms earlier."""
     start, count = round(at_s * 1e9), len(receivers)
     nowhere = Paths.between(np.zeros(3), np.zeros((count, 3)))
     return Frame(start - 2 * MS, start, start + MS, 100, nowhere, np.zeros(count), SenderLinks(1, sender, tuple(receivers)))
@@ -99,7 +99,7 @@ def test_the_two_directions_of_a_link_are_separate(tmp_path: Path) -> None:
     assert trace.level_dbm(frame(9.0, "car1", ())).shape == (0,)
 
 
-def test_what_the_file_does_not_have_is_left_alone(tmp_path: Path) -> None:
+def test_links_missing_in_the_file_are_unchanged(tmp_path: Path) -> None:
     only_loss = Trace(written(tmp_path, "time_s,sender,receiver,loss\n0,a,b,1\n"))
     sent = frame(1.0, "a", ("b", "c"))
     assert np.isnan(only_loss.level_dbm(sent)).all()
@@ -137,7 +137,7 @@ rows = st.lists(st.tuples(st.integers(0, 12), st.sampled_from("abc"), st.sampled
 def test_a_trace_of_many_links_is_that_of_each_link_alone(
     tmp_path: Path, found: list[Any], ask_ms: list[int], interpolate: bool
 ) -> None:
-    """Rows of all links in any mixture, times that repeat: as a list of pairs for each link, searched by itself."""
+    """Rows of all links in any order, with repeated times: equal to a list of pairs for each link, searched alone."""
     found.sort(key=lambda row: row[0])
     text = "".join(f"{t / 1000},{sender},{receiver},{level}\n" for t, sender, receiver, level in found)
     trace = Trace(written(tmp_path, "time_s,sender,receiver,rssi_dbm\n" + text), interpolate=interpolate)

@@ -21,7 +21,7 @@ def aloha(count: int, phy: dict[str, Any], **mac: Any) -> Channel:
 
 @pytest.mark.parametrize("load", [0.1, 0.5, 1.0])
 def test_throughput_without_capture_is_that_of_theory(load: float) -> None:
-    """``S = G exp(-2 G)``: of n senders, a frame has only those of n - 1 others to fear, which is corrected for."""
+    """``S = G exp(-2 G)``, corrected for n senders: a frame can only collide with those of n - 1 others."""
     count, frames = 30, 40_000
     channel = aloha(count, NO_CAPTURE)
     air_s = channel.phy.air_time_ns(SIZE) / 1e9
@@ -39,7 +39,7 @@ def test_throughput_without_capture_is_that_of_theory(load: float) -> None:
 
 
 def two(channel: Channel, distance_m: float, apart_ns: int) -> list[FrameReport]:
-    """Two frames to a radio between: one from 10 m, the other from ``distance_m``, ``apart_ns`` later."""
+    """Two frames to a radio between them: one from 10 m, the other from ``distance_m``, ``apart_ns`` later."""
     names, position = ("v0", "v1", "v2"), np.array([[-10.0, 0.0, 0.0], [distance_m, 0.0, 0.0], [0.0, 0.0, 0.0]])
     reports = channel.send(0, Message(sender="v0", body={}, size_bytes=SIZE), names, position)
     reports += channel.advance(apart_ns - 1)
@@ -56,8 +56,8 @@ def test_the_stronger_frame_is_received_if_it_is_6_db_above_the_other(ratio_db: 
     assert tuple(each.outcome[each.receivers.index("v2")] for each in reports) == outcomes
 
 
-def test_the_others_count_as_the_sum_of_those_on_the_air_together() -> None:
-    """Each of two is 8 dB weaker: 5 dB together, 8 dB one after the other."""
+def test_interference_is_the_sum_of_simultaneous_frames() -> None:
+    """Each of two is 8 dB weaker: 5 dB together, 8 dB in turn."""
     far_m = 10.0 * 10.0 ** (8.0 / 30.0)
     names, position = ("v0", "v1", "v2", "v3"), np.array([[-10.0, 0, 0], [far_m, 0, 0], [0, far_m, 0], [0.0, 0, 0]])
     air_ns = aloha(4, {}).phy.air_time_ns(SIZE)
@@ -90,7 +90,7 @@ def test_the_duty_cycle_keeps_a_radio_silent() -> None:
 def test_the_modem_of_the_preset_holds_one_packet() -> None:
     channel = make_channel("lora-sf7", vehicles=["v0", "v1"], mac={"kind": "aloha"})
     names, position, reports = ("v0", "v1"), np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]]), list[FrameReport]()
-    for time_ns in (0, 1, 10**9, 2 * 10**9):  # on the air, while it is, silent, silent with one that waits
+    for time_ns in (0, 1, 10**9, 2 * 10**9):  # on the air, during it, silent, silent with one that waits
         reports += channel.advance(time_ns - 1)
         reports += channel.send(time_ns, Message(sender="v0", body={}, size_bytes=SIZE), names, position)
     reports += channel.advance(10**13)

@@ -21,7 +21,7 @@ from vcmvsp.netsim.evaluation import broadcast_trial
 
 SLOT_NS, SIZE = 1_000_000, 500
 NAMES = ("a", "b", "c")
-# c is as far from a as from b: equal levels, so that neither is received when both send.
+# c is as far from a as from b: equal levels, so that neither frame survives if both send.
 POSITION = np.array([[0.0, 0.0, 0.0], [20.0, 0.0, 0.0], [10.0, 10.0, 0.0]])
 
 
@@ -32,7 +32,7 @@ def tdma(*, preset: str = "wifi-g-6", clocks: dict[str, VehicleClock] | None = N
 
 
 def sent_at(channel: Channel, times_ns: list[int], senders: str = "ab", until_ns: int = 10**12) -> list[FrameReport]:
-    """Reports of broadcasts, each sender one at each time."""
+    """Reports of broadcasts: one per sender at each time."""
     reports: list[FrameReport] = []
     for time_ns in times_ns:
         reports += channel.advance(time_ns - 1)
@@ -42,7 +42,7 @@ def sent_at(channel: Channel, times_ns: list[int], senders: str = "ab", until_ns
 
 
 def starts_ns(reports: list[FrameReport], sender: str) -> list[int]:
-    """Times at which a sender's frames went on the air."""
+    """Times, ns, at which a sender's frames went on the air."""
     own = [each for each in reports if each.sender == sender]
     return [each.sent_ns + each.queue_ns + each.access_ns for each in own]
 
@@ -101,7 +101,7 @@ def test_a_clock_that_is_set_moves_the_slots() -> None:
 
 @pytest.mark.parametrize("preset", ["wifi-g-6", "wifi-b-11", "zigbee", "ideal"])
 def test_without_drift_nothing_is_lost_at_full_load(preset: str) -> None:
-    """Also with slots that are no longer than the frames: each frame begins as the one before ends."""
+    """Also with slots as short as the frames: each frame begins as the previous one ends."""
     air_ns = make_channel(preset).phy.air_time_ns(100)
     channel = make_channel(preset, vehicles=("v0", "v1", "v2"), mac={"kind": "tdma", "slot_s": air_ns / 1e9})
     plan = broadcast_trial.TrialTraffic(
@@ -125,7 +125,7 @@ FRAGILE, TIGHT_NS = "wifi-g-54", 200_000  # a modulation that survives no overla
 
 @pytest.mark.parametrize("guard_s", [0.0, 2e-5])
 def test_drift_makes_slots_collide_from_the_closed_form_on(guard_s: float) -> None:
-    """Two senders in turn: frames overlap as soon as b's clock is ahead by more than slot less air time."""
+    """Two senders in turn: frames overlap once b's clock is ahead by more than slot less air time."""
     clocks = {"b": VehicleClock(drift_ppm=200.0)}
     channel = tdma(preset=FRAGILE, slot_s=TIGHT_NS / 1e9, schedule=("a", "b"), guard_s=guard_s, clocks=clocks)
     air_ns = channel.phy.air_time_ns(SIZE)
@@ -136,10 +136,10 @@ def test_drift_makes_slots_collide_from_the_closed_form_on(guard_s: float) -> No
 
 @pytest.mark.parametrize(("preset", "slot_ns"), [(FRAGILE, TIGHT_NS), ("ideal", 20_000)])
 def test_the_share_of_collisions_is_air_time_over_slot(preset: str, slot_ns: int) -> None:
-    """While b's frames pass over those of a, in a period of two slots, they overlap during 2 air / (2 slot)."""
+    """While b's slots drift across those of a, in a period of two slots, frames overlap during 2 air / (2 slot)."""
     clocks = {"b": VehicleClock(drift_ppm=1000.0)}
     channel = tdma(preset=preset, slot_s=slot_ns / 1e9, schedule=("a", "b"), clocks=clocks)
-    passes_ns = round(2 * slot_ns / 1000e-6)  # until the slots of b have moved by a period
+    passes_ns = round(2 * slot_ns / 1000e-6)  # until the slots of b have drifted by a period
     reports = sent_at(channel, list(range(0, 4 * passes_ns, 2 * slot_ns)))
     assert np.mean(collided(reports, "a")) == pytest.approx(channel.phy.air_time_ns(SIZE) / slot_ns, abs=0.02)
 

@@ -1,4 +1,4 @@
-"""Error rates against ns-3.44 (its own classes, called one by one and in whole simulations) and against closed forms."""
+"""Error rates compared with ns-3.44 (its classes, called directly and in whole simulations) and with closed forms."""
 
 import math
 
@@ -45,7 +45,7 @@ NS3_SUCCESS: dict[ErrorRate, Points] = {  # of 1088 bits (100 bytes of payload),
     OfdmErrors(54e6, model="nist"): ((20.8, 0.122778052), (21.2, 0.535521127), (21.8, 0.897401443)),
     OqpskErrors(): ((-1.5, 0.060843949), (-0.7, 0.481240135), (0.2, 0.894607301)),
 }
-# What each reference model needs for 50 % of a PSDU of 128 bytes, in dB: ns-3.44 and, for its NIST model, INET.
+# SINR, dB, at which each reference model delivers 50 % of PSDUs of 128 bytes: ns-3.44 and, for its NIST model, INET.
 HALF_DB = {
     "dsss": (-5.22, -0.85, 1.88, 4.89),
     "table": (-0.60, 0.97, 2.39, 4.88, 7.82, 10.99, 14.99, 16.33),
@@ -76,7 +76,7 @@ def test_thermal_noise_is_that_of_ns_3() -> None:
 
 
 def test_frames_have_as_many_bits_as_ns_3_counts() -> None:
-    """Rate x time: ns-3.44 counts what fills the last symbol, and 802.11g's 6 us of silence."""
+    """Rate x time: ns-3.44 counts the bits that fill the last symbol, and 802.11g's 6 us of silence."""
     assert OfdmErrors(54e6).payload(100)[1] == 54 * (6 * 4 + 6) == 1620
     assert OfdmErrors(54e6, band="5GHz").payload(100)[1] == 54 * 6 * 4
     assert OfdmErrors(6e6).payload(100)[1] == 6 * (47 * 4 + 6)
@@ -116,7 +116,7 @@ def test_tables_are_shared_and_cannot_be_written() -> None:
 
 
 def test_biorthogonal_signals() -> None:
-    """Without energy one of 16 is guessed; with much, the 14 neighbours at sqrt(2 E) count: 14 Q(sqrt e) (union bound)."""
+    """Without energy one of 16 is guessed; with much, the 14 neighbours at sqrt(2 E) dominate: 14 Q(sqrt e) (union bound)."""
     assert biorthogonal_error(array(0.0))[0] == pytest.approx(15.0 / 16.0, abs=1e-10)
     for e, distance in ((20.0, 0.05), (40.0, 2e-3), (400.0, 1e-9)):
         union = 14.0 * 0.5 * math.erfc(math.sqrt(e / 2.0))
@@ -125,7 +125,7 @@ def test_biorthogonal_signals() -> None:
 
 
 def test_without_a_signal_bits_are_guessed() -> None:
-    """At no signal DBPSK and O-QPSK decide by chance: pb = 1/2; the shortest code word of 4 bits is guessed with 1/16."""
+    """DBPSK and O-QPSK then decide by chance: pb = 1/2; the shortest code word of 4 bits is guessed with 1/16."""
     nothing = array(0.0)
     for errors in (DsssErrors(1e6), OqpskErrors()):
         assert errors.hazard(nothing)[0] == pytest.approx(math.log(2.0), rel=1e-9)
@@ -138,7 +138,7 @@ def errors_per_symbol(errors: ErrorRate, sinr: Floats) -> float:
 
 @pytest.mark.parametrize("errors", MODELS, ids=str)
 def test_success_is_that_of_the_formula_within_1e_5(errors: ErrorRate) -> None:
-    sinr = 0.5 * (steps()[:-1] + steps()[1:])  # halfway interpolation is worst
+    sinr = 0.5 * (steps()[:-1] + steps()[1:])  # halfway between steps, where interpolation is worst
     exact, looked_up = errors.hazard(sinr), errors.bit_hazard(sinr)
     for bits in (4, 24, 136, 1088, 18_720):
         np.testing.assert_allclose(np.exp(-bits * looked_up), np.exp(-bits * exact), rtol=0, atol=1e-5)

@@ -11,7 +11,7 @@ from tests.support.netsim.channels import make_channel, send
 from vcmvsp.netsim.phy.lora import LEAST_SNR_DB, Lora
 
 PUBLISHED = [
-    # payload, SF, implicit, CR, bandwidth, preamble, optimised: seconds. Settings of the tests of the ns-3 module lorawan 0.3.
+    # payload, SF, implicit, CR, bandwidth, preamble, optimised: seconds. Values in the tests of the ns-3 module lorawan 0.3.
     (10, 7, False, 1, 125e3, 8, False, 0.041216),
     (10, 8, False, 1, 125e3, 8, False, 0.072192),
     (10, 8, True, 1, 125e3, 8, False, 0.072192),
@@ -27,7 +27,7 @@ PUBLISHED = [
     (50, 12, False, 2, 500e3, 8, True, 0.657408),
     (50, 12, False, 2, 125e3, 8, True, 2.629632),
     (50, 12, False, 1, 125e3, 8, True, 2.301952),
-    # LoRaWAN: 10 bytes and 13 of headers at 125 kHz, as calculators of The Things Network print it.
+    # LoRaWAN: 10 bytes and 13 of headers at 125 kHz, by calculators of The Things Network.
     (23, 7, False, 1, 125e3, 8, None, 0.061696),
     (23, 8, False, 1, 125e3, 8, None, 0.113152),
     (23, 9, False, 1, 125e3, 8, None, 0.205824),
@@ -71,7 +71,7 @@ def test_a_long_message_takes_several_frames() -> None:
 
 
 @pytest.mark.parametrize(("factor", "dbm"), [(7, -123.0), (8, -126.0), (9, -129.0), (10, -132.0), (11, -133.0), (12, -136.0)])
-def test_sensitivities_are_those_of_the_data_sheet(factor: int, dbm: float) -> None:
+def test_sensitivities_equal_the_data_sheet(factor: int, dbm: float) -> None:
     """SX1276/77/78/79 data sheet, table 10: 125 kHz, lower band; it rounds to 1 dB, and the SNR steps by 2.5 dB."""
     assert Lora(spreading_factor=factor).sensitivity_dbm == pytest.approx(dbm, abs=2.0)
 

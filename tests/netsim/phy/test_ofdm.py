@@ -1,4 +1,4 @@
-"""Air times and the errors of OFDM: closed forms, and two curves a rate of ns-3.44 by the size of frames."""
+"""Air times and error rates of OFDM: closed forms, and two curves a rate of ns-3.44, by frame size."""
 
 from fractions import Fraction
 from math import ceil
@@ -29,11 +29,11 @@ def test_802_11b_air_time(mbps: str, payload: int) -> None:
 
 @pytest.mark.parametrize(("payload", "microseconds"), [(1, 576), (7, 768), (20, 1184), (100, 3744), (114, 4192), (116, 4256)])
 def test_802_15_4_air_time(payload: int, microseconds: int) -> None:
-    """(6 + PSDU) x 32 us, as ns-3.44 takes; it stops at 114 bytes, the standard at 116 (PSDU 127 bytes, 4.256 ms)."""
+    """(6 + PSDU) x 32 us, as ns-3.44; it stops at 114 bytes, the standard at 116 (PSDU 127 bytes, 4.256 ms)."""
     assert Ieee802154().air_time_ns(payload) == microseconds * 1000
 
 
-def test_802_15_4_splits_what_does_not_fit() -> None:
+def test_802_15_4_splits_large_messages() -> None:
     phy = Ieee802154()
     assert phy.air_time_ns(117) == phy.air_time_ns(116) + 640_000 + phy.air_time_ns(1)
     assert phy.air_time_ns(1500) == 12 * (phy.air_time_ns(116) + 640_000) + phy.air_time_ns(1500 - 12 * 116)
@@ -42,7 +42,7 @@ def test_802_15_4_splits_what_does_not_fit() -> None:
 @pytest.mark.parametrize(
     ("phy", "sifs_us"), [(Dsss(1e6), 10), (Dsss(11e6), 10), (Ofdm(6e6), 10), (Ofdm(54e6), 10), (Ofdm(6e6, "5GHz"), 16)]
 )
-def test_802_11_splits_what_does_not_fit_into_an_msdu(phy: Dsss | Ofdm, sifs_us: int) -> None:
+def test_802_11_splits_messages_above_an_msdu(phy: Dsss | Ofdm, sifs_us: int) -> None:
     """An MSDU has 2304 bytes, of which LLC and SNAP take 8."""
     full_ns = phy.air_time_ns(2296) + sifs_us * 1000
     assert phy.air_time_ns(2297) == full_ns + phy.air_time_ns(1)
@@ -54,7 +54,7 @@ def test_802_11_splits_what_does_not_fit_into_an_msdu(phy: Dsss | Ofdm, sifs_us:
 def test_constant_rate_air_time() -> None:
     assert ConstantRate(rate_bps=250e3, overhead_s=1e-3).air_time_ns(100) == 1_000_000 + 3_200_000
     assert ConstantRate(rate_bps=3e9, overhead_s=0.0).air_time_ns(1) == 3  # 2.67 ns
-    assert ConstantRate(rate_bps=1e9, overhead_s=0.0).air_time_ns(0) == 1  # never nothing
+    assert ConstantRate(rate_bps=1e9, overhead_s=0.0).air_time_ns(0) == 1  # never 0
 
 
 def test_rates_that_802_11b_does_not_have_are_refused() -> None:
@@ -64,7 +64,7 @@ def test_rates_that_802_11b_does_not_have_are_refused() -> None:
 
 @pytest.mark.parametrize("rate_bps", RATES_BPS)
 @given(size=st.integers(0, 2296), more=st.integers(0, 3000))
-def test_air_time_grows_by_whole_symbols_that_hold_the_frame(rate_bps: float, size: int, more: int) -> None:
+def test_air_time_grows_by_whole_symbols(rate_bps: float, size: int, more: int) -> None:
     phy: Phy = Ofdm(rate_bps, "5GHz")
     air_ns = phy.air_time_ns(size)
     symbols, rest = divmod(air_ns - 20_000, 4_000)
@@ -89,15 +89,15 @@ NS3_HE_AIR = [
 @pytest.mark.parametrize(
     ("rate_bps", "size", "air_us"), [(6.5e6, 100, 212), (13e6, 100, 124), (65e6, 100, 56), (65e6, 1000, 168)]
 )
-def test_air_times_of_802_11n_are_those_of_ns_3(rate_bps: float, size: int, air_us: int) -> None:
+def test_air_times_of_802_11n_equal_ns_3(rate_bps: float, size: int, air_us: int) -> None:
     """HT-mixed, 800 ns, without aggregation: 36 us, then symbols of 4 us for a PSDU with 38 bytes of headers."""
     assert Ofdm(rate_bps, "5GHz").air_time_ns(size) == air_us * 1000
     assert Ofdm(rate_bps, "2.4GHz").air_time_ns(size) == air_us * 1000 + 6000
 
 
 @pytest.mark.parametrize(("rate_bps", "size", "air_us"), [*NS3_HE_AIR])
-def test_air_times_of_802_11ax_are_those_of_ns_3(rate_bps: float, size: int, air_us: float) -> None:
-    """HE SU, 800 ns: 44 us, then symbols of 13.6 us for a PSDU of so many bytes, and 6 us of silence."""
+def test_air_times_of_802_11ax_equal_ns_3(rate_bps: float, size: int, air_us: float) -> None:
+    """HE SU, 800 ns: 44 us, then symbols of 13.6 us for the PSDU, and 6 us of silence."""
     phy = Ofdm(rate_bps, "2.4GHz")
     assert phy.air_time_ns(size - phy.headers_bytes) == round(air_us * 1000)
     assert Ofdm(rate_bps, "5GHz").air_time_ns(size - phy.headers_bytes) == round(air_us * 1000) - 6000
@@ -158,10 +158,10 @@ def test_from_400_bytes_on_frames_have_another_curve() -> None:
     assert ratio == pytest.approx(1.65, rel=0.25)
 
 
-def test_what_counts_is_the_time_on_the_air() -> None:
+def test_the_curve_depends_on_the_time_on_the_air() -> None:
     """ns-3.44, 802.11g at -0.33 dB, one link: of 6000 frames each with 354 and 358 bytes of payload, 1707 and 2791 arrive.
 
-    The longer ones have 394 bytes, but with filling bits and the signal extension they count as 403.
+    The longer ones have 394 bytes, but with padding bits and the signal extension they count as 403.
     """
     errors = OfdmErrors(6e6)
     assert [errors.payload(size)[1] // 8 for size in (354, 358)] == [397, 403]

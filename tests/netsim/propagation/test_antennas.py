@@ -1,4 +1,4 @@
-"""Antennas: the half-wave dipole of the textbooks, patterns from files, and directions that turn with the vehicle."""
+"""Antennas: half-wave dipole of the textbooks, patterns from files, and orientation with the vehicle."""
 
 import math
 from pathlib import Path
@@ -26,14 +26,14 @@ PATTERN = "elevation_deg,azimuth_deg,gain_dbi\n"
 
 
 def levels(path_loss: Any, places: Floats = PLACES, attitude: Floats | None = None, **of_a: Any) -> Floats:
-    """Levels between three radios, the antenna of the first of which is given."""
+    """Levels among three radios; the first has this antenna."""
     radios = {name: Radio(antenna_height_m=0.0, **(of_a if name == "a" else {})) for name in NAMES}
     channel = Channel(path_loss=path_loss, phy=Dsss(), loss=NoLoss(), delay=NoDelay(), radios=radios)
     return channel.levels_dbm(NAMES, places, attitude)
 
 
 def pitched(angle: float) -> Floats:
-    """The first vehicle with its nose down by an angle."""
+    """The first vehicle, pitched down by an angle."""
     attitude = LEVEL.copy()
     attitude[0] = math.cos(0.5 * angle), 0.0, math.sin(0.5 * angle), 0.0
     return attitude
@@ -53,7 +53,7 @@ def test_a_dipole_radiates_all_its_power() -> None:
 
 @pytest.mark.parametrize("path_loss", [Friis(), rays_among(frequency_hz=2.4e9)])
 def test_an_antenna_turns_with_its_vehicle(path_loss: Any) -> None:
-    """In free space rays and Friis' law agree; a dipole that points at a receiver reaches it no more."""
+    """In free space rays and Friis' law agree; a dipole that points at a receiver has a null there."""
     isotropic = levels(path_loss)
     for angle in (0.0, 0.3, 1.0):
         changed = levels(path_loss, attitude=pitched(angle), antenna="dipole") - isotropic
@@ -68,7 +68,7 @@ def test_an_antenna_turns_with_its_vehicle(path_loss: Any) -> None:
 
 
 def test_each_path_leaves_in_its_own_direction() -> None:
-    """Two paths over metal, of which a dipole weakens the steeper one more; seen from both ends."""
+    """Two paths over metal; a dipole attenuates the steeper one more, seen from both ends."""
     rays, far = rays_among(ground="metal"), np.array([(0.0, 0.0, 4.0), (6.0, 0.0, 1.0), (300.0, 0.0, 1.0)])
     changed = levels(rays, far, antenna="dipole")[0] - levels(rays, far)[0]
     for column in (1, 2):
@@ -81,7 +81,7 @@ def test_each_path_leaves_in_its_own_direction() -> None:
 
 
 def test_a_pattern_from_a_file(tmp_path: Path) -> None:
-    """Its points are exact, between them it is linear in dB; azimuth 0 is forward, 90 left, and goes round."""
+    """Exact at its points, linear in dB between them; azimuth 0 is forward, 90 left, and wraps round."""
     rows = [
         f"{elevation},{azimuth},{0.1 * elevation + azimuth / 30}" for elevation in (-90, 0, 60) for azimuth in (0, 90, 180, 270)
     ]

@@ -1,4 +1,4 @@
-"""Distributions of the gain against closed forms and ns-3, and the processes in time."""
+"""Fading: distributions of the gain against closed forms and ns-3, and correlation in time."""
 
 import math
 from typing import Any
@@ -50,7 +50,7 @@ def bessel_j0(x: float) -> float:
 
 
 @pytest.mark.parametrize("m", NS3_NAKAGAMI_DB)
-def test_nakagami_quantiles_are_those_of_ns3(m: float) -> None:
+def test_nakagami_quantiles_equal_ns3(m: float) -> None:
     assert np.percentile(gains_db(Nakagami(m)), PERCENT) == pytest.approx(NS3_NAKAGAMI_DB[m], abs=0.1 if m < 1 else 0.05)
 
 
@@ -120,7 +120,7 @@ def process(layer: Fading, times_s: Any, links: int) -> Floats:
     ],
 )
 def test_autocorrelation_of_the_power(layer: Fading, direct: float) -> None:
-    """J0(2 pi fd tau)^2; with a direct path K that stands still (2 K J0 + J0^2) / (2 K + 1)."""
+    """J0(2 pi fd tau)^2; with a constant direct path K (2 K J0 + J0^2) / (2 K + 1)."""
     times = np.random.default_rng(2).uniform(0.0, 3600.0, 60)
     now = process(layer, times, 500)
     for lag in LAGS_S:

@@ -24,7 +24,7 @@ def test_distance_is_three_dimensional() -> None:
 
 
 def test_free_space_loss_of_a_metre() -> None:
-    # the same law in MHz and km, as ITU-R P.525 has it (there rounded to 32.4 dB)
+    # the same law in MHz and km, from ITU-R P.525 (there rounded to 32.4 dB)
     (metre,) = loss_db(Friis(2.4e9), 1.0)
     assert metre == pytest.approx(32.4478 + 20 * math.log10(2400) - 60, abs=1e-3)
     assert LogDistance().reference_loss_db == pytest.approx(metre, abs=1e-4)
@@ -46,7 +46,7 @@ def test_each_decade_costs_ten_times_the_exponent(exponent: float) -> None:
 
 
 def test_the_convention_of_the_wireless_simulation_server() -> None:
-    """S = Pd0 - 10 N log10(d / d0), as received level; nearer than d0 it stays Pd0."""
+    """S = Pd0 - 10 N log10(d / d0), as received level; nearer than d0 it is Pd0."""
     layer = LogDistance(exponent=2.5, reference_distance_m=2.0, reference_loss_db=49.67)
     level = 0.0 - loss_db(layer, 0.0, 1.0, 2.0, 8.0)
     assert level == pytest.approx([-49.67, -49.67, -49.67, -49.67 - 25 * math.log10(4)], abs=1e-12)

@@ -1,4 +1,4 @@
-"""The shadowing field: spread, correlation, both directions, no memory."""
+"""Shadowing field: spread, correlation, reciprocity, no memory."""
 
 import math
 
@@ -15,12 +15,12 @@ LAYER = Shadowing(sigma_db=4.0, correlation_distance_m=10.0)
 
 
 def in_a_city(rng: np.random.Generator, count: int) -> Floats:
-    """Points all over 2 km x 2 km x 40 m."""
+    """Points in 2 km x 2 km x 40 m."""
     return rng.uniform(-1000.0, 1000.0, (count, 3)) * (1.0, 1.0, 0.02)
 
 
 def shadows(a: Floats, b: Floats, seed: int) -> Floats:
-    """Of pairs of points (n, 3), row by row."""
+    """Shadowing of pairs of points (n, 3), row by row."""
     return LAYER.loss_db(Line.between(a, b, seed))
 
 
@@ -33,7 +33,7 @@ def ends() -> tuple[Floats, Floats, Floats]:
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_normal_with_the_sigma_that_was_asked_for(seed: int, ends: tuple[Floats, Floats, Floats]) -> None:
+def test_values_are_normal_with_the_configured_sigma(seed: int, ends: tuple[Floats, Floats, Floats]) -> None:
     values = shadows(ends[0], ends[1], seed)
     assert values.std() == pytest.approx(4.0, rel=0.02)
     assert abs(values.mean()) < 0.1

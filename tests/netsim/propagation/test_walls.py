@@ -1,4 +1,4 @@
-"""Losses of walls: the slab, the tables, and the reach of the radio through walls of a world."""
+"""Losses of walls: slab, tables of materials, and range of the radio through walls of a world."""
 
 import numpy as np
 import pytest
@@ -89,10 +89,10 @@ def raised(foot: Floats, height_m: float) -> Floats:
     return foot + np.array([0.0, 0.0, height_m])
 
 
-def test_who_stands_between_is_in_the_way_and_nobody_else() -> None:
+def test_only_walls_between_both_ends_attenuate() -> None:
     foot = np.array([(0.0, 0.0, 0.0), (5.0, 0.4, 0.0), (10.0, 0.0, 0.0), (7.0, -0.6, 0.0), (15.0, 0.0, 0.0), (-3.0, 0.0, 0.0)])
     loss, count = through(bodies(foot), 0, raised(foot, 0.5))
-    assert count.tolist() == [0, 1, 0, 2, 0]  # to 10 m: the one that is 0.4 m off the line; to 15 m: the one at 10 m as well
+    assert count.tolist() == [0, 1, 0, 2, 0]  # to 10 m: the wall 0.4 m off the line; to 15 m: the wall at 10 m as well
     assert loss.tolist() == [0.0, 2.0, 0.0, 2.0 + 3.0, 0.0]
 
 
@@ -104,7 +104,7 @@ def test_a_link_above_the_body_is_free(height_m: float, blocked: bool) -> None:
 
 
 def test_a_sloping_link_is_in_the_way_only_where_it_is_low_enough() -> None:
-    """From 0 m to 10 m height over 10 m: it is below 1 m for the first metre."""
+    """From 0 m to 10 m height over 10 m: below 1 m only for the first metre."""
     antennas = np.array([(0.0, 0.0, 0.0), (10.0, 0.0, 10.0), (1.4, 0.0, 5.0), (1.6, 0.0, 5.0)])
     foot = antennas * (1.0, 1.0, 0.0)
     assert through(bodies(foot)._replace(radius_m=np.array([0.1, 0.1, 0.5, 0.1])), 0, antennas)[1].tolist() == [1, 0, 0]

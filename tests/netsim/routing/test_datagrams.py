@@ -1,4 +1,4 @@
-"""Datagrams of programs that go over others: told to whoever carries them, as they arrive, and once nothing is to come."""
+"""Datagrams of programs under routing: their arrivals are reported in time, and their ends once no copy can come."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.netsim.routing_runs import HOP_NS, MS, Run, line, names, run, says
+from tests.support.netsim.routing_runs import HOP_NS, MS, Run, line, message_at, names, run
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.types import Datagrams, Traffic, frozen
 from vcmvsp.netsim.routing.distance_vector import DistanceVector
@@ -15,7 +15,7 @@ from vcmvsp.netsim.routing.router import BROADCAST, HEADER_BYTES, Flooding, Rout
 
 
 def handed(at_ns: int, *rows: tuple[int, int, int], sent_ns: int | None = None, payloads: Sequence[bytes] = ()) -> Event:
-    """Datagrams (number, sender, to) of 100 B."""
+    """Offered datagrams (number, sender, receiver) of 100 B."""
     number, sender, to = np.array(rows).T
     size, sent = np.full(len(rows), 100), np.full(len(rows), at_ns if sent_ns is None else sent_ns)
     value = Datagrams(
@@ -49,11 +49,11 @@ def test_a_datagram_goes_over_three_hops() -> None:
     ]
     assert settled(outcome.traffic) == [7]
     assert not outcome.frames  # they are in the traffic
-    assert not outcome.heard  # no agent is to hear it
+    assert not outcome.heard  # no agent receives it
 
 
-def test_when_one_arrives_is_told_as_soon_as_its_last_frame_is_sent() -> None:
-    """Whoever delivers it can be on time; but for broadcasts, of which a copy may come another way, and earlier."""
+def test_an_arrival_is_reported_once_the_last_frame_is_sent() -> None:
+    """The bridge can deliver on time; not so for broadcasts, of which a copy may arrive earlier by another way."""
     outcome = run(
         Static(chain=names(4)), line(4), handed(10 * MS, (7, 0, 3)), handed(10 * MS, (8, 0, BROADCAST)), delay={"seconds": 0.05}
     )
@@ -63,7 +63,7 @@ def test_when_one_arrives_is_told_as_soon_as_its_last_frame_is_sent() -> None:
     assert told[8] == arrived[8]
 
 
-def test_what_agents_may_hear_they_hear_where_it_arrives() -> None:
+def test_agents_receive_messages_at_their_destination() -> None:
     outcome = run(Static(chain=names(4)), line(4), handed(10 * MS, (1, 0, 3), payloads=[b"hello"]))
     assert [(each.message.sender, each.message.body, each.message.to) for each in outcome.receptions] == [
         ("car1", b"hello", "car4")
@@ -77,7 +77,7 @@ def test_what_agents_may_hear_they_hear_where_it_arrives() -> None:
 def test_each_is_settled_once_and_nothing_comes_of_it_afterwards(router: Routing, mac: str) -> None:
     said = [handed((k + 1) * 50 * MS, (2 * k, k % 5, BROADCAST)) for k in range(60)]
     said += [handed((k + 1) * 50 * MS + 25 * MS, (2 * k + 1, (k + 1) % 5, k % 5)) for k in range(60)]
-    agents: list[Any] = [says("car3", k * 70 * MS) for k in range(40)]
+    agents: list[Any] = [message_at("car3", k * 70 * MS) for k in range(40)]
     outcome = run(
         router, line(5), *said, *agents, seconds=4.0, loss={"probability": 0.2}, mac={"kind": mac}, delivery={"duplicate": 0.2}
     )
@@ -101,8 +101,8 @@ def test_one_without_a_route_is_settled_at_once() -> None:
     assert not any(each.reports for each in outcome.traffic)
 
 
-def test_one_that_was_handed_over_late_is_sent_when_it_came_and_passed_on_when_that_is_known() -> None:
-    """A run that notices 30 ms late what a program has sent: the first hop is over by then, the second begins."""
+def test_a_late_datagram_is_sent_at_its_time_and_forwarded_once_known() -> None:
+    """A run that receives a program's datagram 30 ms late: the first hop is over by then, the second begins."""
     outcome = run(Static(chain=names(3)), line(3), handed(40 * MS, (0, 0, 2), sent_ns=10 * MS))
     first, second = (report for each in outcome.traffic for report in each.reports)
     assert (first.sent_ns, first.received_ns.tolist()) == (10 * MS, [10 * MS + HOP_NS])
@@ -110,7 +110,7 @@ def test_one_that_was_handed_over_late_is_sent_when_it_came_and_passed_on_when_t
     assert arrivals(outcome.traffic) == [(0, 2, 40 * MS + 1 + HOP_NS)]
 
 
-def test_whom_one_reached_that_was_handed_over_late_is_told_in_the_order_of_time() -> None:
+def test_receivers_of_a_late_datagram_are_reported_in_order_of_time() -> None:
     for seed in range(10):
         late = handed(40 * MS, (0, 0, BROADCAST), sent_ns=10 * MS)
         delay = {"seconds": 0.01, "jitter_s": 0.009}
@@ -123,8 +123,8 @@ def total(outcome: Run) -> int:
     return len(outcome.frames) + sum(len(each.reports) for each in outcome.traffic)
 
 
-def test_frames_of_programs_and_agents_are_told_apart() -> None:
-    outcome = run(Flooding(), line(3), handed(100 * MS, (5, 0, BROADCAST)), says("car1", 100 * MS))
+def test_frames_of_programs_and_agents_are_distinguished() -> None:
+    outcome = run(Flooding(), line(3), handed(100 * MS, (5, 0, BROADCAST)), message_at("car1", 100 * MS))
     assert (len(outcome.frames), total(outcome)) == (3, 6)
     told = [each.frames for each in outcome.messages]
     assert sorted(frame for some in told for frame in some) == list(range(6))
@@ -132,7 +132,7 @@ def test_frames_of_programs_and_agents_are_told_apart() -> None:
 
 @pytest.mark.parametrize("router", [Flooding(), Static(chain=names(4))])
 @pytest.mark.parametrize("to", [BROADCAST, 3])
-def test_the_frame_that_is_named_is_the_one_that_brought_it(router: Routing, to: int) -> None:
+def test_the_named_frame_is_the_one_that_delivered(router: Routing, to: int) -> None:
     outcome = run(router, line(4), handed(10 * MS, (7, 0, to), (8, 1, to)))
     reports = {report.frame: report for each in outcome.traffic for report in each.reports}
     named = [frame for each in outcome.traffic for frame in each.frame.tolist()]

@@ -1,4 +1,4 @@
-"""Routes that vehicles find by themselves: the shortest, in no circle at any time, and new ones when links go."""
+"""Distance-vector routes: the shortest, free of loops at any time, and repaired when links go."""
 
 from collections.abc import Callable, Sequence
 
@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import shortest_path
 
-from tests.support.netsim.routing_runs import HOP_NS, line, run, says
+from tests.support.netsim.routing_runs import HOP_NS, line, message_at, run
 from vcmvsp.cosim.rng import stream
 from vcmvsp.netsim.routing.distance_vector import ENTRY_BYTES, SPREAD, DistanceVector, DistanceVectorRouter
 from vcmvsp.netsim.routing.router import HEADER_BYTES, Update
@@ -62,7 +62,7 @@ class Neighbourhood:
             check()
 
     def hops(self) -> NDArray[np.float64]:
-        """Of each to each, from next hop to next hop; infinite where one knows none."""
+        """Hops between all pairs, from next hop to next hop; infinite without a route."""
         n = len(self._due)
         return np.array([[self._hops(row, to) for to in range(n)] for row in range(n)])
 
@@ -112,7 +112,7 @@ def chain(count: int) -> Graph:
 def test_next_hops_never_form_a_circle_whatever_is_lost_late_or_changes(
     before: Graph, after: Graph, seed: int, loss: float, one_way: bool
 ) -> None:
-    """With updates that overtake each other, links that go and come, or work one way only: at every instant."""
+    """With updates that overtake each other, and links that come, go, or work one way only: at every instant."""
     n = min(len(before), len(after))
     before, after = before[:n, :n], after[:n, :n].copy()
     draw = np.random.default_rng(seed)
@@ -142,7 +142,7 @@ def test_all_take_the_shortest_ways_and_again_after_a_change(before: Graph, afte
 
 
 def test_routes_stay_the_shortest_while_numbers_are_renewed() -> None:
-    """A longer way on which a newer number comes first is not taken for that."""
+    """A newer sequence number that arrives over a longer way first does not replace the route."""
     ring = chain(7) | (np.abs(np.subtract.outer(np.arange(7), np.arange(7))) == 6)
     world = Neighbourhood(7)
     world.go_on(12 * PERIOD_NS, ring)
@@ -164,7 +164,7 @@ def test_no_route_is_longer_than_the_hop_limit(graph: Graph, seed: int, limit: i
 
 
 def test_a_message_that_would_end_on_its_way_is_not_sent() -> None:
-    said = [says("car1", 9_000_000_000, to=to) for to in ("car4", "car5")]
+    said = [message_at("car1", 9_000_000_000, to=to) for to in ("car4", "car5")]
     outcome = run(DistanceVector(hop_limit=3), line(5), *said, seconds=10.0)
     assert [each.receivers for each in sorted(outcome.messages, key=lambda each: each.number)] == [("car2", "car3", "car4"), ()]
     assert sorted(len(each.frames) for each in outcome.messages) == [0, 3]
@@ -172,7 +172,7 @@ def test_a_message_that_would_end_on_its_way_is_not_sent() -> None:
 
 def test_links_that_work_one_way_are_no_routes() -> None:
     graph = chain(2)
-    graph[1, 0] = False  # what 1 says does not reach 0
+    graph[1, 0] = False  # updates of 1 do not reach 0
     world = Neighbourhood(2)
     world.go_on(10 * PERIOD_NS, graph)
     assert np.isinf(world.hops()[~np.eye(2, dtype=bool)]).all()
@@ -190,14 +190,18 @@ def test_a_silent_neighbour_is_dropped_after_the_missed_updates() -> None:
 
 
 def test_messages_go_over_the_hops_that_were_found_and_not_before() -> None:
-    said = [says("car1", 10_000_000, to="car5"), says("car1", 9_000_000_000, to="car5"), says("car5", 9_500_000_000, to="car2")]
+    said = [
+        message_at("car1", 10_000_000, to="car5"),
+        message_at("car1", 9_000_000_000, to="car5"),
+        message_at("car5", 9_500_000_000, to="car2"),
+    ]
     outcome = run(DistanceVector(), line(5), *said, seconds=10.0)
     assert [each.receivers for each in outcome.messages] == [(), ("car2", "car3", "car4", "car5"), ("car4", "car3", "car2")]
     assert [each.received_ns - each.sent_ns for each in outcome.heard] == [4 * HOP_NS, 3 * HOP_NS]
 
 
 def test_broadcasts_are_flooded() -> None:
-    outcome = run(DistanceVector(), line(4), says("car2", 0))
+    outcome = run(DistanceVector(), line(4), message_at("car2", 0))
     assert sorted(each.receiver for each in outcome.heard) == ["car1", "car3", "car4"]
 
 
@@ -206,7 +210,7 @@ def test_updates_keep_to_their_budget(period_s: float) -> None:
     count, seconds = 5, 20.0
     outcome = run(DistanceVector(period_s=period_s), line(count), seconds=seconds)
     updates = [each for each in outcome.routed if each.update]
-    assert len(outcome.frames) == len(updates)  # nobody passes them on
+    assert len(outcome.frames) == len(updates)  # which no vehicle forwards
     least, most = (seconds / (period_s * share) for share in (1.0 + SPREAD, 1.0 - SPREAD))
     assert count * (least - 2) < len(updates) < count * (most + 2)
     assert {frame.size_bytes for frame in outcome.frames if frame.sent_ns > seconds / 2 * 1e9} == {
@@ -219,7 +223,7 @@ def test_when_a_relay_is_cut_off_another_way_is_found() -> None:
     """A diamond: car1 reaches car4 over car2 until that falls silent, then over car3."""
     diamond = [(0.0, 0.0), (60.0, 30.0), (60.0, -30.0), (120.0, 0.0)]
     silent = {"from_s": 10.0, "links": ["car2/*", "*/car2"], "loss": 1.0}
-    said = [says("car1", seconds * 1_000_000_000, to="car4") for seconds in (9, 11, 17)]
+    said = [message_at("car1", seconds * 1_000_000_000, to="car4") for seconds in (9, 11, 17)]
     outcome = run(DistanceVector(), diamond, *said, seconds=18.0, script={"kind": "script", "changes": [silent]})
     assert [each.receivers for each in outcome.messages] == [("car2", "car4"), (), ("car3", "car4")]
     assert [len(each.frames) for each in outcome.messages] == [2, 1, 2]

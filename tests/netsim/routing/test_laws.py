@@ -1,4 +1,4 @@
-"""Laws of messages that are passed on: when they arrive, how many do, how often, and how far."""
+"""Laws of forwarded messages: arrival times, delivery, number of copies, and reach."""
 
 import math
 from collections import Counter
@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from tests.support.netsim.routing_runs import AIR_NS, HOP_NS, MS, Run, line, names, run, says
+from tests.support.netsim.routing_runs import AIR_NS, HOP_NS, MS, Run, line, message_at, names, run
 from vcmvsp.netsim.routing.router import HEADER_BYTES, Flooding, Routing, Static
 
 pytestmark = pytest.mark.slow
@@ -20,7 +20,7 @@ LADDER = [(60.0 * i, y) for i in range(4) for y in (0.0, 30.0)]
 
 
 def often(count: int, sender: str = "car1", to: str | None = None) -> list[Any]:
-    return [says(sender, k * 100 * MS, to=to) for k in range(count)]
+    return [message_at(sender, k * 100 * MS, to=to) for k in range(count)]
 
 
 def share(outcome: Run, receiver: str, count: int) -> float:
@@ -28,14 +28,14 @@ def share(outcome: Run, receiver: str, count: int) -> float:
 
 
 def spread(share: float, count: int) -> float:
-    """Within which a binomial share lies, 4.5 standard deviations."""
+    """Band, 4.5 standard deviations, of a binomial share."""
     return 4.5 * math.sqrt(share * (1.0 - share) / count)
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.02])
 def test_over_a_chain_of_perfect_links_a_message_takes_hops_times_air_and_delay(delay_s: float) -> None:
     router = Static(chain=names(6))
-    said = [says("car1", 5 * MS, to="car6"), says("car3", 300 * MS, to="car1")]
+    said = [message_at("car1", 5 * MS, to="car6"), message_at("car3", 300 * MS, to="car1")]
     hop_ns = max(HOP_NS, round(delay_s * 1e9))
     outcome = run(router, line(6), *said, delay={"seconds": delay_s})
     assert [(each.receiver, each.received_ns - each.sent_ns) for each in outcome.heard] == [
@@ -49,7 +49,7 @@ def test_over_a_chain_of_perfect_links_a_message_takes_hops_times_air_and_delay(
     assert [frame.sender for frame in outcome.frames] == ["car1", "car2", "car3", "car4", "car5", "car3", "car2"]
 
 
-def test_a_flooded_message_takes_hops_times_air_and_what_its_relays_waited() -> None:
+def test_a_flooded_message_takes_air_time_per_hop_plus_waits() -> None:
     jitter_ns = 8 * MS
     outcome = run(Flooding(jitter_s=jitter_ns / 1e9), line(5), *often(20), seconds=3.0)
     assert len(outcome.heard) == 80
@@ -67,7 +67,7 @@ def test_a_flooded_message_takes_hops_times_air_and_what_its_relays_waited() -> 
 
 @pytest.mark.parametrize("contends", ["ideal", "dcf"])
 def test_a_reception_is_of_the_original_message(contends: str) -> None:
-    said = [says("car1", 7 * MS), says("car1", 400 * MS, to="car4")]
+    said = [message_at("car1", 7 * MS), message_at("car1", 400 * MS, to="car4")]
     outcome = run(Flooding(), line(4), *said, mac={"kind": contends})
     assert Counter(each.message.to for each in outcome.receptions) == {None: 3, "car4": 1}
     for each in outcome.receptions:
@@ -82,10 +82,10 @@ def test_a_reception_is_of_the_original_message(contends: str) -> None:
 
 
 def test_frames_are_as_long_as_message_and_header() -> None:
-    outcome = run(Static(chain=names(3)), line(3), says("car1", 0, to="car3", size_bytes=250))
+    outcome = run(Static(chain=names(3)), line(3), message_at("car1", 0, to="car3", size_bytes=250))
     assert [frame.size_bytes for frame in outcome.frames] == [250 + HEADER_BYTES] * 2
     assert [(each.size_bytes, each.frame_bytes) for each in outcome.messages] == [(250, 250 + HEADER_BYTES)]
-    assert run(None, line(3), says("car1", 0, to="car2", size_bytes=250)).frames[0].size_bytes == 250
+    assert run(None, line(3), message_at("car1", 0, to="car2", size_bytes=250)).frames[0].size_bytes == 250
 
 
 @pytest.mark.parametrize("router", [Static(chain=names(4)), Flooding(jitter_s=0.0)], ids=["static", "flooding"])
@@ -114,7 +114,7 @@ def test_each_vehicle_hears_a_flooded_message_once() -> None:
 
 @pytest.mark.parametrize("limit", [1, 2, 5])
 def test_a_message_goes_no_further_than_its_hop_limit(limit: int) -> None:
-    outcome = run(Flooding(hop_limit=limit), line(7), says("car1", 0))
+    outcome = run(Flooding(hop_limit=limit), line(7), message_at("car1", 0))
     assert [each.receiver for each in outcome.heard] == [f"car{i + 2}" for i in range(limit)]
     assert len(outcome.frames) == limit
 
@@ -129,13 +129,13 @@ def test_routing_works_with_contention() -> None:
 
 
 def test_without_routing_nothing_is_passed_on() -> None:
-    outcome = run(None, line(3), says("car1", 0))
+    outcome = run(None, line(3), message_at("car1", 0))
     assert [(each.receiver, each.received_ns) for each in outcome.heard] == [("car2", AIR_NS)]
     assert not outcome.routed
 
 
-def test_what_is_under_way_at_the_end_is_told_as_far_as_it_came() -> None:
-    outcome = run(Static(chain=names(5)), line(5), says("car1", 0, to="car5"), seconds=(2.5 * HOP_NS) / 1e9)
+def test_messages_under_way_at_the_end_are_reported_with_their_progress() -> None:
+    outcome = run(Static(chain=names(5)), line(5), message_at("car1", 0, to="car5"), seconds=(2.5 * HOP_NS) / 1e9)
     (message,) = outcome.routed
     assert (message.receivers, message.hops) == (("car2", "car3"), (1, 2))
     assert message.under_way
@@ -143,13 +143,13 @@ def test_what_is_under_way_at_the_end_is_told_as_far_as_it_came() -> None:
 
 
 @pytest.mark.parametrize("mac", ["ideal", "dcf"])
-def test_what_ends_with_the_run_is_told_from_what_is_under_way(mac: str) -> None:
-    """A message that has come, one that was lost, and one on the air when the run ends, or between two frames of it."""
-    said = [says("car1", 0, to="car3"), says("car1", 500 * MS, to="car3"), says("car2", 999 * MS, to="car1")]
+def test_arrived_lost_and_unfinished_messages_are_distinguished(mac: str) -> None:
+    """An arrived message, a lost one, and one on the air at the end of the run, or between two of its frames."""
+    said = [message_at("car1", 0, to="car3"), message_at("car1", 500 * MS, to="car3"), message_at("car2", 999 * MS, to="car1")]
     deaf = {"from_s": 0.4, "to_s": 0.9, "links": ["car1/car2"], "loss": 1.0}
     outcome = run(Static(chain=names(3)), line(3), *said, mac={"kind": mac}, script={"kind": "script", "changes": [deaf]})
     assert [each.under_way for each in outcome.messages] == [False, False, True]
-    waiting = run(Flooding(jitter_s=5.0), line(3), says("car1", 0), mac={"kind": mac})
+    waiting = run(Flooding(jitter_s=5.0), line(3), message_at("car1", 0), mac={"kind": mac})
     assert [(each.receivers, each.under_way) for each in waiting.messages] == [(("car2",), True)]
 
 
@@ -160,17 +160,17 @@ def test_what_ends_with_the_run_is_told_from_what_is_under_way(mac: str) -> None
     st.integers(1, 7),
     st.sampled_from([0.0, 0.01, 0.1]),
 )
-def test_flooding_reaches_none_but_whom_a_graph_of_perfect_links_reaches_and_them_all_if_it_may(
+def test_flooding_reaches_at_most_the_graph_of_perfect_links(
     position: list[tuple[float, float]], seed: int, limit: int, jitter_s: float
 ) -> None:
-    """By brute force: nobody else than who is at most so many links of 86 m away hears it, and nobody twice.
+    """By brute force: only vehicles within the hop limit, with links of at most 86 m, receive it, and only once.
 
-    All of them do where the limit ends nothing, or where no wait lets a copy come first that has gone further.
+    All of them do where the limit does not matter, or where without waiting no copy over a longer way comes first.
     """
     points = np.array(position)
     apart = np.linalg.norm(points[:, None] - points[None], axis=-1)
     assume(bool((np.abs(apart - 85.6) > 0.2).all()))
-    outcome = run(Flooding(hop_limit=limit, jitter_s=jitter_s), position, says("car1", 0), seed=seed, seconds=2.0)
+    outcome = run(Flooding(hop_limit=limit, jitter_s=jitter_s), position, message_at("car1", 0), seed=seed, seconds=2.0)
     reached = np.arange(len(position)) == 0
     for _ in range(limit):
         reached = reached | (np.maximum(apart, 1.0) <= 85.6)[reached].any(axis=0)
@@ -183,7 +183,7 @@ def test_flooding_reaches_none_but_whom_a_graph_of_perfect_links_reaches_and_the
 
 
 def test_a_first_copy_that_came_the_longer_way_may_end_at_the_limit() -> None:
-    """Nine in a row, of which each reaches the next two: 4 hops are enough for the last, but not always the first to come."""
+    """Nine in a row, each in range of the next two: 4 hops are enough for the last, but not always for the first copy."""
     count, position = 40, [(30.0 * i, 0.0) for i in range(9)]
     shares = [
         share(run(Flooding(hop_limit=4, jitter_s=jitter_s), position, *often(count), seconds=5.0), "car9", count)

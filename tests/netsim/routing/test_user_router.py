@@ -1,4 +1,4 @@
-"""Routers that somebody else has written: what they must have, and what becomes of an answer that makes no sense."""
+"""User-written routers: required methods, and the error for answers that make no sense."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.netsim.routing_runs import MS, line, run, says
+from tests.support.netsim.routing_runs import MS, line, message_at, run
 from vcmvsp.cosim.errors import FederateError
 from vcmvsp.netsim.routing.router import BROADCAST, Router, Update
 
 
 @dataclass(frozen=True)
 class Mine:
-    """Hands everything to the same vehicle."""
+    """Passes everything to the same vehicle."""
 
     via: Any
 
@@ -23,7 +23,7 @@ class Mine:
 
 
 class Handing:
-    """The least that a router needs."""
+    """The minimal router."""
 
     hop_limit, jitter_ns = 8, 0
 
@@ -38,22 +38,22 @@ class Handing:
 
 
 @pytest.mark.parametrize("via", [2, np.int64(2), BROADCAST])
-def test_a_router_that_tells_nothing_needs_two_answers(via: Any) -> None:
-    outcome = run(Mine(via), line(3, 20.0), says("car1", 0, to="car3"))
+def test_a_router_without_updates_needs_two_methods(via: Any) -> None:
+    outcome = run(Mine(via), line(3, 20.0), message_at("car1", 0, to="car3"))
     assert [each.receiver for each in outcome.heard] == ["car3"]
 
 
 @pytest.mark.parametrize("via", [3, 99, -2, 0, "car2", 1.0])
 def test_an_answer_that_makes_no_sense_is_an_error_with_the_name_of_the_kind(via: Any) -> None:
     with pytest.raises(FederateError) as caught:
-        run(Mine(via), line(3), says("car1", 0, to="car3"))
+        run(Mine(via), line(3), message_at("car1", 0, to="car3"))
     wanted = "allowed: the row of another vehicle (of 3), -1 (a broadcast) or None"
     assert str(caught.value) == f"routing Mine: returned {via!r} as the next hop of car1; {wanted}"
 
 
 @dataclass(frozen=True)
 class Chatty:
-    """Its vehicles tell each other of routes, over and over."""
+    """Its vehicles exchange routes without end."""
 
     size_bytes: int
     period_ns: int
@@ -63,7 +63,7 @@ class Chatty:
 
 
 class Chatting(Handing):
-    """Tells as much, as often as it should."""
+    """Exchanges the allowed number of updates."""
 
     def __init__(self, kind: Chatty) -> None:
         super().__init__(BROADCAST)
@@ -79,7 +79,7 @@ class Chatting(Handing):
         assert (row, by) in ((0, 1), (1, 0))
 
 
-def test_one_that_tells_is_asked_when_it_wants() -> None:
+def test_a_router_with_updates_is_called_at_its_times() -> None:
     outcome = run(Chatty(100, 300 * MS), line(2))
     assert [(each.origin, each.sent_ns // MS) for each in outcome.routed] == [
         (name, at) for k in range(4) for name, at in (("car1", 5 + 300 * k), ("car2", 10 + 300 * k))

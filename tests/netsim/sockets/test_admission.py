@@ -1,4 +1,4 @@
-"""How programs come into a run: all of them, from this machine alone, whatever else knocks at the door."""
+"""Admission of programs to a run: all expected ones, from this machine alone, despite other connections."""
 
 import random
 import signal
@@ -15,7 +15,7 @@ import pytest
 import tomli_w
 
 import vcmvsp
-from tests.support.netsim.socket_programs import PATIENCE_S, by_hand, chat, dialled, idle, played, scenario
+from tests.support.netsim.socket_programs import PATIENCE_S, by_hand, chat, idle, open_connection, run_programs, scenario
 from vcmvsp.cosim.errors import FederateError, ScenarioError
 from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.runs.api import check
@@ -33,7 +33,7 @@ def test_without_all_programs_the_run_does_not_begin(tmp_path: Path, monkeypatch
     content, told = scenario(tmp_path, "a", "b", "c"), list[str]()
     came = threading.Event()
     clock = SimpleNamespace(monotonic=lambda: time.monotonic() + came.is_set() * PATIENCE_S)
-    monkeypatch.setattr("vcmvsp.netsim.sockets.admission.time", clock)  # it has waited for long enough as soon as one is there
+    monkeypatch.setattr("vcmvsp.netsim.sockets.admission.time", clock)  # the wait ends as soon as one is connected
 
     def come() -> None:
         with pytest.raises(ConnectionError, match="the connection to the run is lost"):
@@ -54,7 +54,7 @@ def test_without_all_programs_the_run_does_not_begin(tmp_path: Path, monkeypatch
     assert not (tmp_path / "s").exists()
 
 
-def test_who_is_not_wanted_is_told_why(tmp_path: Path) -> None:
+def test_a_refused_program_gets_the_reason(tmp_path: Path) -> None:
     content, told, words = scenario(tmp_path, "a", "b"), list[str](), list[str]()
 
     def others() -> None:
@@ -66,7 +66,7 @@ def test_who_is_not_wanted_is_told_why(tmp_path: Path) -> None:
             with pytest.raises(ConnectionRefusedError) as caught:
                 connect(vehicle, content["sockets"]["listen"])
             words.append(str(caught.value))
-        with dialled(tmp_path) as end:
+        with open_connection(tmp_path) as end:
             end.sendall(framed(Hello(99, "b")))
             words.append(str(end.recv(1000)))
         connect("b", content["sockets"]["listen"]).close()
@@ -91,7 +91,7 @@ def test_a_program_that_leaves_before_the_run_begins_may_be_replaced(tmp_path: P
     content, told = scenario(tmp_path, "a", "b"), list[str]()
 
     def early() -> None:
-        with dialled(tmp_path) as end:
+        with open_connection(tmp_path) as end:
             end.sendall(framed(Hello(VERSION, "a")))
             end.recv(1 << 16)
 
@@ -111,9 +111,9 @@ def test_a_program_that_leaves_before_the_run_begins_may_be_replaced(tmp_path: P
     assert result.about["simulated_s"] == 1.0
 
 
-def test_three_hundred_strangers_disturb_nobody(tmp_path: Path) -> None:
+def test_three_hundred_strange_connections_have_no_effect(tmp_path: Path) -> None:
     content, draw, open_ = scenario(tmp_path, "a", "b"), random.Random(4), list[socket.socket]()
-    undisturbed = played(content, {"a": chat, "b": chat}, mcap=False).metrics
+    undisturbed = run_programs(content, {"a": chat, "b": chat}, mcap=False).metrics
 
     def tell(text: str) -> None:
         if not text.startswith("waiting"):
@@ -134,7 +134,7 @@ def test_three_hundred_strangers_disturb_nobody(tmp_path: Path) -> None:
         floods.append(threading.Thread(target=tell, args=[text], daemon=True))
         floods[-1].start()
 
-    result = played(content, {"a": chat, "b": chat}, mcap=False, tell=flooded)
+    result = run_programs(content, {"a": chat, "b": chat}, mcap=False, tell=flooded)
     for thread in floods:
         thread.join(PATIENCE_S)
     for end in open_:
@@ -179,7 +179,7 @@ def test_where_nothing_is_opened_it_is_a_federate_like_others() -> None:
     check_federate(lambda: Programs(table, run.vehicles, tell=print, connect=False), run, inbox)
 
 
-def test_an_endpoint_that_is_taken_is_said_in_one_line_and_one_that_was_left_behind_is_used(tmp_path: Path) -> None:
+def test_a_taken_endpoint_is_one_error_line_and_a_stale_one_is_reused(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         listen = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
         with pytest.raises(
@@ -195,7 +195,7 @@ def test_an_endpoint_that_is_taken_is_said_in_one_line_and_one_that_was_left_beh
     (tmp_path / "s").unlink()
     with socket.socket(socket.AF_UNIX) as dead:
         dead.bind(f"{tmp_path}/s")
-    assert played(scenario(tmp_path, "a"), {"a": chat}, mcap=False).about["simulated_s"] == 1.0
+    assert run_programs(scenario(tmp_path, "a"), {"a": chat}, mcap=False).about["simulated_s"] == 1.0
 
 
 def test_over_tcp_on_any_port(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Programs that leave, hang, or say what makes no sense: the run goes on, or ends with one error that names the program."""
+"""Programs that leave, hang, or send invalid data: the run goes on, or ends with one error that names the program."""
 
 import contextlib
 import signal
@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.netsim.socket_programs import PATIENCE_S, by_hand, chat, idle, played, scenario
+from tests.support.netsim.socket_programs import PATIENCE_S, by_hand, chat, idle, run_programs, scenario
 from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.sockets import Socket
 from vcmvsp.cosim.sockets.messages import MOST_UP, VERSION, Hello, Send, Wait, framed
@@ -38,7 +38,7 @@ def test_a_program_that_ends_leaves_its_vehicle_silent_and_the_run_goes_on(tmp_p
             heard.append(end.time_ns() // 10**8)
 
     content, plays = scenario(tmp_path, "a", "b", "c"), {"a": listen, "b": brief, "c": chat}
-    result = played(content, plays, mcap=False, observe=events.append, tell=told.append)
+    result = run_programs(content, plays, mcap=False, observe=events.append, tell=told.append)
     assert result.about["simulated_s"] == 1.0
     assert heard == [0, 1, 2, 2, 3, 4, 5, 6, 7, 8, 9]
     assert notes_of(events) == [("b/note", 250_000_000, {"program": "left: it has ended"})]
@@ -73,7 +73,7 @@ def test_a_program_that_is_killed_is_missed_at_once(tmp_path: Path, waits: bool)
     if not waits:
         threading.Thread(target=kill, daemon=True).start()
     try:
-        result = played(content, {"a": killer if waits else chat}, mcap=False, observe=events.append)
+        result = run_programs(content, {"a": killer if waits else chat}, mcap=False, observe=events.append)
     finally:
         victim.kill()
         victim.communicate()
@@ -100,7 +100,7 @@ NONSENSE = {
 
 
 @pytest.mark.parametrize("nonsense", NONSENSE.values(), ids=NONSENSE)
-def test_what_makes_no_sense_is_taken_as_leaving(tmp_path: Path, nonsense: bytes) -> None:
+def test_invalid_data_count_as_leaving(tmp_path: Path, nonsense: bytes) -> None:
     told, heard = list[str](), list[Any]()
 
     def liar() -> None:
@@ -111,10 +111,10 @@ def test_what_makes_no_sense_is_taken_as_leaving(tmp_path: Path, nonsense: bytes
 
     thread = threading.Thread(target=liar, daemon=True)
     thread.start()
-    result = played(scenario(tmp_path, "a", "b"), {"a": heard.extend}, mcap=False, tell=told.append)
+    result = run_programs(scenario(tmp_path, "a", "b"), {"a": heard.extend}, mcap=False, tell=told.append)
     thread.join(PATIENCE_S)
     assert result.about["simulated_s"] == 1.0
-    assert [data for data, _ in heard] in ([b"sense"], [])  # what it said before may come after the words that part it
+    assert [data for data, _ in heard] in ([b"sense"], [])  # earlier lines may arrive after those that separate them
     assert told[-1].startswith("the program of b disconnected at 0.000 s (it s")
     assert told[-1].isprintable()
 
@@ -134,7 +134,7 @@ def test_no_bytes_disturb_the_run(tmp_path_factory: pytest.TempPathFactory, piec
                 end.sendall(piece)
 
     threading.Thread(target=fuzz, daemon=True).start()
-    result = played(scenario(path, "a", "b", duration_s=0.2), {"a": chat}, mcap=False)
+    result = run_programs(scenario(path, "a", "b", duration_s=0.2), {"a": chat}, mcap=False)
     assert result.metrics["radio"]["frames"] == 2
 
 
@@ -158,7 +158,7 @@ def test_a_program_that_speaks_while_it_should_wait_leaves(tmp_path: Path) -> No
         chat(end)
 
     threading.Thread(target=eager, daemon=True).start()
-    result = played(scenario(tmp_path, "a", "b"), {"a": play}, mcap=False, tell=told.append)
+    result = run_programs(scenario(tmp_path, "a", "b"), {"a": play}, mcap=False, tell=told.append)
     assert told[-1] == "the program of b disconnected at 0.510 s (it sent out of turn)"
     assert result.metrics["radio"]["frames"] == 5
 
@@ -172,12 +172,12 @@ def test_a_program_that_sends_without_end_leaves(tmp_path: Path, monkeypatch: py
             while True:
                 end.sendto(b"me me me", "a")
 
-    result = played(scenario(tmp_path, "a", "b"), {"a": idle, "b": endless}, mcap=False, tell=told.append)
+    result = run_programs(scenario(tmp_path, "a", "b"), {"a": idle, "b": endless}, mcap=False, tell=told.append)
     assert "without waiting" in told[-1]
     assert result.metrics["radio"]["frames"] == 51
 
 
-def test_what_a_program_does_not_take_is_lost_beyond_four_mebibytes(tmp_path: Path) -> None:
+def test_unread_data_are_lost_beyond_four_mebibytes(tmp_path: Path) -> None:
     heard, events, told = list[int](), list[Any](), list[str]()
 
     def late(end: Socket) -> None:
@@ -198,12 +198,12 @@ def test_what_a_program_does_not_take_is_lost_beyond_four_mebibytes(tmp_path: Pa
         end.sendto(b"\xff", "a")
 
     content = scenario(tmp_path, "a", "b")
-    played(content, {"a": late, "b": flood}, mcap=False, observe=events.append, tell=told.append)
+    run_programs(content, {"a": late, "b": flood}, mcap=False, observe=events.append, tell=told.append)
     room = (4 << 20) // (65_535 + 512)
     assert heard == [*range(room), 255]
     missed = [(time_ns, values["program_missed"]) for _, time_ns, values in notes_of(events) if "program_missed" in values]
     assert [count for _, count in missed] == [float(each) for each in range(1, 101 - room)]
-    assert all(room * 1_000_000 < time_ns < 102_000_000 for time_ns, _ in missed)  # when they come, not when it wakes
+    assert all(room * 1_000_000 < time_ns < 102_000_000 for time_ns, _ in missed)  # on arrival, not on wake-up
     assert sum("reads too slowly" in line for line in told) == 1
 
 
@@ -217,7 +217,7 @@ def test_a_program_that_hangs_ends_the_run_with_its_name(tmp_path: Path) -> None
     content = scenario(tmp_path, "a", "b", sockets={"deadline_s": 2.0})
     threading.Thread(target=hang, daemon=True).start()
     with pytest.raises(FederateError, match=r"program of b: did not wait or end within 2 s \(sockets.deadline_s\)") as caught:
-        played(content, {"a": chat}, mcap=False)
+        run_programs(content, {"a": chat}, mcap=False)
     assert caught.value.result.about["simulated_s"] == 0.3
     assert caught.value.result.metrics["radio"]["frames"] == 3  # at 0, 0.1 and 0.2 s
 
@@ -244,6 +244,6 @@ def test_agents_and_programs_hear_the_bytes_of_one_another(tmp_path: Path) -> No
         end.sendto(b"hello", "b")
         heard.extend((*each, end.time_ns() // 10**8) for each in end)
 
-    played(content, {"a": play}, mcap=False, observe=events.append)
+    run_programs(content, {"a": play}, mcap=False, observe=events.append)
     assert heard == [(b"bytes", "b", tenth) for tenth in (1, 3, 5, 7, 9)]
     assert notes_of(events) == [("b/note", 100_000_000, {"heard": "b'hello'"})]

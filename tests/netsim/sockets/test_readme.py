@@ -1,4 +1,4 @@
-"""The example of the README does what it says there, in whatever order its programs are started."""
+"""The README's example does what it says, in whatever order its programs are started."""
 
 import os
 import re

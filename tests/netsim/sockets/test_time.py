@@ -1,4 +1,4 @@
-"""Programs in the time of the run: exact to the nanosecond, one after another, the same however long they take."""
+"""Programs in the time of the run: exact to the nanosecond, in order, and independent of their computing time."""
 
 import subprocess
 import sys
@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.support.netsim.socket_programs import Play, idle, played, scenario
+from tests.support.netsim.socket_programs import Play, idle, run_programs, scenario
 from vcmvsp.cosim.sockets import RunOver, Socket
 
 pytestmark = [pytest.mark.processes, pytest.mark.sockets]
@@ -51,7 +51,7 @@ def test_the_same_traffic_however_long_programs_take_and_at_any_pace(tmp_path: P
             log: list[Any] = []
             content = scenario(tmp_path, "a", "b", radio=LOSSY)
             other: list[Any] = []
-            result = played(content, {"a": ping(log, slow_s), "b": pong(other, slow_s)}, realtime=realtime, mcap=False)
+            result = run_programs(content, {"a": ping(log, slow_s), "b": pong(other, slow_s)}, realtime=realtime, mcap=False)
             runs.append((result.metrics, log, other))
     finally:
         load.kill()
@@ -62,7 +62,7 @@ def test_the_same_traffic_however_long_programs_take_and_at_any_pace(tmp_path: P
     assert 5 < lost < len(times) - 5
 
 
-def test_time_goes_on_exactly_as_far_as_a_program_says(tmp_path: Path) -> None:
+def test_time_advances_exactly_as_a_program_requests(tmp_path: Path) -> None:
     seen = list[int]()
 
     def play(end: Socket) -> None:
@@ -75,7 +75,7 @@ def test_time_goes_on_exactly_as_far_as_a_program_says(tmp_path: Path) -> None:
             seen.append(end.time_ns())
         assert end.time() == seen[-1] / 1e9
 
-    played(scenario(tmp_path, "a"), {"a": play}, mcap=False)
+    run_programs(scenario(tmp_path, "a"), {"a": play}, mcap=False)
     third = 300 * MS + 1 + 333_333_333
     assert seen == [
         100 * MS,
@@ -91,7 +91,7 @@ def test_time_goes_on_exactly_as_far_as_a_program_says(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("timeout", "hears"), [(0.02, True), (0.019999999, False), (0.020000001, True), (None, True)])
-def test_what_arrives_at_the_nanosecond_of_the_timeout_is_in_time(tmp_path: Path, timeout: float | None, hears: bool) -> None:
+def test_an_arrival_at_the_nanosecond_of_the_timeout_is_in_time(tmp_path: Path, timeout: float | None, hears: bool) -> None:
     seen: list[Any] = []
 
     def listen(end: Socket) -> None:
@@ -105,12 +105,12 @@ def test_what_arrives_at_the_nanosecond_of_the_timeout_is_in_time(tmp_path: Path
         assert end.sendto(bytearray(b"now"), "a") == 3
 
     radio = {"delay": {"seconds": 0.02}}
-    result = played(scenario(tmp_path, "a", "b", radio=radio), {"a": listen, "b": tell}, mcap=False)
+    result = run_programs(scenario(tmp_path, "a", "b", radio=radio), {"a": listen, "b": tell}, mcap=False)
     assert seen == ([(b"now", "b"), 20 * MS] if hears else ["nothing", 20 * MS - 1])
     assert result.metrics["radio"]["frames"] == 1
 
 
-def test_what_is_said_enters_the_channel_at_the_instant_of_its_program(tmp_path: Path) -> None:
+def test_a_message_enters_the_channel_at_the_instant_of_its_program(tmp_path: Path) -> None:
     def play(end: Socket) -> None:
         for data in (b"", b"x", b"y" * 65_535):
             end.sleep(0.123456789)
@@ -123,7 +123,7 @@ def test_what_is_said_enters_the_channel_at_the_instant_of_its_program(tmp_path:
             heard.append((len(data), sender))
 
     events = list[Any]()
-    played(scenario(tmp_path, "a", "b"), {"a": play, "b": listen}, mcap=False, observe=events.append)
+    run_programs(scenario(tmp_path, "a", "b"), {"a": play, "b": listen}, mcap=False, observe=events.append)
     sent = [(each.time_ns, each.value.size_bytes) for each in events if each.key == "a/send"]
     assert sent == [(123_456_789, 0), (246_913_578, 1), (370_370_367, 65_535)]
     assert heard == [(0, "a"), (1, "a"), (65_535, "a")]
@@ -139,11 +139,11 @@ def test_at_one_instant_programs_go_on_one_after_another_in_the_order_of_their_n
             log.append(f"{end.vehicle} ends")
             end.sleep(0.1)
 
-    played(scenario(tmp_path, "c", "a", "b"), dict.fromkeys("cba", play), mcap=False)
+    run_programs(scenario(tmp_path, "c", "a", "b"), dict.fromkeys("cba", play), mcap=False)
     assert log == 5 * [f"{name} {what}" for name in "abc" for what in ("begins", "ends")]
 
 
-def test_what_comes_while_a_program_sleeps_waits_for_it_in_the_order_of_arrival(tmp_path: Path) -> None:
+def test_arrivals_during_a_programs_sleep_wait_in_order(tmp_path: Path) -> None:
     heard: list[Any] = []
 
     def late(end: Socket) -> None:
@@ -158,7 +158,7 @@ def test_what_comes_while_a_program_sleeps_waits_for_it_in_the_order_of_arrival(
             end.sleep(0.1)
             end.sendto(b"%d" % number)
 
-    played(scenario(tmp_path, "a", "b", "c"), {"a": late, "b": tell, "c": tell}, mcap=False)
+    run_programs(scenario(tmp_path, "a", "b", "c"), {"a": late, "b": tell, "c": tell}, mcap=False)
     assert [(data, sender) for data, sender in heard] == [(b"%d" % n, sender) for n in range(3) for sender in "bc"]
 
 
@@ -178,13 +178,13 @@ def test_all_calls_end_with_the_run(tmp_path: Path) -> None:
         ended.append(end.run)
         end.recvfrom()
 
-    result = played(scenario(tmp_path, "a", "b"), {"a": play, "b": quietly}, mcap=False)
+    result = run_programs(scenario(tmp_path, "a", "b"), {"a": play, "b": quietly}, mcap=False)
     assert sorted(ended) == ["a", "programs"]
     assert result.metrics["radio"]["frames"] == 0
     assert not (tmp_path / "s").exists()
 
 
-def test_a_program_knows_the_run_and_where_its_vehicle_takes_itself_to_be(tmp_path: Path) -> None:
+def test_a_program_gets_the_run_and_its_vehicles_estimate(tmp_path: Path) -> None:
     seen: list[Any] = []
 
     def play(end: Socket) -> None:
@@ -204,7 +204,7 @@ def test_a_program_knows_the_run_and_where_its_vehicle_takes_itself_to_be(tmp_pa
 
     content = scenario(tmp_path, "a", "b")
     content["vehicle"][0]["agent"] = {"kind": "trajectory", "path": "straight", "speed": 1.0}
-    played(content, {"a": play, "b": idle}, mcap=False)
+    run_programs(content, {"a": play, "b": idle}, mcap=False)
     (start, (x, y, z)) = seen
     assert start == ("programs", ("a", "b"), (0.0, 0.0, 0.0))
     assert 0.3 < x < 0.51

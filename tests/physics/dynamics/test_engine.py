@@ -1,4 +1,4 @@
-"""The seam behind which engines are: another one fits, and rows of several make one fleet."""
+"""The engine interface: a custom engine, and rows of several engines in one fleet."""
 
 import math
 from typing import Any
@@ -21,8 +21,8 @@ from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import Moving, World
 
 
-class Jumper(Engine):
-    """An engine of a user's own: vehicles are at once where their command would have brought them in a second."""
+class JumpEngine(Engine):
+    """Custom engine: a velocity command moves a vehicle at once by the distance of one second."""
 
     def __init__(self, places: list[Vec3]) -> None:
         self.places, self.closed = np.array(places), False
@@ -49,17 +49,17 @@ class Jumper(Engine):
         self.closed = True
 
 
-class Jumping(Physics):
+class JumpPhysics(Physics):
     def engines(self) -> list[tuple[Engine, list[int]]]:
-        self.jumper = Jumper([spec.start for spec in self.vehicles[::2]])
+        self.jumper = JumpEngine([spec.start for spec in self.vehicles[::2]])
         rest = self.vehicles[1::2]
         other = GroundEngine([Kinematic() for _ in rest], [spec.start for spec in rest], [0.0 for _ in rest])
         return [(self.jumper, [0, 2]), (other, [1])]
 
 
-def test_an_engine_of_ones_own_fits_and_shares_a_run_with_another() -> None:
+def test_a_custom_engine_shares_a_run_with_another() -> None:
     vehicles = [VehicleSpec(name=name, model=Point(), position=(2.0 * k, 0.0, 1.0)) for k, name in enumerate("abc")]
-    physics = Jumping(world=World(), vehicles=vehicles)
+    physics = JumpPhysics(world=World(), vehicles=vehicles)
     assert physics.start(run_info(physics, 1.0, [Instants(Ticks.every(1.0))])) == 0
     commands = [
         Event("a/command", 0, Velocity(linear=(0.0, 1.0, 0.0))),
@@ -80,7 +80,7 @@ def engines() -> list[Engine]:
 
 
 @pytest.mark.parametrize("which", [0, 1, 2], ids=["ground", "air", "bullet"])
-def test_reading_changes_nothing_and_what_was_read_stays(which: int) -> None:
+def test_reading_has_no_effect_and_readings_stay(which: int) -> None:
     read, unread = engines()[which], engines()[which]
     kept = []
     for tick in range(1, 11):
@@ -99,7 +99,7 @@ def test_reading_changes_nothing_and_what_was_read_stays(which: int) -> None:
         moved.close()
 
 
-def test_wheels_turn_as_far_as_the_way_of_a_vehicle_without_a_body() -> None:
+def test_wheels_of_a_bodiless_vehicle_follow_its_path() -> None:
     engine, unsensed = (
         GroundEngine([P2DX(), Kinematic()], [(0.0, 0.0, 0.0)] * 2, [0.0] * 2, sensed=each) for each in (True, False)
     )
@@ -111,7 +111,7 @@ def test_wheels_turn_as_far_as_the_way_of_a_vehicle_without_a_body() -> None:
     assert (right - left) * 0.0825 / 0.357 == pytest.approx(2.0)
     assert np.isnan(engine.read().wheels[1]).all()
     assert engine.read().acceleration[0] == pytest.approx((-0.15 * np.sin(2.0), 0.15 * np.cos(2.0), 0.0))  # v w, to the left
-    for name in set(BodyMotion._fields) - {"acceleration", "wheels"}:  # which only sensors look at
+    for name in set(BodyMotion._fields) - {"acceleration", "wheels"}:  # only for sensors
         assert getattr(engine.read(), name).tobytes() == getattr(unsensed.read(), name).tobytes()
 
 
@@ -138,8 +138,8 @@ CART = Moving(
 )
 
 
-def standing(kind: type[Physics], x: float, duration_s: float) -> list[Event]:
-    """What is published while a robot stands at x and looks ahead."""
+def events_at(kind: type[Physics], x: float, duration_s: float) -> list[Event]:
+    """Events of a run with a robot at rest at x that scans ahead."""
     scan = RangeScanner(beams=721, field_of_view=math.pi, range_max=8.0, position=(0.0, 0.0, 0.3))
     sensors: Any = {"scan": scan}
     car = VehicleSpec(name="car", model=AmigoBot(), position=(x, 0.0, 0.0), sensors=sensors)
@@ -147,9 +147,9 @@ def standing(kind: type[Physics], x: float, duration_s: float) -> list[Event]:
 
 
 @KINDS
-def test_scanners_see_it_where_it_is_at_the_time(kind: type[Physics]) -> None:
-    """Its near side is 1.8 m ahead; the second time round as the first."""
-    scans: list[Any] = [event for event in standing(kind, 0.0, 16.0) if event.key == "car/scan"]
+def test_scanners_see_it_at_its_current_place(kind: type[Physics]) -> None:
+    """Its near side is 1.8 m ahead; the second loop equals the first."""
+    scans: list[Any] = [event for event in events_at(kind, 0.0, 16.0) if event.key == "car/scan"]
     assert len(scans) > 100
     for event in scans:
         t = event.time_ns / SECOND_NS % 8.0
@@ -161,13 +161,13 @@ def test_scanners_see_it_where_it_is_at_the_time(kind: type[Physics]) -> None:
         assert bearings.mean() == pytest.approx(math.atan2(y, 2.0), abs=0.03)
 
 
-def test_a_robot_in_its_way_is_hit_and_the_contact_counts() -> None:
-    """It comes from the right with 0.5 m/s; contacts are told at the next tenth of a second."""
-    hits = [event for event in standing(BulletPhysics, 2.0, 3.0) if event.key == "world/contact"]
+def test_a_robot_in_its_way_is_hit_with_a_contact() -> None:
+    """The cart comes from the right at 0.5 m/s; contacts are published every 0.1 s."""
+    hits = [event for event in events_at(BulletPhysics, 2.0, 3.0) if event.key == "world/contact"]
     assert {event.value for event in hits} == {Contact(vehicle="car", other="cart")}
     apart_m = 1.0 - 0.25 - 0.5 * AmigoBot().hull.size[1]
     assert apart_m / 0.5 < hits[0].time_ns / SECOND_NS < apart_m / 0.5 + 0.12
 
 
 def test_without_bodies_there_are_no_contacts() -> None:
-    assert not [event for event in standing(KinematicPhysics, 2.0, 3.0) if event.key == "world/contact"]
+    assert not [event for event in events_at(KinematicPhysics, 2.0, 3.0) if event.key == "world/contact"]

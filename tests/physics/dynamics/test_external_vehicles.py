@@ -1,4 +1,4 @@
-"""Vehicles that something else moves: shown exactly where it says, asked for once, and never touched."""
+"""External vehicles: published exactly as their source states, requested once per instant, unaffected by contacts."""
 
 import math
 from typing import Any
@@ -30,12 +30,12 @@ SETTLES = {
     KinematicPhysics: 2e-6,
     BulletPhysics: 3e-4,
     MujocoPhysics: 3e-4,
-}  # m, how far a simulated robot may roll as it settles on its wheels
+}  # m, tolerance for a simulated robot that rolls while it settles on its wheels
 HALF = 0.5 * P2DX().length_m
 
 
-def circling(t: float) -> VehicleState:
-    """Round (4, 0) at 1 rad/s, 1 m off."""
+def circle_course(t: float) -> VehicleState:
+    """Circle of 1 m around (4, 0) at 1 rad/s."""
     at = (4.0 + math.cos(t), math.sin(t), 0.0)
     speed = (-math.sin(t), math.cos(t), 0.0)
     attitude = quaternion_from_yaw(wrap(t + math.pi / 2))
@@ -43,24 +43,24 @@ def circling(t: float) -> VehicleState:
 
 
 @KINDS
-def test_rows_are_what_was_said_and_each_instant_asks_once(kind: type[Physics]) -> None:
-    courses = Courses(real=circling, other=straight(-3.0, 0.2))
+def test_rows_equal_the_source_at_one_request_per_instant(kind: type[Physics]) -> None:
+    courses = Courses(real=circle_course, other=straight(-3.0, 0.2))
     sensors = {"near": NeighbourRange(rate_hz=4.0)}
     vehicles = [spec("car"), spec("real", 5.0), spec("late", 0.0, 3.0, sensors=sensors), spec("other", -3.0)]
     events = run(kind(world=World(), vehicles=vehicles, outside=courses), [(0.25, "car", 0.3, 0.1), (0.55, "late", 0.1, 0.0)])
     states = [event for event in events if event.key == "world/states"]
     assert courses.asked == sorted({event.time_ns for event in events})
-    assert {event.time_ns for event in states} < set(courses.asked)  # a sensor's instants too
+    assert {event.time_ns for event in states} < set(courses.asked)  # also at sensor instants
     for event in states:
         value: Any = event.value
         assert value.names == ("car", "real", "late", "other")
-        said = [circling(event.time_ns / 1e9), straight(-3.0, 0.2)(event.time_ns / 1e9)]
+        said = [circle_course(event.time_ns / 1e9), straight(-3.0, 0.2)(event.time_ns / 1e9)]
         for name in ("position", "velocity", "attitude", "angular_velocity"):
             assert getattr(value, name)[[1, 3]].tolist() == [list(getattr(each, name)) for each in said]
 
 
 @KINDS
-def test_nothing_is_published_for_them_and_commands_do_not_count(kind: type[Physics]) -> None:
+def test_nothing_is_published_and_commands_are_ignored(kind: type[Physics]) -> None:
     real = spec("real", 3.0, positioning=Positioning(), pose_source="positioning")
     physics = kind(world=World(), vehicles=[spec("car"), real], outside=Courses(real=straight(3.0)))
     told = [
@@ -82,7 +82,7 @@ def test_scanners_see_their_hulls_and_their_own_scanners_see_the_world(kind: typ
     physics = kind(world=world, vehicles=vehicles, outside=Courses(real=straight(3.0, 0.5, yaw=yaw)))
     events = run(physics, seconds=3.0)
     offset, length, width = -P2DX().axle_ahead_m, P2DX().length_m, P2DX().width_m
-    # The face of a box that is turned, where the x axis meets it: its back, HALF behind its middle.
+    # Rear face of the turned box where the x axis meets it, HALF behind the centre.
     assert abs((offset - HALF) * math.tan(yaw)) < 0.5 * width < length
     for event in events:
         if event.key.endswith("/scan"):
@@ -94,7 +94,7 @@ def test_scanners_see_their_hulls_and_their_own_scanners_see_the_world(kind: typ
 
 
 @KINDS
-def test_the_acceleration_that_its_imu_feels_is_what_its_speed_grew_by(kind: type[Physics]) -> None:
+def test_its_imu_acceleration_is_the_change_of_its_speed(kind: type[Physics]) -> None:
     def faster(t: float) -> VehicleState:
         return VehicleState(position=(5.0 + t * t, 0.0, 0.0), velocity=(2.0 * t, 0.0, 0.0))
 
@@ -108,12 +108,12 @@ NUMBERS = st.floats(-3.0, 3.0)
 
 
 @given(NUMBERS, NUMBERS, NUMBERS, NUMBERS, st.floats(-0.5, 0.5), st.floats(0.0, 1.0))
-def test_in_between_they_go_straight_on_and_turn_about_the_vertical(
+def test_extrapolation_is_straight_with_a_vertical_turn_axis(
     x: float, speed: float, yaw: float, turning: float, tilt: float, span_s: float
 ) -> None:
     c, s = math.cos(tilt / 2), math.sin(tilt / 2)
     w, _, _, z = quaternion_from_yaw(yaw)
-    attitude = (w * c, w * s, z * s, z * c)  # turned by yaw, then rolled about its own x axis
+    attitude = (w * c, w * s, z * s, z * c)  # yaw, then roll about the body's x axis
     spin = tuple((np.array(rotations(np.array([attitude]))[0]).T @ (0.0, 0.0, turning)).tolist())
     state = VehicleState(position=(x, 1.0, 2.0), velocity=(speed, 0.5, -0.1), attitude=attitude, angular_velocity=spin)
     reflected = ExternalEngine(Courses(real=lambda _: state), [spec("real", x)])
@@ -129,7 +129,7 @@ def test_in_between_they_go_straight_on_and_turn_about_the_vertical(
 
 
 @KINDS
-def test_what_physics_cannot_move_can_be_shown(kind: type[Physics]) -> None:
+def test_unsupported_models_can_be_external(kind: type[Physics]) -> None:
     physics = kind(world=World(), vehicles=[spec("tug", 2.0, model=Boat())], outside=Courses(tug=straight(2.0)))
     assert values(run(physics), "world/states")[-1].position.tolist() == [[2.0, 0.0, 0.0]]
 
@@ -144,7 +144,7 @@ def test_what_physics_cannot_move_can_be_shown(kind: type[Physics]) -> None:
         ),
     ],
 )
-def test_a_state_that_is_none_stops_the_run_and_names_the_vehicle(course: Any, words: str) -> None:
+def test_an_invalid_state_stops_the_run_and_names_the_vehicle(course: Any, words: str) -> None:
     with pytest.raises(FederateError, match=words):
         run(KinematicPhysics(world=World(), vehicles=[spec("real")], outside=Courses(real=course)))
 
@@ -156,20 +156,20 @@ def test_states_of_too_few_vehicles_stop_the_run() -> None:
         run(KinematicPhysics(world=World(), vehicles=[spec("a"), spec("b", 2.0)], outside=courses))
 
 
-def test_vehicles_that_the_run_does_not_have_or_in_another_order_are_refused() -> None:
+def test_unknown_vehicles_and_another_order_are_refused() -> None:
     for courses in (Courses(ghost=straight(0.0)), Courses(b=straight(2.0), a=straight(0.0))):
         with pytest.raises(ValueError, match="in this order"):
             run(KinematicPhysics(world=World(), vehicles=[spec("a"), spec("b", 2.0)], outside=courses))
 
 
 @KINDS
-def test_a_sensor_that_counts_turns_of_wheels_is_refused_on_them(kind: type[Physics]) -> None:
+def test_wheel_odometry_is_refused_on_them(kind: type[Physics]) -> None:
     real = spec("real", sensors={"odo": WheelOdometry(wheel_radius_m=0.1, track_m=0.4)})
     with pytest.raises(ScenarioError, match="real is an external vehicle") as raised:
         run(kind(world=World(), vehicles=[real], outside=Courses(real=straight(0.0))))
     assert raised.value.key == "vehicle.real.sensors.odo"
 
 
-def test_where_the_scenario_puts_them_nobody_else_may_start() -> None:
+def test_no_other_vehicle_may_start_at_their_place() -> None:
     with pytest.raises(ScenarioError, match="real and car overlap"):
         run(BulletPhysics(world=World(), vehicles=[spec("car"), spec("real", 0.3)], outside=Courses(real=straight(3.0))))

@@ -1,4 +1,4 @@
-"""Physics of kind ``flight``: quadrotors as in Bullet, without contacts."""
+"""Physics of kind ``flight``: quadrotor dynamics as in Bullet, without contacts."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Ground robots in both engines: commands are tracked, momentum and friction show, walls hold."""
+"""Ground robots in both engines: tracking of commands, momentum, friction and walls."""
 
 import math
 from collections.abc import Callable
@@ -26,8 +26,8 @@ ROBOTS = pytest.mark.parametrize("robot", [P2DX(), AmigoBot()], ids=["p2dx", "am
 WALL = World(solids=(Box(center=(2.0, 0.0, 0.5), size=(0.2, 4.0, 1.0)),))
 
 
-def abrupt(robot: DifferentialDrive) -> DifferentialDrive:
-    """The robot without its firmware's ramps: only torque and friction limit it."""
+def without_ramps(robot: DifferentialDrive) -> DifferentialDrive:
+    """The robot without firmware ramps, limited by torque and friction only."""
     return replace(robot, accel=1e6, decel=1e6, yaw_accel=1e6)
 
 
@@ -36,7 +36,7 @@ def test_straight_ahead_is_tracked(kind: type[Physics], robot: DifferentialDrive
     moved = drive(kind, robot, [(0.0, 0.3, 0.0)], 9.0)
     steady = moved.t >= 2.0
     assert moved.speed[steady] == pytest.approx(0.3, rel=0.01)
-    assert moved.position[-1, 0] == pytest.approx(0.3 * 9.0 - 0.3**2 / (2.0 * 0.3), abs=0.005)  # less the ramp
+    assert moved.position[-1, 0] == pytest.approx(0.3 * 9.0 - 0.3**2 / (2.0 * 0.3), abs=0.005)  # minus the ramp
     assert abs(moved.position[-1, 1]) < 0.002  # drift over 2.5 m
     assert np.abs(moved.position[:, 2]).max() < 1e-3
 
@@ -48,7 +48,7 @@ def test_a_circle_is_tracked(kind: type[Physics], robot: DifferentialDrive, driv
     assert moved.speed[steady] == pytest.approx(0.3, rel=0.01)
     assert moved.yaw_rate[steady] == pytest.approx(0.5, rel=0.01)
     centre = moved.position[steady][:, :2] + 0.6 * np.column_stack([-np.sin(moved.yaw[steady]), np.cos(moved.yaw[steady])])
-    assert np.hypot(*(centre - centre[0]).T).max() < 0.01  # the circle of 0.6 m stays where it is
+    assert np.hypot(*(centre - centre[0]).T).max() < 0.01  # the centre of the circle of 0.6 m stays fixed
 
 
 @ROBOTS
@@ -77,9 +77,9 @@ def test_greatest_speeds_are_kept(kind: type[Physics], robot: DifferentialDrive,
 def test_without_ramps_the_motors_torque_limits_acceleration(
     kind: type[Physics], robot: DifferentialDrive, drive: Drive
 ) -> None:
-    moved = drive(kind, abrupt(robot), [(0.0, 1.0, 0.0)], 1.0, hz=60.0)
-    # Two wheels' force, less the caster's friction, over the mass and the spin of two discs (half their mass each). The load
-    # on the caster is what the moments about the wheels' points of contact leave to it.
+    moved = drive(kind, without_ramps(robot), [(0.0, 1.0, 0.0)], 1.0, hz=60.0)
+    # Force of two wheels minus caster friction, over the mass and the inertia of two discs (half their mass each). The
+    # caster's load follows from the moments about the contact points of the wheels.
     m, base_kg = robot, robot.mass_kg - 2.0 * robot.wheel_mass_kg
     drag = m.caster_friction / m.caster_behind_m
     force = 2.0 * m.torque / m.wheel_radius_m - drag * base_kg * 9.81 * m.mass_behind_m
@@ -91,22 +91,20 @@ def test_without_ramps_the_motors_torque_limits_acceleration(
 
 @ROBOTS
 def test_no_wheelie_even_without_ramps(kind: type[Physics], robot: DifferentialDrive, drive: Drive) -> None:
-    moved = drive(kind, abrupt(robot), [(0.0, 1.0, 0.0), (3.0, 0.0, 0.0), (4.0, -0.3, 0.0)], 6.0, hz=60.0)
+    moved = drive(kind, without_ramps(robot), [(0.0, 1.0, 0.0), (3.0, 0.0, 0.0), (4.0, -0.3, 0.0)], 6.0, hz=60.0)
     assert np.abs(moved.pitch).max() < math.radians(0.5)
 
 
 @ROBOTS
-def test_wheels_slip_on_a_slippery_floor_and_the_odometry_does_not_know(
-    kind: type[Physics], robot: DifferentialDrive, drive: Drive
-) -> None:
-    def lost(friction: float, model: DifferentialDrive) -> float:
+def test_slip_on_a_slippery_floor_is_not_in_the_odometry(kind: type[Physics], robot: DifferentialDrive, drive: Drive) -> None:
+    def slip(friction: float, model: DifferentialDrive) -> float:
         world = World(floor_friction=friction / robot.wheel_friction)
         moved = drive(kind, model, [(0.0, 1.0, 0.0)], 6.5, hz=60.0, world=world)
         return 1.0 - float(moved.position[-1, 0] / moved.odometry[-1, 0])
 
-    assert 0.10 < lost(0.05, abrupt(robot)) < 0.25
-    assert 0.005 < lost(0.2, abrupt(robot)) < 0.06
-    assert abs(lost(0.2, robot)) < 1e-3  # the firmware's ramp asks less of the floor than it holds
+    assert 0.10 < slip(0.05, without_ramps(robot)) < 0.25
+    assert 0.005 < slip(0.2, without_ramps(robot)) < 0.06
+    assert abs(slip(0.2, robot)) < 1e-3  # the firmware's ramp stays below the friction limit
 
 
 @ROBOTS
@@ -126,9 +124,9 @@ def test_walls_stop_a_robot(kind: type[Physics], robot: DifferentialDrive, speed
     assert front.max() < 1.9 + 0.02
     assert front[-1] == pytest.approx(1.9, abs=0.01)
     assert moved.speed[-1] < 0.01
-    assert np.abs(moved.position[:, 2]).max() < 0.005  # it does not climb
+    assert np.abs(moved.position[:, 2]).max() < 0.005  # no climbing
     assert moved.contacts[0].value == Contact(vehicle="car", other=None)
-    assert len(moved.contacts) == 1  # pressing on is not another touch
+    assert len(moved.contacts) == 1  # continuous contact counts once
 
 
 def test_robots_collide_and_both_are_named(kind: type[Physics]) -> None:
@@ -142,7 +140,7 @@ def test_robots_collide_and_both_are_named(kind: type[Physics]) -> None:
     touch_s = 0.5 / 0.3 / 2.0 + (2.0 - (0.5 * 0.511 - 0.04) - (0.5 * 0.33 - 0.01)) / 0.5  # ramp, then the gap between bodies
     assert contacts[0].time_ns / 1e9 == pytest.approx(touch_s, abs=0.11)
     last: Any = steps[-1][0].value
-    assert last.position[0, 0] > 2.1  # pushed along
+    assert last.position[0, 0] > 2.1  # pushed
 
 
 def test_wheels_and_boxes_do_not_widen_a_robot(kind: type[Physics], drive: Drive) -> None:

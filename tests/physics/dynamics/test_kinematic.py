@@ -1,4 +1,4 @@
-"""Vehicles without a body against closed forms and against a plain integration of their equations."""
+"""Vehicles without bodies against closed forms and against numerical integration of their equations."""
 
 import math
 from collections.abc import Callable
@@ -51,7 +51,7 @@ def test_ideal_vehicles_move_on_exact_arcs(model: GroundVehicle, v: float, w: fl
 @pytest.mark.parametrize(
     ("model", "exact_m"), [(Kinematic(), 1e-11), (Lag(), 2e-4), (Inertial(), 2e-4)], ids=["kinematic", "lag", "inertial"]
 )
-def test_looking_in_between_changes_nothing(
+def test_reading_in_between_has_no_effect(
     model: GroundVehicle, exact_m: float, v: float, w: float, cuts: list[int], span_ns: int
 ) -> None:
     once, often = engine(model), engine(model)
@@ -103,7 +103,7 @@ def test_agrees_with_a_plain_integration(model: Lag, sequence: list[tuple[float,
     ],
     ids=["lag", "inertial", "ramps only", "kinematic"],
 )
-def test_accelerations_are_what_speeds_grow_by(model: GroundVehicle, in_between: tuple[float, float]) -> None:
+def test_accelerations_are_changes_of_speed(model: GroundVehicle, in_between: tuple[float, float]) -> None:
     moved = engine(model)
     for wanted, at_ns, least_or_most in ((0.6, 0, in_between[0]), (0.1, SECOND_NS, in_between[1])):
         moved.command(0, (wanted, 0.0, 0.0), 0.0)
@@ -115,7 +115,7 @@ def test_accelerations_are_what_speeds_grow_by(model: GroundVehicle, in_between:
         moved.advance(at_ns + SECOND_NS)
 
 
-def test_a_fleet_moves_as_each_of_it_alone() -> None:
+def test_a_fleet_moves_as_single_vehicles() -> None:
     models = [Kinematic(), Lag(), Inertial(), P2DX(), Lag(tau_v_s=1.0, tau_w_s=0.0)]
     fleet, alone = engine(*models), [engine(model) for model in models]
     draws = np.random.default_rng(3).uniform(-1.0, 1.0, (20, len(models), 2))
@@ -129,11 +129,11 @@ def test_a_fleet_moves_as_each_of_it_alone() -> None:
         assert row(fleet, number) == pytest.approx(row(moved), abs=1e-12)
 
 
-def catching_up(model: GroundVehicle, k1: float, period_s: float = 0.1) -> list[float]:
-    """Errors z, m, of a vehicle that catches up by v = 0.3 + k1 z with a slot at 0.3 m/s, 0.5 m ahead at the start."""
+def slot_errors(model: GroundVehicle, k1: float, period_s: float = 0.1) -> list[float]:
+    """Errors z, m, of a vehicle with v = 0.3 + k1 z behind a slot that moves at 0.3 m/s, 0.5 m ahead at the start."""
     moved, period_ns = engine(model), round(period_s * SECOND_NS)
     moved.command(0, (0.3, 0.0, 0.0), 0.0)
-    moved.advance(60 * SECOND_NS)  # at speed when it begins
+    moved.advance(60 * SECOND_NS)  # steady speed at the start
     start_m, errors = row(moved)[0], []
     for k in range(round(40.0 / period_s)):
         z = start_m + 0.5 + 0.3 * k * period_s - row(moved)[0]
@@ -147,7 +147,7 @@ def catching_up(model: GroundVehicle, k1: float, period_s: float = 0.1) -> list[
 def test_sampled_servo_overshoots_by_its_transition_matrix(k1: float, percent: float) -> None:
     exact = servo_step(k1, 0.1, 0.5, 400)
     assert overshoot(exact) == pytest.approx(percent / 100.0, abs=5e-4)
-    assert catching_up(Lag(), k1) == pytest.approx(0.5 * exact, abs=1e-6)
+    assert slot_errors(Lag(), k1) == pytest.approx(0.5 * exact, abs=1e-6)
 
 
 def test_through_the_federate(drive: Callable[..., Any]) -> None:
@@ -209,7 +209,7 @@ def test_a_way_point_is_reached_from_any_motion_and_kept(place: Vec3, speed: flo
 
 @given(place=places, speed=st.floats(0.2, 9.0), cuts=st.lists(air_spans, max_size=6), span_ns=air_spans)
 @pytest.mark.parametrize("tau", [0.0, 0.4])
-def test_looking_in_between_changes_nothing_in_the_air(
+def test_reading_in_between_has_no_effect_in_the_air(
     tau: float, place: Vec3, speed: float, cuts: list[int], span_ns: int
 ) -> None:
     once, often = airborne(Point(tau_s=tau)), airborne(Point(tau_s=tau))
@@ -225,7 +225,7 @@ def test_looking_in_between_changes_nothing_in_the_air(
     assert often.read().attitude == pytest.approx(once.read().attitude, abs=1e-10)
 
 
-def test_the_way_to_a_way_point_is_straight_and_takes_as_long_as_its_speed_says() -> None:
+def test_the_path_to_a_way_point_is_straight_at_the_given_speed() -> None:
     moved = airborne(Point())
     moved.go_to(0, (3.0, 4.0, 2.0), None, 2.0)
     for k in range(1, 25):
@@ -238,7 +238,7 @@ def test_the_way_to_a_way_point_is_straight_and_takes_as_long_as_its_speed_says(
     climbing = airborne(Point(max_climb=0.5))
     climbing.go_to(0, (1.0, 0.0, 4.0), None, None)
     climbing.advance(2 * SECOND_NS)
-    assert climbing.read().position[0] == pytest.approx((0.5, 0.0, 3.0))  # together, at the slower one's pace
+    assert climbing.read().position[0] == pytest.approx((0.5, 0.0, 3.0))  # both axes together, at the pace of the slower one
 
 
 def test_greatest_speeds_are_kept_in_the_commanded_direction() -> None:
@@ -258,7 +258,7 @@ def test_it_turns_the_shorter_way() -> None:
     assert math.cos(yaw(moved) + 3.0) == pytest.approx(1.0)
 
 
-def test_a_fleet_in_the_air_moves_as_each_of_it_alone() -> None:
+def test_an_aerial_fleet_moves_as_single_vehicles() -> None:
     models: list[Point | Quadrotor] = [Point(), Point(tau_s=0.4), Point(tau_s=1.0, max_speed=1.0), Quadrotor()]
     fleet, alone = airborne(*models), [airborne(model) for model in models]
     draws = np.random.default_rng(3).uniform(-3.0, 3.0, (20, len(models), 4))

@@ -1,4 +1,4 @@
-"""MuJoCo's own: meshes, what is missing, and the same bytes from processes."""
+"""MuJoCo: meshes, missing library, and equal bytes from agents in processes."""
 
 import sys
 from pathlib import Path
@@ -25,7 +25,7 @@ NOTCHED = Prism(outline=((2.0, -1.0), (3.0, -1.0), (3.0, 1.0), (2.0, 1.0), (2.5,
     ("solid", "stops_m"), [(Mesh(triangles=SQUARE), 2.0), (NOTCHED, 2.0 + 0.5 * (1.0 - 0.5 * P2DX().width_m))]
 )
 def test_a_robot_stops_at_a_mesh_and_in_the_notch_of_a_prism(solid: Any, stops_m: float) -> None:
-    """The corners of its front meet the sides of the notch, which narrows from 2 m to nothing, where that is as wide as it."""
+    """The notch narrows from 2 m to 0; the front corners meet its sides where it is as wide as the robot."""
     robot = P2DX()
     moved = engine((robot, (0.0, 0.0, 0.0)), world=World(solids=(solid,)), kind=MujocoPhysics)
     moved.command(0, (0.4, 0.0, 0.0), 0.0)
@@ -42,7 +42,7 @@ def test_too_many_triangles_are_refused_with_the_other_engine_named() -> None:
     assert caught.value.key == "physics.kind"
 
 
-def test_without_mujoco_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_mujoco_error_names_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in [each for each in sys.modules if each.startswith("vcmvsp.physics.dynamics.mujoco")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "mujoco", None)
@@ -61,7 +61,7 @@ def test_mujoco_is_the_default_where_only_it_is_installed(
     assert default_engine() == default
 
 
-def test_a_run_says_that_mujoco_stands_in(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_reports_mujoco_by_default(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vcmvsp.cosim.assembly.run.find_spec", lambda name: None if name == "pybullet" else name)
     told: list[str] = []
     raw = {"name": "alone", "duration_s": 0.2, "vehicle": [{"name": "car", "kind": "p2dx", "agent": {"kind": "trajectory"}}]}
@@ -70,7 +70,7 @@ def test_a_run_says_that_mujoco_stands_in(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @pytest.mark.processes
-def test_agents_in_processes_give_the_bytes_of_one_process(tmp_path: Path) -> None:
+def test_agents_in_processes_give_equal_bytes(tmp_path: Path) -> None:
     for runs in ("inprocess", "process"):
         keys = {"physics.kind": "mujoco", "duration_s": 8.0, "agents.deadline_s": 500.0}
         vcmvsp.run("lab-formation", set=keys, agents=runs, out=tmp_path / runs)

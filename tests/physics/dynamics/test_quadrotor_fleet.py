@@ -1,4 +1,4 @@
-"""How quadrotors answer commands, wind and mishaps; at 120 and at 240 Hz."""
+"""Quadrotors: response to commands, wind and upsets, at 120 and 240 Hz."""
 
 import math
 from types import SimpleNamespace
@@ -21,7 +21,7 @@ both_rates = pytest.mark.parametrize("hz", [120.0, 240.0])
 
 
 def fly(fleet: QuadrotorFleet, seconds: float, hz: float, wind: Any = ORIGIN, push: Any = ORIGIN) -> SimpleNamespace:
-    """Everything after every step: t (steps,), the rest (steps, n) or (steps, n, 3)."""
+    """States after every step: t (steps,), others (steps, n) or (steps, n, 3)."""
     air = np.broadcast_to(np.asarray(wind, float), fleet.position.shape)
     seen = []
     for _ in range(round(seconds * hz)):
@@ -66,7 +66,7 @@ def test_steps_of_velocity(hz: float) -> None:
     assert slow.max() <= 1.04 * 2.0
     assert fast.max() <= 1.04 * 5.0
     assert up.max() <= 1.04 * 1.5
-    assert right == pytest.approx(slow, abs=1e-6)  # its inertia is the same both ways
+    assert right == pytest.approx(slow, abs=1e-6)  # equal inertia about both axes
     after = seen.t > 3.0
     assert np.abs(slow[after] - 2.0).max() <= 0.01 * 2.0
     assert np.abs(fast[after] - 5.0).max() <= 0.022 * 5.0
@@ -86,23 +86,23 @@ def test_tilt_in_steady_flight_balances_drag(hz: float) -> None:
 
 
 @both_rates
-def test_a_gust_from_the_side_pushes_it_and_is_made_up_for(hz: float) -> None:
+def test_a_side_gust_pushes_it_and_is_compensated(hz: float) -> None:
     seen = fly(fleet_of(1), 6.0, hz, wind=(0.0, 6.0, 0.0))
     sideways = seen.velocity[:, 0, 1]
     assert 0.3 <= sideways.max() <= 0.71
     assert sideways[-1] == pytest.approx(0.0, abs=0.02)
-    assert math.sin(seen.tilt[-1, 0]) * MODEL.mass_kg * 9.81 == pytest.approx(0.25 * 6.0, rel=0.1)  # leans against it
+    assert math.sin(seen.tilt[-1, 0]) * MODEL.mass_kg * 9.81 == pytest.approx(0.25 * 6.0, rel=0.1)  # tilt balances the drag
 
 
 @both_rates
-def test_it_turns_as_fast_as_told(hz: float) -> None:
+def test_it_turns_at_the_set_rate(hz: float) -> None:
     fleet = fleet_of(2)
     fleet.set_velocity(0, (2.0, 0.0, 0.0), 1.0)
     fleet.set_velocity(1, (0.0, 0.0, 0.0), -100.0)
     seen = fly(fleet, 8.0, hz)
     settled = seen.t > 3.5
     rates = np.diff(seen.yaw[settled], axis=0) * hz
-    assert rates[:, 0] == pytest.approx(1.0, abs=0.05)  # leaning, it turns unevenly
+    assert rates[:, 0] == pytest.approx(1.0, abs=0.05)  # uneven while tilted
     assert rates[:, 0].mean() == pytest.approx(1.0, abs=0.01)
     assert rates[:, 1] == pytest.approx(-MODEL.max_yaw_rate, abs=0.01)
     assert np.abs(seen.rate[:, 1, 2]).max() <= 1.04 * MODEL.max_yaw_rate
@@ -137,7 +137,7 @@ def test_way_points_are_reached_without_passing_them(hz: float) -> None:
     assert seen.yaw.max() <= 1.05 * 2.5
 
 
-def test_way_points_are_approached_at_the_speed_asked_for() -> None:
+def test_way_points_are_approached_at_the_given_speed() -> None:
     fleet = fleet_of(1)
     fleet.set_waypoint(0, (20.0, 0.0, 10.0), speed=1.5)
     seen = fly(fleet, 20.0, 120.0)
@@ -145,10 +145,10 @@ def test_way_points_are_approached_at_the_speed_asked_for() -> None:
     assert speed.max() <= 1.04 * 1.5
     assert speed[(seen.t > 3.0) & (seen.t < 11.0)] == pytest.approx(1.5, rel=0.01)
     assert seen.position[-1, 0] == pytest.approx((20.0, 0.0, 10.0), abs=0.02)
-    assert seen.yaw == pytest.approx(0.0, abs=0.01)  # none was asked for: the present one is kept
+    assert seen.yaw == pytest.approx(0.0, abs=0.01)  # no yaw commanded: the present one is held
 
 
-def test_they_are_climbed_to_no_faster_than_it_may() -> None:
+def test_the_climb_to_way_points_is_limited() -> None:
     fleet = fleet_of(2, Quadrotor(max_climb=1.5))
     fleet.set_waypoint(0, (0.0, 0.0, 20.0))
     fleet.set_waypoint(1, (13.0, 0.0, 0.0))
@@ -156,10 +156,10 @@ def test_they_are_climbed_to_no_faster_than_it_may() -> None:
     assert np.abs(seen.velocity[:, :, 2]).max() <= 1.04 * 1.5
     assert seen.position[-1] == pytest.approx(np.array([(0.0, 0.0, 20.0), (13.0, 0.0, 0.0)]), abs=0.02)
     halfway = seen.position[np.argmax(seen.position[:, 1, 2] < 5.0), 1]
-    assert halfway[0] == pytest.approx(8.0, abs=0.3)  # it goes straight there
+    assert halfway[0] == pytest.approx(8.0, abs=0.3)  # straight path
 
 
-def test_a_heading_that_was_held_fast_is_not_made_up_for() -> None:
+def test_a_blocked_turn_is_not_compensated_later() -> None:
     fleet = fleet_of(1)
     fleet.set_velocity(0, (0.0, 0.0, 0.0), 1.0)
     for _ in range(600):  # 5 s
@@ -201,7 +201,7 @@ def test_it_recovers_from_any_attitude_and_comes_home(hz: float, monkeypatch: py
 
 
 def test_rotors_as_an_x_fly_like_rotors_as_a_plus() -> None:
-    """The mixer knows the places of the rotors, and moments and drag are the same about both pairs of axes."""
+    """The mixer takes rotor positions into account; inertia and drag are equal about both pairs of axes."""
     plus, x = (
         QuadrotorFleet([Quadrotor(frame=frame)] * 2, [(0.0, 0.0, 9.0), (9.0, 0.0, 9.0)], [0.3, 0.3]) for frame in ("plus", "x")
     )
@@ -209,10 +209,10 @@ def test_rotors_as_an_x_fly_like_rotors_as_a_plus() -> None:
         fleet.set_velocity(0, (2.0, -1.0, 0.5), 0.4)
         fleet.set_waypoint(1, (5.0, 3.0, 8.0), yaw=1.0)
         fly(fleet, 0.2, 240.0)
-    assert np.abs(x.rotor - plus.rotor).max() > 1.0  # by other speeds of the rotors
+    assert np.abs(x.rotor - plus.rotor).max() > 1.0  # with different rotor speeds
     for fleet in (plus, x):
         fly(fleet, 4.0, 240.0)
-    assert x.position == pytest.approx(plus.position, abs=3e-3)  # the lag of rotor speeds is not linear in their thrust
+    assert x.position == pytest.approx(plus.position, abs=3e-3)  # rotor lag is not linear in thrust
     assert x.attitude == pytest.approx(plus.attitude, abs=1e-3)
 
 
@@ -224,7 +224,7 @@ def test_rotors_as_an_x_fly_like_rotors_as_a_plus() -> None:
     ],
 )
 def test_driven_rotors_turn_the_body_by_their_places_and_directions(frame: str, signs: dict[int, tuple[int, int, int]]) -> None:
-    """A rotor that is faster than hovering lifts its arm, and turns the body against its own direction, about x, y and z."""
+    """A rotor above hover speed lifts its arm and turns the body against its own direction of rotation (x, y, z)."""
     hover = math.sqrt(0.25 * MODEL.mass_kg * 9.81 / MODEL.thrust_factor)
     for rotor, about in signs.items():
         fleet = QuadrotorFleet([Quadrotor(frame=frame)], [(0.0, 0.0, 9.0)], [0.0])  # type: ignore[arg-type]
@@ -232,17 +232,17 @@ def test_driven_rotors_turn_the_body_by_their_places_and_directions(frame: str, 
         speeds[rotor] += 50.0
         fleet.drive(0, speeds)
         fly(fleet, 0.05, 240.0)
-        rate = np.where(np.abs(fleet.rate[0]) < 0.01, 0.0, fleet.rate[0])  # rad/s; axes are coupled by the turn so far
+        rate = np.where(np.abs(fleet.rate[0]) < 0.01, 0.0, fleet.rate[0])  # rad/s; rotation so far couples the axes
         assert np.sign(rate).tolist() == list(about)
 
 
 def test_a_vehicle_that_is_released_holds_its_place() -> None:
     fleet = fleet_of(2)
     for _ in range(20):
-        fleet.drive(0, [630.0] * 4)  # more than hovering takes
+        fleet.drive(0, [630.0] * 4)  # above hover speed
         fly(fleet, 0.1, 240.0)
     assert fleet.position[0, 2] > 11.0
-    assert fleet.position[1, 2] == pytest.approx(10.0, abs=0.01)  # the other one is not driven
+    assert fleet.position[1, 2] == pytest.approx(10.0, abs=0.01)  # the other vehicle is not driven
     there = fleet.position[0].copy()
     fleet.release(0)
     fly(fleet, 10.0, 240.0)
@@ -251,7 +251,7 @@ def test_a_vehicle_that_is_released_holds_its_place() -> None:
 
 def test_it_catches_itself_from_a_fall_straight_down() -> None:
     fleet = fleet_of(1, height=100.0)
-    fleet.velocity[0, 2] = -30.0  # all the lift there is, and nothing to the side
+    fleet.velocity[0, 2] = -30.0  # full lift, no sideways motion
     seen = fly(fleet, 5.0, 120.0)
     weight, lift = MODEL.mass_kg * 9.81, MODEL.max_thrust * 4 * MODEL.max_rotor_thrust
     shortest = 30.0**2 / (2 * (lift + 0.35 * 30.0 - weight) / MODEL.mass_kg)
@@ -260,7 +260,7 @@ def test_it_catches_itself_from_a_fall_straight_down() -> None:
 
 
 @pytest.mark.parametrize("way", [(0.0, 0.0, -1.0), (1.0, 0.0, 0.0)], ids=["on the floor", "at a wall"])
-def test_what_it_cannot_push_away_does_not_hold_it_for_long(way: tuple[float, float, float]) -> None:
+def test_pushing_against_an_obstacle_causes_no_windup(way: tuple[float, float, float]) -> None:
     fleet = fleet_of(1)
     fleet.set_velocity(0, way, 0.0)
     for _ in range(1200):  # 10 s
@@ -285,7 +285,7 @@ def test_rotors_lag() -> None:
     assert fleet.rotor[0] == pytest.approx(hover)
 
 
-def test_vehicles_of_a_fleet_do_not_know_of_each_other() -> None:
+def test_vehicles_of_a_fleet_are_independent() -> None:
     kinds = [MODEL, Quadrotor(mass_kg=1.1, velocity_gain=2.0), Quadrotor(motor_lag_s=0.03)]
     starts, wind = np.array([(0.0, 0.0, 1.0), (9.0, 1.0, 2.0), (-4.0, 0.5, 3.0)]), np.array([(1.0, 2.0, 0.0)] * 3)
 
@@ -318,10 +318,10 @@ def hovering(model: Quadrotor = MODEL, heading: float = 0.0) -> QuadrotorFleet:
     return QuadrotorFleet([model], [(0.0, 0.0, 10.0)], [heading])
 
 
-# Signs: x forward, y left, z up; nose down is a positive pitch; the left side up a positive roll.
+# Signs: x forward, y left, z up; positive pitch: nose down; positive roll: left side up.
 
 
-def test_thrust_of_a_nose_that_is_down_points_forward_and_of_a_left_side_that_is_up_to_the_right() -> None:
+def test_thrust_points_forward_with_nose_down_and_right_with_left_side_up() -> None:
     for angles, direction in [({"pitch": 10.0}, (0.174, 0.0, 0.985)), ({"roll": 10.0}, (0.0, -0.174, 0.985))]:
         fleet = hovering()
         fleet.attitude[0] = euler(**{name: math.radians(angle) for name, angle in angles.items()})
@@ -345,7 +345,7 @@ def test_rates_are_damped_as_if_the_body_were_a_ball() -> None:
     fleet, rate, dt = hovering(model), np.array([1.0, -1.5, 0.3]), 1e-6
     fleet.rate[0] = rate
     fleet.integrate(*fleet.wrench(dt, CALM), dt)
-    assert (fleet.rate[0] - rate) / dt == pytest.approx(-20.0 * rate, rel=1e-4)  # gyroscopic torque is made up for
+    assert (fleet.rate[0] - rate) / dt == pytest.approx(-20.0 * rate, rel=1e-4)  # gyroscopic torque is compensated
 
 
 # The mixer.
@@ -363,11 +363,11 @@ def test_the_mixer_gives_roll_and_pitch_first(roll: float, pitch: float, yaw: fl
 
     got = MODEL.arm_m * (left - right), MODEL.arm_m * (back - front)
     scale = min(1.0, 0.8 * most * MODEL.arm_m / max(abs(roll), abs(pitch), 1e-9))
-    assert got == pytest.approx((scale * roll, scale * pitch), abs=1e-9)  # in full, or their direction at least
+    assert got == pytest.approx((scale * roll, scale * pitch), abs=1e-9)  # in full, or at least in direction
 
     kappa = MODEL.torque_factor / MODEL.thrust_factor
     turning = kappa * (-front + left - back + right)
-    kept_for_it = min(abs(yaw), 0.4 * kappa * most)  # a tenth of all
+    kept_for_it = min(abs(yaw), 0.4 * kappa * most)  # a tenth of the total
     assert kept_for_it - 1e-9 <= turning * math.copysign(1.0, yaw) <= abs(yaw) + 1e-9
 
     reach = max(abs(got[0]), abs(got[1])) / (2 * MODEL.arm_m)
@@ -375,8 +375,8 @@ def test_the_mixer_gives_roll_and_pitch_first(roll: float, pitch: float, yaw: fl
     assert lifts.sum() / 4 == pytest.approx(min(max(thrust / 4, reach + kept), most - reach - kept), abs=1e-9)
 
 
-# With the gains, body and limits below it is the cascade of proportional laws of A. Toh's thesis 2012, 3.2, made explicit:
-# a = kv (clip(kp (p* - p), 1.5) - v), and rate and attitude loops; figures of an independent simulation.
+# With the gains, body and limits below, the controller is the cascade of proportional laws of A. Toh's thesis 2012, 3.2, in
+# explicit form: a = kv (clip(kp (p* - p), 1.5) - v), plus rate and attitude loops; figures of an independent simulation.
 
 CASCADE = Quadrotor(
     mass_kg=1.0,
@@ -417,7 +417,7 @@ def test_without_an_integral_a_constant_push_leaves_an_offset() -> None:
     assert seen.position[-1, 0, 0] == pytest.approx(0.5 / (1.2 * 2.4), abs=1e-4)
 
 
-def test_with_it_there_is_none() -> None:
+def test_an_integral_removes_the_offset() -> None:
     fleet = hovering()
     fleet.set_waypoint(0, (0.0, 0.0, 10.0))
     seen = fly(fleet, 25.0, 240.0, push=(0.5, 0.0, -0.5))
@@ -432,5 +432,5 @@ def test_without_gravity_it_is_driven_by_its_rotors_alone(gravity: float) -> Non
     for _ in range(240):
         fleet.integrate(*fleet.wrench(1 / 120, np.zeros((3, 3))), 1 / 120)
     assert all(np.isfinite(each).all() for each in (fleet.position, fleet.velocity, fleet.attitude, fleet.rate, fleet.rotor))
-    assert fleet.position[0] == pytest.approx((0.0, 0.0, 5.0), abs=1e-3)  # nothing to do
+    assert fleet.position[0] == pytest.approx((0.0, 0.0, 5.0), abs=1e-3)  # at rest
     assert (fleet.velocity[1:, 2] > 0.3).all()

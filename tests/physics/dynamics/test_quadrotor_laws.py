@@ -1,4 +1,4 @@
-"""Laws of quadrotors: the same bits interpreted and compiled, in few calls and in many."""
+"""Quadrotor laws: equal bits interpreted and compiled, in few calls and in many."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -14,7 +14,7 @@ STATE = ("position", "velocity", "velocity_before", "attitude", "rate", "rotor")
 
 @pytest.fixture
 def may_compile(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Code is compiled where it is asked for."""
+    """Allows compilation on request."""
     monkeypatch.setenv("VCMVSP_COMPILED", "1")
 
 
@@ -32,7 +32,7 @@ def model(rng: np.random.Generator, *, wash: bool) -> Quadrotor:
 
 
 def flights(seed: int, fleets: list[QuadrotorFleet], step_s: float, *, tumbling: bool) -> Iterator[list[bytes]]:
-    """The states of fleets, which are given the same commands and winds: the first flies as far as it can in each call."""
+    """States of fleets under equal commands and winds; the first fleet takes as many steps per call as possible."""
     rng, n = np.random.default_rng(seed), len(fleets[0].position)
     state = {
         "velocity": rng.normal(0.0, 4.0, (n, 3)),
@@ -63,7 +63,7 @@ def command(fleet: QuadrotorFleet, row: int, numbers: list[float], yaw: float | 
         fleet.set_velocity(row, numbers, yaw or 0.0)
 
 
-def built(seed: int) -> QuadrotorFleet:
+def random_fleet(seed: int) -> QuadrotorFleet:
     rng = np.random.default_rng(seed)
     n, wash = int(rng.integers(1, 12)), bool(rng.integers(2))
     models = [model(rng, wash=wash) for _ in range(n)]
@@ -75,22 +75,22 @@ def built(seed: int) -> QuadrotorFleet:
 @pytest.mark.usefixtures("may_compile")
 @pytest.mark.parametrize("seed", range(16))
 def test_bits_are_the_same_interpreted_and_compiled(seed: int) -> None:
-    compiled, interpreted = built(seed), built(seed)
+    compiled, interpreted = random_fleet(seed), random_fleet(seed)
     compiled.expect(1, now=True)
     assert type(compiled._run) is not type(interpreted._run)
     for states in flights(seed, [compiled, interpreted], (1 / 120, 1 / 240, 1 / 500)[seed % 3], tumbling=seed % 2 == 0):
         assert states[0] == states[1]
 
 
-def test_several_steps_in_a_call_are_the_same_as_one_by_one() -> None:
-    for states in flights(3, [built(3), built(3)], 1 / 240, tumbling=True):
+def test_several_steps_per_call_equal_single_steps() -> None:
+    for states in flights(3, [random_fleet(3), random_fleet(3)], 1 / 240, tumbling=True):
         assert states[0] == states[1]
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("may_compile")
 def test_a_fleet_may_change_over_at_any_step() -> None:
-    plain, changing = built(8), built(8)
+    plain, changing = random_fleet(8), random_fleet(8)
     for number, states in enumerate(flights(8, [plain, changing], 1 / 120, tumbling=False)):
         assert states[0] == states[1]
         if number == 11:
@@ -101,7 +101,7 @@ def test_little_work_is_interpreted(monkeypatch: pytest.MonkeyPatch, tmp_path: A
     monkeypatch.setenv("VCMVSP_COMPILED", "1")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr("vcmvsp.cosim.compiled.machine_code._loaded", {})
-    fleet = built(1)
+    fleet = random_fleet(1)
     before = type(fleet._run)
     fleet.expect(1000)
     assert type(fleet._run) is before

@@ -1,4 +1,4 @@
-"""The rigid bodies of a fleet: the same as Bullet's, and Newton's laws."""
+"""Rigid bodies of a fleet against Bullet and Newton's laws."""
 
 import math
 from typing import Any
@@ -11,11 +11,11 @@ from vcmvsp.physics.dynamics import quadrotor_laws as laws
 from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
 from vcmvsp.physics.vehicles.models import Quadrotor
 
-MODEL = Quadrotor(inertia=(0.0040, 0.0055, 0.0073))  # three different moments: it tumbles
+MODEL = Quadrotor(inertia=(0.0040, 0.0055, 0.0073))  # three different moments of inertia: it tumbles
 NOTHING = np.zeros((1, 3))
 
 
-def alone(model: Quadrotor = MODEL, **state: Any) -> QuadrotorFleet:
+def single(model: Quadrotor = MODEL, **state: Any) -> QuadrotorFleet:
     fleet = QuadrotorFleet([model], [(0.0, 0.0, 5.0)], [0.0])
     for name, value in state.items():
         getattr(fleet, name)[0] = value
@@ -38,7 +38,7 @@ def precession(fleet: QuadrotorFleet, row: int, torque: tuple[float, float, floa
 @pytest.mark.parametrize("rate", [(3.0, -5.0, 8.0), (0.0, 0.0, 0.0), (1e-4, 2e-4, -1e-4)], ids=["tumbling", "still", "slow"])
 @pytest.mark.parametrize("pushed", [True, False])
 def test_it_moves_as_in_bullet(hz: int, rate: tuple[float, float, float], *, pushed: bool) -> None:
-    fleet = alone(velocity=(1.0, -2.0, 3.0), attitude=(0.5, -0.5, 0.1, 0.7), rate=rate)
+    fleet = single(velocity=(1.0, -2.0, 3.0), attitude=(0.5, -0.5, 0.1, 0.7), rate=rate)
     client = pybullet.connect(pybullet.DIRECT)
     try:
         body = pybullet.createMultiBody(MODEL.mass_kg, physicsClientId=client)
@@ -69,7 +69,7 @@ def test_it_moves_as_in_bullet(hz: int, rate: tuple[float, float, float], *, pus
     assert rotation(fleet) @ fleet.rate[0] == pytest.approx(spin, abs=1e-9)
 
 
-def test_without_gravity_or_force_it_goes_straight_on() -> None:
+def test_without_gravity_or_force_motion_is_straight() -> None:
     fleet = QuadrotorFleet([MODEL], [(0.0, 0.0, 5.0)], [0.0], gravity=1e-300)
     fleet.velocity[0] = 1.0, 2.0, 3.0
     for _ in range(100):
@@ -80,8 +80,10 @@ def test_without_gravity_or_force_it_goes_straight_on() -> None:
 @pytest.mark.parametrize("hz", [60, 120, 240])
 @pytest.mark.parametrize("inertia", [(0.0040, 0.0055, 0.0073), (0.0040, 0.0040, 0.0073)], ids=["three", "two"])
 def test_with_the_torque_of_precession_tumbling_keeps_energy_and_momentum(hz: int, inertia: tuple[float, float, float]) -> None:
-    """What `QuadrotorFleet.wrench` adds: energy and amount of momentum stay, and its direction within what a step turns."""
-    fleet, moments, dt = alone(Quadrotor(inertia=inertia), rate=(5.0, 0.3, 2.0)), np.array(inertia), 1.0 / hz
+    """Correction of `QuadrotorFleet.wrench`: energy and magnitude of momentum are conserved; the vector deviates by less than
+    1.5 dt of its length.
+    """
+    fleet, moments, dt = single(Quadrotor(inertia=inertia), rate=(5.0, 0.3, 2.0)), np.array(inertia), 1.0 / hz
     before, energy = rotation(fleet) @ (moments * fleet.rate[0]), float(moments @ fleet.rate[0] ** 2)
     for _ in range(5 * hz):
         torque = precession(fleet, 0, (0.0, 0.0, 0.0), dt)
@@ -92,14 +94,14 @@ def test_with_the_torque_of_precession_tumbling_keeps_energy_and_momentum(hz: in
     assert np.linalg.norm(after) == pytest.approx(np.linalg.norm(before), rel=1e-9)
 
 
-def test_who_hardly_tumbles_gets_none_whoever_else_does() -> None:
+def test_slow_rotation_gets_no_correction() -> None:
     fleet = QuadrotorFleet([MODEL] * 2, [(0.0, 0.0, 5.0)] * 2, [0.0] * 2)
     fleet.rate[:] = [[5.0, 0.3, 2.0], [0.1, 0.2, 0.0]]
     assert np.abs(precession(fleet, 0, (0.0, 0.0, 0.0), 0.01)).max() > 0.0
     assert precession(fleet, 1, (0.0, 0.0, 0.0), 0.01).tolist() == [0.0, 0.0, 0.0]
 
 
-def test_rotations_turn_as_quaternions_do() -> None:
+def test_rotations_agree_with_quaternions() -> None:
     rng = np.random.default_rng(1)
     attitude = rng.normal(size=(4, 50))
     attitude /= np.linalg.norm(attitude, axis=0)
@@ -113,15 +115,15 @@ def test_rotations_turn_as_quaternions_do() -> None:
         assert laws.into_body(matrix, *turned[:, k]) == pytest.approx(vector[:, k], abs=1e-14)
 
 
-def test_the_autopilot_is_not_needed_to_move_on() -> None:
+def test_motion_needs_no_autopilot() -> None:
     state: Any = {"attitude": (0.5, -0.5, 0.1, 0.7), "rate": (3.0, -5.0, 8.0)}
-    flown, thrown = alone(**state), alone(**state)
+    flown, thrown = single(**state), single(**state)
     for _ in range(10):
         force, torque = flown.wrench(0.01, NOTHING)
         for _ in range(2):
             flown.integrate(force, torque, 0.01)
             thrown.integrate(force, torque, 0.01)
-        flown.attitude[0] = thrown.attitude[0] = thrown.attitude[0, [0, 2, 3, 1]]  # by whoever knows of contacts
+        flown.attitude[0] = thrown.attitude[0] = thrown.attitude[0, [0, 2, 3, 1]]  # as a contact solver would
     assert (flown.attitude == thrown.attitude).all()
     assert (flown.rate == thrown.rate).all()
     assert (flown.position == thrown.position).all()

@@ -1,4 +1,4 @@
-"""Gusts: their statistics, and that they depend on nothing but seed, name and time."""
+"""Gusts: statistics, and dependence on seed, name and time only."""
 
 import math
 from typing import Any
@@ -17,22 +17,22 @@ WINDY = Wind(velocity=(3.0, -1.0, 0.5), gust=1.5, gust_time_s=0.8)
 
 
 def rows(count: int) -> list[str]:
-    """Names of so many vehicles."""
+    """Names of ``count`` vehicles."""
     return [str(number) for number in range(count)]
 
 
 def series(gusts: Gusts, ticks: int) -> Any:
-    """At every tick, (ticks, n, 3)."""
+    """Gusts at every tick, (ticks, n, 3) m/s."""
     return np.array([gusts.advance(-(-tick * SECOND_NS // GUST_HZ)) for tick in range(ticks)])
 
 
-def test_a_steady_wind_is_the_same_for_all_and_for_ever() -> None:
+def test_a_steady_wind_is_constant_and_equal_for_all() -> None:
     gusts = Gusts(Wind(velocity=(3.0, -1.0, 0.5)), rows(4), seed=1)
     for to_ns in (0, 1, SECOND_NS, 10**15):
         assert (gusts.advance(to_ns) == np.tile((3.0, -1.0, 0.5), (4, 1))).all()
 
 
-def test_spread_and_mean_are_those_asked_for_from_the_start() -> None:
+def test_spread_and_mean_are_right_from_the_start() -> None:
     many = 4000
     gusts = Gusts(WINDY, rows(many), seed=1)
     for to_ns in (0, SECOND_NS // 3, 2 * SECOND_NS):
@@ -52,7 +52,7 @@ def test_correlation_in_time_is_exponential(gust_time_s: float) -> None:
         assert found == pytest.approx(math.exp(-lag / (GUST_HZ * gust_time_s)), abs=4 * math.sqrt(2 / many))
 
 
-def test_however_time_is_cut_the_gusts_are_the_same() -> None:
+def test_gusts_do_not_depend_on_step_sizes() -> None:
     instants = [0, 1, 16_666_667, 16_666_668, 400_000_000, 7 * SECOND_NS, 7 * SECOND_NS + 5]
     often, seldom = Gusts(WINDY, rows(3), seed=3), Gusts(WINDY, rows(3), seed=3)
     between = sorted({*instants, *range(0, 7 * SECOND_NS, 3_333_333)})
@@ -65,7 +65,7 @@ def test_the_wind_is_steady_between_its_ticks() -> None:
     gusts = Gusts(WINDY, rows(3), seed=3)
     first = gusts.advance(0)
     assert gusts.advance(16_666_665) is first
-    second = gusts.advance(16_666_666)  # 1/60 s, to the nanosecond below
+    second = gusts.advance(16_666_666)  # 1/60 s, rounded down to ns
     assert (second != first).all()
     assert gusts.advance(33_333_332) is second
     assert (gusts.advance(33_333_333) != second).all()
@@ -73,14 +73,14 @@ def test_the_wind_is_steady_between_its_ticks() -> None:
 
 @pytest.mark.parametrize("hz", [60, 120, 240])
 def test_each_gust_lasts_a_tick_at_any_rate_of_steps(hz: int) -> None:
-    """Gust number k blows from step k hz / 60 on, though both times are rounded to whole nanoseconds."""
+    """Gust k starts at step k hz / 60, though both times are rounded to whole nanoseconds."""
     every, ticks = series(Gusts(WINDY, rows(1), seed=3), 1000), Ticks.rate(hz)
     gusts = Gusts(WINDY, rows(1), seed=3)
     stepped = np.array([gusts.advance(ticks.at(step)) for step in range(1000 * hz // GUST_HZ)])
     assert (stepped == np.repeat(every, hz // GUST_HZ, axis=0)).all()
 
 
-def test_one_more_vehicle_changes_no_other_one_s_gusts() -> None:
+def test_another_vehicle_changes_no_gusts() -> None:
     few, more = series(Gusts(WINDY, rows(2), seed=4), 600), series(Gusts(WINDY, rows(3), seed=4), 600)
     assert (few == more[:, :2]).all()
     named = series(Gusts(WINDY, ["car", "uav"], seed=4), 10)
@@ -93,7 +93,7 @@ def test_seeds_and_vehicles_differ() -> None:
     assert len(np.unique(np.concatenate([one, two]))) == 12
 
 
-def test_what_was_returned_never_changes() -> None:
+def test_returned_arrays_never_change() -> None:
     gusts = Gusts(WINDY, rows(2), seed=7)
     first = gusts.advance(0)
     kept = first.copy()
@@ -111,8 +111,8 @@ def test_thrust_near_the_floor(radii: float, factor: float) -> None:
     assert ground_effect(radii * R, R) == pytest.approx(factor, rel=1e-5)
 
 
-def below(*places: tuple[float, float, float]) -> list[float]:
-    """Downwash of a hovering quadrotor at (0, 0, 10) at places where others are, too light to matter."""
+def downwash_at(*places: tuple[float, float, float]) -> list[float]:
+    """Downwash, m/s, of a hovering quadrotor at (0, 0, 10) at the places of weightless vehicles."""
     position = np.array([(0.0, 0.0, 10.0), *places]).T
     n = position.shape[1]
     speeds: list[float] = downwash(position, np.array([WEIGHT] + [0.0] * (n - 1)), np.full(n, R)).tolist()
@@ -121,18 +121,18 @@ def below(*places: tuple[float, float, float]) -> list[float]:
 
 
 def test_the_wind_below_rotors_carries_their_weight() -> None:
-    (close,) = below((0.0, 0.0, 9.7))
+    (close,) = downwash_at((0.0, 0.0, 9.7))
     area = 4 * math.pi * R**2
     assert AIR_KG_M3 * (0.5 * area) * close**2 == pytest.approx(WEIGHT)  # momentum of the jet, half as wide as the rotors
 
 
-def test_it_dies_away_downwards_and_sideways_and_is_not_felt_above() -> None:
-    close, far, farther, aside, wide, above = below(
+def test_downwash_decays_downwards_and_sideways_and_not_above() -> None:
+    close, far, farther, aside, wide, above = downwash_at(
         (0, 0, 9.7), (0, 0, 5.0), (0, 0, 0.0), (0.094 * 5, 0, 5.0), (2.0, 0, 5.0), (0, 0, 10.3)
     )
     assert far < close
     assert farther == pytest.approx(far / 2)  # as 1 / distance
-    assert aside == pytest.approx(far / 2)  # its half width
+    assert aside == pytest.approx(far / 2)  # half width of the jet
     assert wide < 1e-3
     assert above == 0.0
 
@@ -142,16 +142,16 @@ def pair(*, upper: bool) -> QuadrotorFleet:
     return QuadrotorFleet(models, [(0.0, 0.0, 5.0), (0.0 if upper else 9.0, 0.0, 6.0)], [0.0, 0.0])
 
 
-def test_it_pushes_those_below_by_their_drag() -> None:
+def test_downwash_pushes_by_drag() -> None:
     force, _ = pair(upper=True).wrench(1e-9, np.zeros((2, 3)))
-    (speed,) = below((0.0, 0.0, 9.0))
+    (speed,) = downwash_at((0.0, 0.0, 9.0))
     assert force[0, 2] == pytest.approx(WEIGHT - 0.35 * speed, rel=1e-6)
     assert force[1, 2] == pytest.approx(WEIGHT, rel=1e-6)
     alone, _ = pair(upper=False).wrench(1e-9, np.zeros((2, 3)))
     assert alone[:, 2] == pytest.approx(WEIGHT, rel=1e-6)
 
 
-def test_only_models_that_ask_for_it_feel_the_floor() -> None:
+def test_ground_effect_is_optional() -> None:
     fleet = QuadrotorFleet([Quadrotor(ground_effect=True), Quadrotor()], [(0.0, 0.0, 0.05), (2.0, 0.0, 0.05)], [0.0, 0.0])
     force, _ = fleet.wrench(1e-9, np.zeros((2, 3)))
     assert force[:, 2] / WEIGHT == pytest.approx((4 / 3, 1.0), rel=0.02)

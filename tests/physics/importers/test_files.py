@@ -1,4 +1,4 @@
-"""Worlds from TOML files, and what they may not hold."""
+"""Worlds from TOML files, and refused content."""
 
 import math
 import sys
@@ -46,7 +46,7 @@ def test_a_toml_file_is_a_world(tmp_path: Path) -> None:
     world = File(path=str(tmp_path / "hall.toml")).build()
     assert [type(solid) for solid in world.solids] == [Box, Cylinder, Prism]
     assert (world.name, world.floor_friction, world.bounds) == ("hall", 0.5, (-5.0, -5.0, 5.0, 5.0))
-    picture = world.ground.image  # found beside the file
+    picture = world.ground.image  # relative to the file
     assert picture is not None
     assert picture[0, 0].tolist() == [30, 20, 10]
 
@@ -75,7 +75,7 @@ def test_the_scenario_may_change_wind_light_and_friction_of_a_file(tmp_path: Pat
         (TOML.replace("size = [10, 10]", "size = [0, 10]"), ("hall.toml line", "ground", "> 0")),
     ],
 )
-def test_what_is_wrong_with_a_toml_file_is_said_with_its_line(tmp_path: Path, text: str, words: tuple[str, ...]) -> None:
+def test_errors_in_a_toml_file_name_its_line(tmp_path: Path, text: str, words: tuple[str, ...]) -> None:
     (tmp_path / "hall.toml").write_text(text)
     cv2.imwrite(str(tmp_path / "floor.png"), np.zeros((4, 4, 3), np.uint8))
     with pytest.raises(ScenarioError) as caught:
@@ -84,7 +84,7 @@ def test_what_is_wrong_with_a_toml_file_is_said_with_its_line(tmp_path: Path, te
 
 
 @pytest.mark.parametrize("kind", [File, Map, GeoJson, MeshFile])
-def test_files_that_are_not_there_are_refused(tmp_path: Path, kind: Any) -> None:
+def test_missing_files_are_refused(tmp_path: Path, kind: Any) -> None:
     with pytest.raises(ScenarioError, match=r"there is no file .*nowhere\.x") as caught:
         kind(path=str(tmp_path / "nowhere.x"))
     assert caught.value.key == "path"
@@ -126,7 +126,7 @@ def test_a_mesh_is_placed_in_the_world(tmp_path: Path, form: str) -> None:
     expected = np.array([(10.0, 0.0, 1.0), (10.0, 1.0, 1.0), (9.0, 0.0, 1.0), (10.0, 0.0, 2.0)])[np.array(FACES)]
     assert mesh.triangles == pytest.approx(expected)
     a, b, c = mesh.triangles.transpose(1, 0, 2)
-    assert np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0 == pytest.approx(1.0 / 6.0)  # still seen from outside
+    assert np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0 == pytest.approx(1.0 / 6.0)  # outward orientation is kept
 
 
 def test_y_may_point_up(tmp_path: Path) -> None:
@@ -151,7 +151,7 @@ def test_files_without_a_mesh_are_refused(tmp_path: Path, name: str, text: str) 
         MeshFile(path=str(tmp_path / name)).build()
 
 
-def test_without_its_library_a_mesh_is_refused_with_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_its_library_a_mesh_error_names_the_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "trimesh", None)
     with pytest.raises(ScenarioError, match=r"part\.obj: reading it needs the package trimesh.*pip install trimesh"):
         MeshFile(path=write_obj(tmp_path)).build()

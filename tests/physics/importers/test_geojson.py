@@ -1,4 +1,4 @@
-"""Buildings from footprints: heights, courtyards, degrees that become metres."""
+"""Buildings from footprints: heights, courtyards, degrees to metres."""
 
 import json
 import math
@@ -58,7 +58,7 @@ def test_the_origin_is_the_middle_unless_it_is_given(tmp_path: Path) -> None:
 
 
 def enu(longitude: float, latitude: float, origin: tuple[float, float]) -> Array:
-    """East, north, up, m, of a place on the WGS 84 ellipsoid, by way of geocentric coordinates."""
+    """East, north, up, m, of a place on the WGS 84 ellipsoid, from geocentric coordinates."""
 
     def geocentric(lon: float, lat: float) -> Array:
         a, f = 6_378_137.0, 1.0 / 298.257223563
@@ -74,7 +74,7 @@ def enu(longitude: float, latitude: float, origin: tuple[float, float]) -> Array
 
 
 @pytest.mark.parametrize("latitude", [0.0, 31.2, 50.0, -45.0])
-def test_degrees_become_metres_with_the_error_that_is_stated(latitude: float) -> None:
+def test_degrees_become_metres_within_the_stated_error(latitude: float) -> None:
     scale, tangent = metres_per_degree(latitude), abs(math.tan(math.radians(latitude)))
     for east, north in ((500.0, 500.0), (-500.0, 500.0), (500.0, 0.0), (0.0, -500.0), (2000.0, 2000.0)):
         longitude, up = np.array([east, north]) / scale
@@ -106,7 +106,7 @@ def test_a_degree_at_the_equator_and_at_45_north() -> None:
         ("9" * 400, None),
     ],
 )
-def test_heights_as_people_write_them(value: Any, length: float | None) -> None:
+def test_usual_notations_of_heights(value: Any, length: float | None) -> None:
     assert metres(value) == length
 
 
@@ -128,13 +128,13 @@ def test_heights_as_people_write_them(value: Any, length: float | None) -> None:
         ([feature([[]], "MultiPolygon")], ("no Polygon",)),
     ],
 )  # fmt: skip
-def test_what_is_wrong_with_footprints_is_said(tmp_path: Path, features: list[Any], words: tuple[str, ...]) -> None:
+def test_errors_of_footprints_are_named(tmp_path: Path, features: list[Any], words: tuple[str, ...]) -> None:
     with pytest.raises(ScenarioError) as caught:
         GeoJson(path=write(tmp_path, *features), metric=True).build()
     assert all(word in str(caught.value) for word in (*words, "town.geojson")), str(caught.value)
 
 
-def test_invalid_footprints_may_be_left_out_and_metres_are_noticed(tmp_path: Path) -> None:
+def test_invalid_footprints_may_be_omitted_and_metres_warn(tmp_path: Path) -> None:
     path = write(tmp_path, feature([BOW]), feature([SQUARE]))
     assert len(GeoJson(path=path, metric=True, skip_invalid=True).build().solids) == 1
     point = write(tmp_path, feature([[[3, 3]] * 5]), feature([SQUARE]), feature([]))
@@ -148,9 +148,7 @@ def test_invalid_footprints_may_be_left_out_and_metres_are_noticed(tmp_path: Pat
 
 
 @pytest.mark.parametrize("origin", [(11.5, 120.0), (11.5, 90.0), (-181.0, 48.0), (math.nan, 48.0)])
-def test_an_origin_that_is_no_place_on_earth_is_refused_unless_all_is_metric(
-    tmp_path: Path, origin: tuple[float, float]
-) -> None:
+def test_an_impossible_origin_is_refused_unless_all_is_metric(tmp_path: Path, origin: tuple[float, float]) -> None:
     path = write(tmp_path, feature([SQUARE]))
     with pytest.raises(ScenarioError, match="longitude and latitude in degrees") as caught:
         GeoJson(path=path, origin=origin)

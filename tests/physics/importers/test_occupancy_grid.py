@@ -1,4 +1,4 @@
-"""Walls from occupancy grids: every occupied cell once, where the YAML file says it is."""
+"""Walls from occupancy grids: every occupied cell once, at the place of the YAML file."""
 
 import math
 import sys
@@ -38,7 +38,7 @@ def test_rectangles_are_few() -> None:
 
 
 def write_map(folder: Path, grey: Array, image: str = "map.pgm", ascii_: bool = False, **keys: Any) -> Path:
-    """A map as map_saver writes it."""
+    """A map in the format of map_saver."""
     if image.endswith(".pgm") and ascii_:
         rows = "\n".join(" ".join(map(str, row)) for row in grey.tolist())
         (folder / image).write_text(f"P2\n# by hand\n{grey.shape[1]} {grey.shape[0]}\n255\n{rows}\n")
@@ -52,7 +52,7 @@ def write_map(folder: Path, grey: Array, image: str = "map.pgm", ascii_: bool = 
     return path
 
 
-GREY = np.array([[0, 254, 254, 205], [254, 254, 254, 254], [0, 0, 254, 100]])  # occupied, free, unknown, 0.61: not enough
+GREY = np.array([[0, 254, 254, 205], [254, 254, 254, 254], [0, 0, 254, 100]])  # occupied, free, unknown, 0.61: below threshold
 
 
 def area_of(world: World) -> float:
@@ -64,7 +64,7 @@ def test_a_map_becomes_walls(tmp_path: Path, image: str, ascii_: bool) -> None:
     world = Map(path=str(write_map(tmp_path, GREY, image, ascii_)), height=1.5).build()
     boxes = [solid for solid in world.solids if isinstance(solid, Box)]
     assert sorted((box.center, box.size) for box in boxes) == [
-        ((-0.75, -0.75, 0.75), (0.5, 0.5, 1.5)),  # upper left cell: the origin is the lower left corner of the picture
+        ((-0.75, -0.75, 0.75), (0.5, 0.5, 1.5)),  # upper left cell; the origin is the picture's lower left corner
         ((-0.5, -1.75, 0.75), (1.0, 0.5, 1.5)),
     ]
     assert world.bounds == (-1.0, -2.0, 1.0, -0.5)
@@ -76,7 +76,7 @@ def test_threshold_negation_and_yaw(tmp_path: Path) -> None:
     world = Map(path=str(write_map(tmp_path, GREY, origin=[1.0, 2.0, 0.5 * math.pi]))).build()
     lower = np.array([[0.7, 2.2], [0.8, 2.2], [0.8, 2.8], [0.7, 2.8]])
     solid, _ = world.blocking(lower, 0.0, 1.0) or (None, 0.0)
-    assert solid is not None  # the two lower cells run along the picture's x axis, which points north
+    assert solid is not None  # the two lower cells lie along the picture's x axis, which points north
     assert world.bounds == pytest.approx((-0.5, 2.0, 1.0, 4.0))
 
 
@@ -97,7 +97,7 @@ def test_threshold_negation_and_yaw(tmp_path: Path) -> None:
         ({"image": "[", "negate": "]"}, ("is not YAML",)),
     ],
 )
-def test_what_is_wrong_with_a_map_is_said(tmp_path: Path, keys: dict[str, Any], words: tuple[str, ...]) -> None:
+def test_errors_of_a_map_are_named(tmp_path: Path, keys: dict[str, Any], words: tuple[str, ...]) -> None:
     write_map(tmp_path, GREY)
     content = {"image": "map.pgm", "resolution": 0.5, "origin": [-1.0, -2.0, 0.0], **keys}
     (tmp_path / "map.yaml").write_text("".join(f"{key}: {value}\n" for key, value in content.items()))
@@ -106,7 +106,7 @@ def test_what_is_wrong_with_a_map_is_said(tmp_path: Path, keys: dict[str, Any], 
     assert all(word in str(caught.value) for word in (*words, "map.yaml")), str(caught.value)
 
 
-def test_without_its_library_a_file_is_refused_with_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_its_library_a_file_error_names_the_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "yaml", None)
     path = write_map(tmp_path, GREY)
     with pytest.raises(ScenarioError, match=r"map\.yaml: reading it needs the package yaml.*pip install pyyaml"):

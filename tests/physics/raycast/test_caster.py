@@ -1,4 +1,4 @@
-"""Single beams among solids: by hand, by symmetry, and whatever the index."""
+"""Single beams among solids: by hand, by symmetry, and independent of the index."""
 
 import math
 
@@ -18,16 +18,16 @@ WALL = Box(center=(5.0, 0.0, 1.0), size=(0.2, 4.0, 2.0))
 INF = math.inf
 
 
-def reached(among: tuple[AnySolid, ...], start: tuple[float, ...], toward: tuple[float, ...], reach: float = INF) -> float:
+def range_of(among: tuple[AnySolid, ...], start: tuple[float, ...], toward: tuple[float, ...], reach: float = INF) -> float:
     direction = np.array(toward) / math.hypot(*toward)
     (distance,) = Caster(shapes_of(among)).cast(np.array([start]), direction[None], reach)
     return float(distance)
 
 
 def test_reach_is_inclusive() -> None:
-    assert reached((WALL,), (0, 0, 1), (1, 0, 0), 4.9) == pytest.approx(4.9)
-    assert reached((WALL,), (0, 0, 1), (1, 0, 0), 4.89) == INF
-    assert reached((WALL,), (5, 0, 1), (0, 0, 1)) == 0.0  # from inside
+    assert range_of((WALL,), (0, 0, 1), (1, 0, 0), 4.9) == pytest.approx(4.9)
+    assert range_of((WALL,), (0, 0, 1), (1, 0, 0), 4.89) == INF
+    assert range_of((WALL,), (5, 0, 1), (0, 0, 1)) == 0.0  # starts inside
 
 
 def test_the_floor_can_be_left_out() -> None:
@@ -35,7 +35,7 @@ def test_the_floor_can_be_left_out() -> None:
     assert caster.cast(start, down) == pytest.approx([1.875])
     assert caster.cast(start, down, 1.8) == [INF]
     assert caster.cast(start, down, floor=False) == [INF]
-    assert caster.cast(start, -down) == caster.cast(-start, down) == [INF]  # upwards, and from below
+    assert caster.cast(start, -down) == caster.cast(-start, down) == [INF]  # upwards, and from below the floor
     assert caster.cast(np.empty((0, 3)), np.empty((0, 3))).shape == (0,)
 
 
@@ -47,7 +47,7 @@ def test_nothing_passes_between_solids_that_touch() -> None:
     assert found == pytest.approx(4.9 / np.cos(angle), rel=1e-12)
 
 
-def test_which_solid_it_was() -> None:
+def test_index_of_the_solid() -> None:
     among = (WALL, Prism(outline=L_SHAPE, height=1.0), Mesh(triangles=np.array([[(-2.0, -1, 0), (-2, 1, 0), (-2, 0, 2)]])))
     start = np.array([(0.0, 0.0, 1.5), (1.5, 3.0, 0.5), (-1.0, 0.0, 1.0), (0.0, -1.0, 1.0), (0.0, -1.0, 1.0)])
     toward = np.array([(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 0.0, 1.0)])
@@ -78,7 +78,7 @@ def random_beams(rng: np.random.Generator, count: int) -> tuple[Floats, Floats]:
 
 
 @pytest.mark.parametrize("reach", [2.0, 12.0, INF])
-def test_the_index_changes_no_answer(reach: float) -> None:
+def test_the_index_changes_no_range(reach: float) -> None:
     rng = np.random.default_rng(3)
     shapes = shapes_of(solids(rng))
     origins, directions = random_beams(rng, 400)
@@ -93,7 +93,7 @@ def test_the_index_changes_no_answer(reach: float) -> None:
         assert one_by_one == expected.distance[:60].tolist()
 
 
-def test_beams_from_one_place_are_as_beams_from_many() -> None:
+def test_beams_from_one_place_equal_beams_from_many() -> None:
     rng = np.random.default_rng(4)
     among = solids(rng)
     caster = Caster(shapes_of(among))
@@ -109,8 +109,8 @@ def test_beams_from_one_place_are_as_beams_from_many() -> None:
         assert (together.which >= 0).sum() > 50
 
 
-def each_alone(shapes: Shapes, origins: Floats, directions: Floats) -> Floats:
-    """All faces of prisms as triangles, each with all beams: solved as three linear equations."""
+def triangle_ranges(shapes: Shapes, origins: Floats, directions: Floats) -> Floats:
+    """Ranges to all faces of prisms as triangles, for all beams, by three linear equations each."""
     vertices, triangles = shapes.mesh()
     best = np.full(len(origins), INF)
     for a, b, c in vertices[triangles]:
@@ -132,7 +132,7 @@ def test_prisms_against_their_own_triangles() -> None:
     caster = Caster(shapes)
     outside = np.array([not caster.inside((x, y, z)) for x, y, z in origins.tolist()])
     origins, directions = origins[outside], directions[outside]
-    found, expected = caster.cast(origins, directions, floor=False), each_alone(shapes, origins, directions)
+    found, expected = caster.cast(origins, directions, floor=False), triangle_ranges(shapes, origins, directions)
     assert 300 < np.isfinite(expected).sum() < len(expected) - 300
     assert found == pytest.approx(expected, abs=1e-9)
 
@@ -165,8 +165,8 @@ def bullet_ranges(start: Floats, toward: Floats, client: int) -> Floats:
 
 
 @pytest.mark.parametrize(("tilt", "pitch"), [(0.0, 0.0), (0.002, 0.0), (0.3, 0.0), (0.3, 0.6)])
-def test_a_thousand_poses(tilt: float, pitch: float) -> None:
-    """Of all beams less than one in a thousand are off by more than 1 cm: those that graze an edge."""
+def test_ranges_as_in_bullet(tilt: float, pitch: float) -> None:
+    """Fewer than one beam in a thousand deviates by more than 1 cm: beams that graze an edge."""
     sensor = RangeScanner(beams=BEAMS, field_of_view=5.0, range_max=REACH, pitch=pitch)
     off = total = met = 0
     for seed in range(5):
@@ -182,7 +182,7 @@ def test_a_thousand_poses(tilt: float, pitch: float) -> None:
             among = scene(world, place.copy(), attitude.copy(), hull)
             (found,) = true_ranges([sensor], among, [0])
             if not found.all() or caster_of(world).inside((place[0, 0], place[0, 1], place[0, 2])):
-                continue  # inside something: there the two mean different things
+                continue  # inside a solid: the two definitions differ
             origin, ahead, left, _ = (among.rotation(0) @ sensor.mount).T
             toward = beams(ahead, left, sensor.first, sensor.angle_step, BEAMS)
             expected = bullet_ranges(np.broadcast_to(origin + place[0], toward.shape), toward, client)

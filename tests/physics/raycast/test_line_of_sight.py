@@ -29,7 +29,7 @@ WALL = Box(center=(5.0, 0.0, 1.0), size=(0.2, 4.0, 2.0), material="brick")
 
 
 def inside(box: Box, points: NDArray[np.float64], margin: float) -> NDArray[np.bool_]:
-    """Which points are in the box, grown by the margin."""
+    """Mask of the points in the box, grown by the margin."""
     offset = points - np.array(box.center)
     c, s = math.cos(box.yaw_rad), math.sin(box.yaw_rad)
     local = np.stack([c * offset[:, 0] + s * offset[:, 1], c * offset[:, 1] - s * offset[:, 0], offset[:, 2]], axis=1)
@@ -37,7 +37,7 @@ def inside(box: Box, points: NDArray[np.float64], margin: float) -> NDArray[np.b
 
 
 @given(tx=place, rx=place, box=boxes)
-def test_the_length_is_what_sampling_finds(tx: tuple[float, ...], rx: tuple[float, ...], box: Box) -> None:
+def test_the_length_agrees_with_sampling(tx: tuple[float, ...], rx: tuple[float, ...], box: Box) -> None:
     assume(math.dist(tx, rx) > 1e-3)
     count = 2000
     points = np.array(tx) + (np.arange(count)[:, None] + 0.5) / count * (np.array(rx) - np.array(tx))
@@ -56,8 +56,8 @@ def test_any_number_of_lines_and_boxes(lines: int, count: int) -> None:
     assert crossed.sum(axis=1).tolist() == [min(k, count) for k in range(lines)]
 
 
-def test_a_crowd_of_lines_in_a_town_meets_what_each_meets_alone() -> None:
-    """Many lines are sorted by bearing and height first; a line alone is tested with all boxes."""
+def test_many_lines_in_a_town_agree_with_single_lines() -> None:
+    """Many lines are sorted by bearing and height first; a single line is tested against all boxes."""
     rng = np.random.default_rng(7)
     corner, size = rng.uniform((-60.0, -60.0, 0.0), (60.0, 60.0, 9.0), (90, 3)), rng.uniform(0.2, 12.0, (90, 3))
     town = [
@@ -67,7 +67,7 @@ def test_a_crowd_of_lines_in_a_town_meets_what_each_meets_alone() -> None:
     sight = Sightline(town)
     for tx in (np.array([3.0, -4.0, 30.0]), corner[0], np.array([-70.0, 0.0, 2.0])):
         ends = rng.uniform((-70.0, -70.0, 0.0), (70.0, 70.0, 30.0), (40, 3))
-        ends[:3] = tx + np.array([(0.0, 0.0, 0.0), (0.0, 0.0, -9.0), (1e-9, -1e-9, 5.0)])  # nowhere, straight down, nearly up
+        ends[:3] = tx + np.array([(0.0, 0.0, 0.0), (0.0, 0.0, -9.0), (1e-9, -1e-9, 5.0)])  # zero length, down, nearly vertical
         ends[3:40:4, 1] = tx[1]
         crossed, inside_m = sight.crossings(tx, ends)
         alone = np.concatenate([sight.crossings(tx, end[None])[1] for end in ends])
@@ -97,7 +97,7 @@ def lengths(tx: tuple[float, ...], *rx: tuple[float, ...], among: tuple[AnySolid
 def test_lines_through_edges_corners_and_along_faces(
     tx: tuple[float, ...], rx: tuple[float, ...], size: tuple[float, float, float]
 ) -> None:
-    box = Box(center=(0.5, 0.5, 0.5), size=size)  # whole and half numbers: edges, corners and diagonals are met exactly
+    box = Box(center=(0.5, 0.5, 0.5), size=size)  # whole and half numbers: exact hits on edges, corners and diagonals
     mesh, prism = as_mesh(box), as_prism(box)
     as_box, as_prism_m, as_mesh_m = lengths(tx, rx, among=(box, prism, mesh))[0]
     assert as_prism_m == pytest.approx(as_box, abs=1e-7)
@@ -110,25 +110,25 @@ def test_lines_through_edges_corners_and_along_faces(
 @settings(deadline=None)
 @example(tx=(0.0, 2.0, 1.5), rx=(5.0, 0.0, 0.0), radii=[5.0, 4.0, 1.0], bottom=0.0)  # through a corner
 @given(tx=place, rx=place, radii=st.lists(st.floats(0.5, 9.0), min_size=3, max_size=11), bottom=st.floats(-6.0, 2.0))
-def test_the_length_in_a_prism_is_what_sampling_finds(
+def test_the_length_in_a_prism_agrees_with_sampling(
     tx: tuple[float, ...], rx: tuple[float, ...], radii: list[float], bottom: float
 ) -> None:
     assume(math.dist(tx, rx) > 1e-3)
     angles = math.tau * np.arange(len(radii)) / len(radii)
     outline = tuple((r * math.cos(a), r * math.sin(a)) for r, a in zip(radii, angles, strict=True))
     assume(not problem_of(outline))
-    assume(not any(max(abs(tx[2] - z), abs(rx[2] - z)) < 0.05 for z in (bottom, bottom + 4.0)))  # within a face: either
+    assume(not any(max(abs(tx[2] - z), abs(rx[2] - z)) < 0.05 for z in (bottom, bottom + 4.0)))  # within a face: either result
     prism = Prism(outline=outline, bottom=bottom, height=4.0)
     count = 4000
     points = np.array(tx) + (np.arange(count)[:, None] + 0.5) / count * (np.array(rx) - np.array(tx))
-    inside = (points[:, 2] > bottom) & (points[:, 2] < bottom + 4.0) & holds(np.array(outline), points)
+    inside = (points[:, 2] > bottom) & (points[:, 2] < bottom + 4.0) & contains(np.array(outline), points)
     share = math.dist(tx, rx) / count
     (found,) = lengths(tx, rx, among=(prism,))[0]
     assert found == pytest.approx(inside.sum() * share, abs=(len(radii) + 3) * share)
     assert lengths(tx, rx, among=(as_mesh(prism),))[0][0] == pytest.approx(found, abs=1e-5)
 
 
-def holds(ring: Array, points: Array) -> Array:
+def contains(ring: Array, points: Array) -> Array:
     odd = np.zeros(len(points), bool)
     for (ax, ay), (bx, by) in zip(ring, np.roll(ring, -1, axis=0), strict=True):
         if ay != by:
@@ -142,7 +142,7 @@ L_MESH = as_mesh(L_SHAPE)
 
 
 @given(points=st.lists(place | whole, min_size=2, max_size=5), some=st.lists(boxes, max_size=4))
-def test_the_same_there_and_back_and_each_for_itself(points: list[tuple[float, ...]], some: list[Box]) -> None:
+def test_lengths_are_symmetric_and_independent(points: list[tuple[float, ...]], some: list[Box]) -> None:
     among: tuple[AnySolid, ...] = (COURT, *some, L_MESH, L_SHAPE, Cylinder(center=(0, 0, 0), radius=2.0, height=3.0))
     tx, *rx = points
     together = lengths(tx, *rx, among=among)
@@ -163,7 +163,7 @@ def test_a_courtyard_by_hand() -> None:
     assert found == [[pytest.approx(3.0)], [pytest.approx(2.0)], [0.0]]
 
 
-def test_along_faces_and_through_corners_is_not_through() -> None:
+def test_lines_along_faces_and_at_corners_stay_outside() -> None:
     for solid in (L_SHAPE, COURT):
         assert lengths((-1, 0, 1), (9, 0, 1), among=(solid,)) == [[0.0]]
         assert lengths((0, -1, 1), (0, 9, 1), among=(solid,)) == [[0.0]]
@@ -190,7 +190,7 @@ def test_a_tetrahedron_and_its_mean_chord() -> None:
     directions = rng.normal(size=(40_000, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
     across = np.linalg.qr(np.stack([directions, *rng.normal(size=(2, 40_000, 3))], axis=2))[0][:, :, 1:]
-    radius = 2.0  # lines uniform in direction and place around the middle: isotropic uniform
+    radius = 2.0  # isotropic uniform lines: uniform in direction and in place around the middle
     away, angle = radius * np.sqrt(rng.uniform(size=40_000)), rng.uniform(0, math.tau, 40_000)
     disc = away[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
     start = 0.5 + np.einsum("nij,nj->ni", across, disc) - 5.0 * directions
@@ -200,7 +200,7 @@ def test_a_tetrahedron_and_its_mean_chord() -> None:
     )
     hit = chords[chords > 0.0]
     volume, surface = 8.0 / 6.0, 3.0 * 2.0 + 0.5 * math.sqrt(3.0) / 2.0 * 8.0
-    assert hit.mean() == pytest.approx(4.0 * volume / surface, rel=0.1)  # Cauchy
+    assert hit.mean() == pytest.approx(4.0 * volume / surface, rel=0.1)  # Cauchy's mean chord
     assert slab_m(mesh.triangles) == pytest.approx(2.0 * volume / surface)
 
 

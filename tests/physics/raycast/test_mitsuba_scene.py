@@ -1,4 +1,4 @@
-"""Scenes for Sionna RT: shared corners, sheets, materials; the same paths where it is installed."""
+"""Scenes for Sionna RT: shared corners, sheets, materials; equal paths if Sionna RT is installed."""
 
 import math
 import xml.etree.ElementTree as ET
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.support.netsim.ray_worlds import rays_among, traced
+from tests.support.netsim.ray_worlds import rays_among, trace_paths
 from tests.support.requirements import installed_apart
 from vcmvsp.physics.raycast.mitsuba_scene import SCENE, files
 from vcmvsp.physics.world.solids import Box
@@ -34,7 +34,7 @@ def test_a_solid_is_a_mesh_with_shared_corners_and_a_thin_one_its_middle_plane()
     assert len(files([HOUSE, WALL], 0.5, "none")) == 3
 
 
-def test_sionna_finds_the_same_paths(tmp_path: Path) -> None:
+def test_sionna_finds_equal_paths(tmp_path: Path) -> None:
     rt = installed_apart("sionna.rt")
     for name, text in files([HOUSE], 0.5, "concrete").items():
         (tmp_path / name).write_text(text, "utf-8")
@@ -48,7 +48,7 @@ def test_sionna_finds_the_same_paths(tmp_path: Path) -> None:
     real, imag = (np.array(part).ravel() for part in found.a)
     size, delay = np.hypot(real, imag), np.array(found.tau).ravel()
     theirs = sorted(zip(delay[size > 0.0] * 1e9, 20.0 * np.log10(size[size > 0.0]), strict=True))
-    table = traced(rays_among(HOUSE, ground="concrete", diffraction=False), a, b).table
+    table = trace_paths(rays_among(HOUSE, ground="concrete", diffraction=False), a, b).table
     ours = sorted(zip(table.length_m / 0.299792458, 20.0 * np.log10(np.abs(table.gain)), strict=True))
     assert len(ours) == len(theirs)
     for mine, other in zip(ours, theirs, strict=True):

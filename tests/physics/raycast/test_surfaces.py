@@ -1,4 +1,4 @@
-"""Surfaces of solids: facets, and edges where they are exposed."""
+"""Surfaces of solids: facets and exposed edges."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ HOUSE = Box(center=(0.0, 0.0, 3.0), size=(8.0, 10.0, 6.0), yaw_rad=0.3)
 @pytest.mark.parametrize(
     ("solid", "facets", "edges"),
     [
-        (HOUSE, 5, 8),  # no floor, nor edges on the ground
+        (HOUSE, 5, 8),  # no floor facet, no edges on the ground
         (L_SHAPE, 6 + 3, 6 + 5),  # the roof in its convex parts; no edge in the inner corner
         (Box(center=(0.0, 0.0, 1.0), size=(4.0, 0.2, 2.0)), 1, 3),
         (Box(center=(0.0, 0.0, 3.0), size=(4.0, 5.0, 0.2)), 1, 4),
@@ -26,7 +26,7 @@ def test_number_of_facets_and_edges(solid: AnySolid, facets: int, edges: int) ->
     assert (len(found.offset), len(found.angle)) == (facets - 3 + roofs if isinstance(solid, Prism) else facets, edges)
 
 
-def test_normals_point_outwards_and_angles_are_those_outside() -> None:
+def test_normals_point_outwards_and_angles_are_outer() -> None:
     found = surfaces_of([HOUSE, L_SHAPE], 0.5, ground=True)
     middles = np.array([found.corner[a:b].mean(axis=0) for a, b in zip(found.first, found.first[1:], strict=False)])
     of_house = found.solid == 0
@@ -35,7 +35,7 @@ def test_normals_point_outwards_and_angles_are_those_outside() -> None:
 
 
 def test_boxes_side_by_side_are_one_wall() -> None:
-    """The four edges where they touch are none, nor are the two of the roof."""
+    """The four edges and the two roof edges at the joint do not count."""
     halves = [Box(center=(x, 0.0, 3.0), size=(4.0, 10.0, 6.0)) for x in (-2.0, 2.0)]
     found = surfaces_of(halves, 0.5, ground=True)
     whole = surfaces_of([Box(center=(0.0, 0.0, 3.0), size=(8.0, 10.0, 6.0))], 0.5, ground=True)

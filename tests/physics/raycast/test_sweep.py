@@ -1,4 +1,4 @@
-"""Scanners' planes against beams cast one by one: the same to 1e-9 m, however they are put together."""
+"""Scan planes against single beams: equal to 1e-9 m for any grouping of scanners."""
 
 import math
 
@@ -46,7 +46,7 @@ def random_scene(seed: int, tilt: float, vehicles: int = 12) -> tuple[Scene, np.
 
 @pytest.mark.parametrize("tilt", [0.0, 1e-3, 0.2, 2.0])
 @pytest.mark.parametrize("pitches", [(0.0,), (0.3, -1.2, 1.5708)])
-def test_a_plane_of_beams_at_once_and_each_alone(tilt: float, pitches: tuple[float, ...]) -> None:
+def test_a_plane_of_beams_equals_single_beams(tilt: float, pitches: tuple[float, ...]) -> None:
     met = 0
     for seed in range(4):
         among, rng = random_scene(seed, tilt)
@@ -57,7 +57,7 @@ def test_a_plane_of_beams_at_once_and_each_alone(tilt: float, pitches: tuple[flo
     assert met > 800
 
 
-def test_together_or_alone_to_the_last_bit() -> None:
+def test_grouping_changes_no_bit() -> None:
     among, rng = random_scene(5, 0.1)
     level = scene(among.world, among.position, attitudes(rng, 12, 0.0), among.hulls)
     half = scene(among.world, among.position, np.where(np.arange(12)[:, None] % 2, among.attitude, level.attitude), among.hulls)
@@ -80,7 +80,7 @@ def test_a_level_scanner_beside_a_tilted_one_sees_no_floor() -> None:
     assert tilted[8] == math.inf
 
 
-def test_more_beams_than_go_at_once() -> None:
+def test_more_beams_than_a_batch() -> None:
     among, _ = random_scene(6, 0.05)
     sensor = RangeScanner(beams=3000, field_of_view=math.pi, range_max=15.0)
     for row, found in enumerate(true_ranges([sensor] * 12, among, range(12))):
@@ -96,8 +96,8 @@ def test_cells_of_any_size() -> None:
         assert np.array_equal(np.concatenate(sweep(Caster(shapes, cell_m), fan, bodies)), expected)
 
 
-def turned(boxes: list[tuple[float, float, float, float]], angle: float) -> World:
-    """Boxes (x, y, length, width), 2 m high, and the world turned by the angle; every other one turned round once more."""
+def rotated_world(boxes: list[tuple[float, float, float, float]], angle: float) -> World:
+    """Boxes (x, y, length, width), 2 m high, rotated with the world by the angle; every other box by another half turn."""
     c, s = math.cos(angle), math.sin(angle)
     solids = [
         Box(center=(c * x - s * y, s * x + c * y, 1.0), size=(a, b, 2.0), yaw_rad=angle + math.pi * (k % 2))
@@ -107,7 +107,7 @@ def turned(boxes: list[tuple[float, float, float, float]], angle: float) -> Worl
 
 
 def facing(world: World, angle: float, y: float = 0.0) -> Scene:
-    """A scanner 1 m above the origin, or aside from it, that looks along the angle."""
+    """A scanner 1 m above the origin, or beside it, facing along the angle."""
     place = (-math.sin(angle) * y, math.cos(angle) * y, 1.0)
     return scene(world, [place], np.array([[math.cos(0.5 * angle), 0.0, 0.0, math.sin(0.5 * angle)]]))
 
@@ -115,10 +115,10 @@ def facing(world: World, angle: float, y: float = 0.0) -> Scene:
 @pytest.mark.parametrize("gap", [0.15, 0.45, 0.75, 1.05])
 def test_nothing_passes_between_solids_that_touch(gap: float) -> None:
     opening = 2.0 * math.atan2(gap, 4.9)
-    ends = RangeScanner(beams=2, field_of_view=opening, range_max=20.0)  # both beams at an edge that two boxes share
+    ends = RangeScanner(beams=2, field_of_view=opening, range_max=20.0)  # both beams hit an edge shared by two boxes
     many = RangeScanner(beams=301, field_of_view=opening, range_max=20.0)
     for angle in np.linspace(-3.0, 3.0, 50).tolist():
-        row = turned([(5.0, 0.3 * k, 0.2, 0.3) for k in range(-5, 6)], angle)
+        row = rotated_world([(5.0, 0.3 * k, 0.2, 0.3) for k in range(-5, 6)], angle)
         two, all_of_them = (true_ranges([each], facing(row, angle), [0])[0] for each in (ends, many))
         assert two == pytest.approx(math.hypot(4.9, gap))
         assert all_of_them == pytest.approx(4.9 / np.cos(np.linspace(-0.5 * opening, 0.5 * opening, 301)))
@@ -132,17 +132,19 @@ def test_nothing_passes_between_triangles_that_touch() -> None:
     elsewhere = Hull(size=(0.01, 0.01, 0.01), offset=(-5.0, 0.0, 0.0))
     view = scene(World(solids=(Mesh(triangles=sheet),)), [(0.0, 0.0, z) for z in heights], hulls=[elsewhere] * 400)
     for edge in y[:-1].tolist():
-        at_edge = edge + 0.15 * heights  # where a slanting edge that two triangles share is at this height
+        at_edge = edge + 0.15 * heights  # y of an oblique edge shared by two triangles at this height
         yaws = np.arctan2(at_edge, 5.0).tolist()
         sensors = [RangeScanner(beams=3, field_of_view=0.02, range_max=20.0, yaw=yaw) for yaw in yaws]
         found = [ranges[1] for ranges in true_ranges(sensors, view, range(400))]
         assert found == pytest.approx(np.hypot(5.0, at_edge).tolist())
 
 
-def test_a_beam_along_a_face_does_not_stumble() -> None:
+def test_a_beam_along_a_face_is_stable() -> None:
     sensor = RangeScanner(beams=3, field_of_view=0.02, range_max=20.0)
     for angle in np.linspace(-3.0, 3.0, 50).tolist():
-        walls = turned([(4.0, 0.5, 6.0, 1.0), (9.0, 0.0, 1.0, 4.0)], angle)  # the first begins right of the scanner, at 1 m
+        walls = rotated_world(
+            [(4.0, 0.5, 6.0, 1.0), (9.0, 0.0, 1.0, 4.0)], angle
+        )  # the first begins right of the scanner, at 1 m
         for sideways in (0.0, 1e-15, -1e-15, -1e-12):
             (found,) = true_ranges([sensor], facing(walls, angle, sideways), [0])
             assert found[0] == pytest.approx(8.5 / math.cos(0.01))
@@ -154,7 +156,7 @@ INF = math.inf
 
 
 def surface(hull: Hull, points: Floats) -> Floats:
-    """Signed distance-like measure of points in the frame of a hull: 0 on its surface, less inside."""
+    """Signed measure of points in the frame of a hull: 0 on its surface, negative inside."""
     offset = np.abs(points - np.array(hull.offset))
     half = 0.5 * np.array(hull.size)
     if hull.kind == "cylinder":
@@ -163,14 +165,14 @@ def surface(hull: Hull, points: Floats) -> Floats:
 
 
 @pytest.mark.parametrize("kind", ["box", "cylinder"])
-def test_beams_end_on_the_surface_and_meet_nothing_before(kind: str) -> None:
+def test_beams_end_on_the_surface_and_not_before(kind: str) -> None:
     rng = np.random.default_rng(5)
     hull = hulls(rng, 2)[0 if kind == "cylinder" else 1]
     assert hull.kind == kind
     for attitude in (*np.eye(4)[[0] * 10], *attitudes(rng, 30, 1.5)):
         body = scene(World(), [(1.0, 2.0, 3.0)], attitude[None], [hull])
         directions = rng.normal(size=(100, 3))
-        directions[::9] = 0.0, 0.0, -1.0  # along the axis of one that stands
+        directions[::9] = 0.0, 0.0, -1.0  # along the axis of an upright hull
         directions /= np.sqrt((directions**2).sum(axis=1, keepdims=True))
         origins = np.array([1.0, 2.0, 3.0]) - 3.0 * directions + rng.uniform(-1.0, 1.0, (100, 3))
         distance = cast_bodies(body, origins, directions, INF).distance

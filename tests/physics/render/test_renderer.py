@@ -1,4 +1,4 @@
-"""What hides what: pictures against single rays, in worlds that no order of painting gets right."""
+"""Occlusion: pictures against single rays, in worlds without a valid painting order."""
 
 import math
 from collections.abc import Callable
@@ -25,13 +25,13 @@ def a_color(rng: Rng) -> tuple[int, int, int]:
 
 
 def a_rotation(rng: Rng) -> Array:
-    """Any attitude, all alike."""
+    """A uniformly random rotation."""
     q = rng.standard_normal(4)
     return np.asarray(rotations(q[None] / np.linalg.norm(q))[0])
 
 
 def towards(eye: Array, aim: Array, roll: float = 0.0) -> Array:
-    """world_from_camera of a camera that looks at a point, its right side turned down by ``roll``."""
+    """world_from_camera of a camera aimed at a point, rotated by ``roll`` (right side down)."""
     ahead = (aim - eye) / np.linalg.norm(aim - eye)
     right = np.cross(ahead, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
@@ -41,7 +41,7 @@ def towards(eye: Array, aim: Array, roll: float = 0.0) -> Array:
 
 
 def scattered(rng: Rng) -> list[AnySolid]:
-    """Boxes that run through each other."""
+    """Boxes that intersect each other."""
     found: list[AnySolid] = []
     for _ in range(40):
         center, size = (*rng.uniform(-10, 10, 2).tolist(), float(rng.uniform(0, 4))), tuple(rng.uniform(0.3, 5, 3).tolist())
@@ -50,14 +50,14 @@ def scattered(rng: Rng) -> list[AnySolid]:
 
 
 def stacked(rng: Rng) -> list[AnySolid]:
-    """A wall of bricks: all touch."""
+    """A wall of bricks in contact."""
     return [
         Box(center=(x, y, z + 0.5), size=(1, 1, 1), color=a_color(rng)) for x in range(-3, 4) for y in (0, 1) for z in range(3)
     ]
 
 
 def woven(rng: Rng) -> list[AnySolid]:
-    """Beams along x, y and z that pass each other closely: one hides the next, round and round."""
+    """Beams along x, y and z close to each other, with cyclic occlusion."""
     found: list[AnySolid] = []
     for i in range(-2, 3):
         for j in range(3):
@@ -88,10 +88,10 @@ def mixed(rng: Rng) -> list[AnySolid]:
     return found
 
 
-def differing(
+def mismatches(
     world: World, view: View, rng: Rng, number: int, scene: Scene | None = None, without: int = -1
 ) -> tuple[int, int]:
-    """How many of so many pixels have another colour, and how many another depth, than their rays say."""
+    """Numbers of sampled pixels with a colour and with a depth other than those of their rays."""
     picture = render(world, view, scene=scene, without=without, depth=True)
     assert picture.depth_m is not None
     found, colors, depths = oracle.things(world, scene, without), 0, 0
@@ -105,10 +105,8 @@ def differing(
 
 
 @pytest.mark.parametrize("make", [scattered, woven, mixed])
-def test_large_faces_are_drawn_as_small_ones_are(
-    make: Callable[[Rng], list[AnySolid]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """All faces as large ones, then none: the same pictures but for pixels whose middle lies on an edge."""
+def test_large_and_small_faces_agree(make: Callable[[Rng], list[AnySolid]], monkeypatch: pytest.MonkeyPatch) -> None:
+    """All faces as large ones, then none: equal pictures except pixels whose centre lies on an edge."""
     for seed in range(5):
         rng = np.random.default_rng(seed)
         world = World(solids=tuple(make(rng)))
@@ -123,11 +121,11 @@ def test_large_faces_are_drawn_as_small_ones_are(
         assert one is not None
         assert other is not None
         assert (~np.isclose(one, other, rtol=1e-6)).sum() <= 4
-        assert differing(world, view, rng, 40)[0] <= 1
+        assert mismatches(world, view, rng, 40)[0] <= 1
 
 
 def test_any_lens_in_any_place_agrees_with_single_rays() -> None:
-    """From a single pixel to a large picture, from a telescope to half a sphere, close to walls and inside of them."""
+    """From one pixel to a large picture, from telephoto to almost 180 degrees, close to walls and inside them."""
     colors = depths = 0
     for seed in range(80):
         rng = np.random.default_rng(seed)
@@ -136,14 +134,14 @@ def test_any_lens_in_any_place_agrees_with_single_rays() -> None:
         rotation = a_rotation(rng) if seed % 2 else towards(eye, rng.uniform(-4, 4, 3), float(rng.uniform(-3, 3)))
         width, height = ((1, 1), (160, 120), (640, 480), (33, 200), (320, 240))[seed % 5]
         focal = 0.5 * width / math.tan(0.5 * float(rng.uniform(0.05, 3.1)))
-        c, d = differing(world, View(eye, rotation, width, height, focal, 100.0), rng, 40)
+        c, d = mismatches(world, View(eye, rotation, width, height, focal, 100.0), rng, 40)
         colors, depths = colors + c, depths + d
     assert colors <= 3  # of 3200: 99.9 %
     assert depths <= 3
 
 
 def crowd(rng: Rng, count: int = 30) -> Scene:
-    """Bodies in any attitude, some of them half in the floor, among boxes."""
+    """Bodies in any attitude, some of them half below the floor, among boxes."""
     attitude = rng.standard_normal((count, 4))
     return Scene(
         now_ns=0,
@@ -167,21 +165,21 @@ def crowd(rng: Rng, count: int = 30) -> Scene:
     )
 
 
-def test_bodies_in_any_attitude_agree_with_single_rays_and_the_own_one_is_left_out() -> None:
+def test_bodies_in_any_attitude_agree_with_single_rays_without_the_own_one() -> None:
     colors = depths = 0
     for seed in range(10):
         rng = np.random.default_rng(seed)
         scene = crowd(rng)
         eye = scene.position[3] + [0.0, 0.0, 0.3]
         view = View(eye, towards(eye, np.zeros(3)), 160, 120, 90.0)
-        c, d = differing(scene.world, view, rng, 250, scene, 3)
+        c, d = mismatches(scene.world, view, rng, 250, scene, 3)
         colors, depths = colors + c, depths + d
     assert colors <= 2
-    assert depths <= 12  # the sides of a cylinder are flat in the picture: a few mm
+    assert depths <= 12  # cylinder sides are flat in the picture: a few mm
 
 
 def city(rng: Rng, pitch: float) -> World:
-    """Buildings of all heights, some with another one on top, some on stilts, some that touch their neighbours."""
+    """Buildings of random height, with a second block on top, some raised, some in contact with their neighbours."""
     solids: list[AnySolid] = []
     for i in range(-6, 6):
         for j in range(-6, 6):
@@ -197,7 +195,7 @@ def city(rng: Rng, pitch: float) -> World:
 
 
 @pytest.mark.parametrize("pitch", [10.0, 16.0])
-def test_pictures_are_the_same_with_and_without_what_is_hidden(pitch: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hidden_solids_change_no_picture(pitch: float, monkeypatch: pytest.MonkeyPatch) -> None:
     left_out = 0
     for seed in range(25):
         rng = np.random.default_rng(seed)
@@ -216,7 +214,7 @@ def test_pictures_are_the_same_with_and_without_what_is_hidden(pitch: float, mon
     assert left_out > 25 * 20
 
 
-def test_a_lower_one_behind_a_higher_one_is_hidden_and_a_higher_one_is_not() -> None:
+def test_only_a_lower_solid_behind_a_higher_one_is_hidden() -> None:
     wall = Box(center=(5, 0, 2), size=(1, 20, 4))
     rest = [Box(center=(8, 0.01 * n, 0.2), size=(0.2, 0.2, 0.4)) for n in range(60)]
     lower, higher = Box(center=(10, 0, 1), size=(1, 1, 2)), Box(center=(10, 3, 10), size=(1, 1, 20))

@@ -1,4 +1,4 @@
-"""Drawings of worlds: things are where the axes say, and every built-in world can be drawn."""
+"""Drawings of worlds: scale, positions, and every built-in world."""
 
 import cv2
 import numpy as np
@@ -21,7 +21,7 @@ def red(picture: Array) -> Array:
 
 
 def test_a_map_is_to_scale_with_north_up() -> None:
-    """Two boxes 10 m apart and 2 m wide, one to the north-east of the other: their places on the map tell its scale."""
+    """Two boxes of 2 m, 10 m apart, one to the north-east of the other: their places on the map give the scale."""
     boxes = (
         Box(center=(0, 0, 1), size=(2, 2, 2), color=RED),
         Box(center=(8, 6, 1), size=(2, 2, 2), color=RED),
@@ -85,7 +85,7 @@ def test_extent_is_that_of_solids_bounds_and_ground() -> None:
     assert high.tolist() == [2.0, 20.0, 7.0]
 
 
-def test_the_whole_way_of_what_moves_is_on_the_map() -> None:
+def test_the_map_has_the_path_of_moving_bodies() -> None:
     cart = Moving(
         name="cart", solid=Box(center=(0, 0, 0), size=(2, 1, 1)), times_s=(0, 9), way=((0, 0, 0.5, 0), (30, 0, 0.5, 0))
     )

@@ -1,4 +1,4 @@
-"""Cameras: where things are in the picture, how bright they are, and what may be asked of a camera."""
+"""Cameras: places in the picture, brightness, depth, and refused parameters."""
 
 import math
 from typing import Any
@@ -31,13 +31,13 @@ def picture(camera: Camera, scene: Scene) -> Image:
     return image
 
 
-def reddish(image: Image) -> Array:
+def red_mask(image: Image) -> Array:
     levels = image.pixels.astype(int)
     return (levels[:, :, 0] > 100) & (levels[:, :, 1] < 40)
 
 
 def middle_of(mask: Array) -> tuple[float, float]:
-    """Mean column and row of a set of pixels; the middle of the first pixel is (0.5, 0.5)."""
+    """Mean column and row of a set of pixels; the centre of the first pixel is (0.5, 0.5)."""
     rows, columns = np.nonzero(mask)
     return float(columns.mean() + 0.5), float(rows.mean() + 0.5)
 
@@ -51,7 +51,7 @@ def test_an_empty_world_is_floor_and_sky_and_the_horizon_lies_in_the_middle_of_a
     assert (image.pixels[60:] == World().ground.color).all()
 
 
-def test_what_lies_under_the_floor_is_not_seen_however_much_it_is() -> None:
+def test_nothing_below_the_floor_is_visible() -> None:
     cellar = tuple(Box(center=(3.0, 0.0, -5.0), size=(1.0, 1.0, 1.0)) for _ in range(5))
     wedges = tuple(Prism(outline=((5, -1), (6, 0), (5, 1)), height=1.0, bottom=z) for z in (0.0, -4.0, -4.0))
     camera, above = Camera(mount=(0, 0, 1), pitch=0.2), scene_of(world=World(solids=wedges[:1]))
@@ -66,7 +66,7 @@ def test_the_upper_edge_of_a_nadir_picture_is_ahead_and_its_left_is_left() -> No
         places = np.multiply(3.0, ahead) + np.multiply(2.0, left)
         scene = scene_of((0, 0, 10), yaw=yaw, world=World(solids=(cube(float(places[0]), float(places[1]), 0.1, 0.2),)))
         camera = NadirCamera(mount=(0, 0, 0))
-        column, row = middle_of(reddish(picture(camera, scene)))
+        column, row = middle_of(red_mask(picture(camera, scene)))
         assert column == pytest.approx(80 - camera.focal_px * 2 / 9.9, abs=1.0)
         assert row == pytest.approx(60 - camera.focal_px * 3 / 9.9, abs=1.0)
 
@@ -91,11 +91,11 @@ def test_known_points_project_within_half_a_pixel(seed: int) -> None:
     columns = 160 + camera.focal_px * seen[:, 0] / seen[:, 2]
     rows = 120 + camera.focal_px * seen[:, 1] / seen[:, 2]
     image = picture(camera, scene)
-    mask = reddish(image)
+    mask = red_mask(image)
     across, down = np.nonzero(mask.any(axis=0))[0], np.nonzero(mask.any(axis=1))[0]
     found = np.array([across[0], across[-1] + 1, down[0], down[-1] + 1])  # edges of pixels
     expected = np.clip([columns.min(), columns.max(), rows.min(), rows.max()], 0, [320, 320, 240, 240])
-    # a tip narrower than a pixel may fall between pixels: it is never seen outside, and hardly less far
+    # a tip narrower than a pixel may fall between pixels: never outside its true extent, at most 1.5 pixels inside
     assert (np.abs(found - expected) <= 1.5).all()
     assert found[0] + 0.5 >= expected[0] - 1e-6
     assert found[1] - 0.5 <= expected[1] + 1e-6
@@ -104,31 +104,31 @@ def test_known_points_project_within_half_a_pixel(seed: int) -> None:
     assert image.depth_m[mask].max() <= seen[:, 2].max() + 1e-3
 
 
-def test_another_vehicle_is_seen_at_its_place_in_its_size_and_the_own_one_is_not() -> None:
+def test_other_vehicles_have_their_place_and_size_the_own_one_is_omitted() -> None:
     body = Hull((0.4, 0.6, 0.2), (0.0, 0.0, 0.1), "box", RED)
     camera = Camera(mount=(0, 0, 0.1), width=320, height=240)
     image = picture(camera, scene_of((0, 0, 0), (5.2, 0.5, 0.0), hull=body))
-    seen = reddish(image)
+    seen = red_mask(image)
     scale = camera.focal_px / 5.0  # its rear is 5 m away
     assert middle_of(seen) == pytest.approx((160 - 0.5 * scale, 120), abs=1.0)
     assert abs(seen.any(axis=0).sum() - 0.6 * scale) <= 1.5
     assert abs(seen.any(axis=1).sum() - 0.2 * scale) <= 1.5
     alone = picture(Camera(mount=(-1.0, 0.0, 0.1)), scene_of((0, 0, 0), hull=body))
-    assert not reddish(alone).any()
+    assert not red_mask(alone).any()
 
 
-def test_faces_are_as_bright_as_their_direction_to_the_sun_says() -> None:
+def test_brightness_follows_the_angle_to_the_sun() -> None:
     light = Light(direction=(-1.0, 0.0, 1.0), ambient=0.3)
     gray = Box(center=(5, 0, 0.5), size=(1, 20, 1), color=(200, 100, 50))
     image = picture(Camera(mount=(0, 0, 2)), scene_of(world=World(solids=(gray,), light=light)))
     colors = {tuple(color) for color in image.pixels.reshape(-1, 3).tolist()}
-    both = 0.3 + 0.7 * math.sqrt(0.5)  # its top and its west side alike
+    both = 0.3 + 0.7 * math.sqrt(0.5)  # equal for top and west side
     assert tuple(round(level * both) for level in (200, 100, 50)) in colors
     away = picture(Camera(mount=(0, 0, 0.5), yaw=math.pi), scene_of((10, 0, 0), world=World(solids=(gray,), light=light)))
     assert tuple(round(level * 0.3) for level in (200, 100, 50)) in {tuple(c) for c in away.pixels.reshape(-1, 3).tolist()}
 
 
-def test_depths_of_floor_sky_and_what_is_out_of_reach() -> None:
+def test_depths_of_floor_sky_and_beyond_the_reach() -> None:
     camera = Camera(mount=(0, 0, 1), depth=True, range_max=30.0)
     depth = picture(camera, scene_of(world=World(solids=(cube(40, 0, 1, 4.0),)))).depth_m
     assert depth is not None
@@ -147,7 +147,7 @@ def test_a_camera_is_never_under_the_floor() -> None:
     assert (image.pixels[60:] == World().ground.color).all()
 
 
-def test_noise_has_the_stated_deviation_and_pictures_are_the_same_again() -> None:
+def test_noise_has_the_stated_deviation_and_is_repeatable() -> None:
     camera = Camera(noise=4.0, mount=(0, 0, 1))
     clean = picture(Camera(mount=(0, 0, 1)), scene_of()).pixels.astype(float)
     noisy = picture(camera, scene_of()).pixels
@@ -171,7 +171,7 @@ def test_impossible_cameras_are_refused_by_their_key(key: str, value: Any) -> No
             Camera(**{key: value})
 
 
-def test_image_tells_its_focal_length_and_time() -> None:
+def test_image_has_focal_length_and_time() -> None:
     image = picture(Camera(width=200, field_of_view=0.5 * math.pi), scene_of(t=1.5))
     assert image.focal_px == pytest.approx(100.0)
     assert image.time_ns == 1_500_000_000

@@ -1,4 +1,4 @@
-"""Bumper, ranges to neighbours, and the simulated detector of targets."""
+"""Bumper, ranges to neighbours, and the simulated target detector."""
 
 import math
 from typing import Any
@@ -29,7 +29,7 @@ SIDES = {  # in the frame of the hull
 
 
 def pressed(x: float, y: float, *, segments: int = 4, yaw: float = 0.0, hull: Hull = LONG, z: float = 0.1) -> list[str]:
-    """Segments that say 1 when a place in the frame of the hull touches the world."""
+    """Segments pressed by a contact at a place in the frame of the hull."""
     x, y = x + hull.offset[0], y + hull.offset[1]
     place = (5.0 + x * math.cos(yaw) - y * math.sin(yaw), 6.0 + x * math.sin(yaw) + y * math.cos(yaw), z)
     (reading,) = readings(
@@ -94,7 +94,7 @@ def test_noise_is_white_of_the_stated_size_and_independent_from_pair_to_pair() -
     assert abs(np.corrcoef(e[1:, 0], e[:-1, 0])[0, 1]) < 4 / n**0.5
 
 
-def test_a_further_vehicle_moves_no_draw() -> None:
+def test_another_vehicle_changes_no_draw() -> None:
     few = readings(NeighbourRange(), still(150, *PLACES[:2]))
     many = readings(NeighbourRange(), still(150, *PLACES))
     assert [each.values["car1"] for each in few] == [each.values["car1"] for each in many]
@@ -107,7 +107,7 @@ def test_ranges_are_never_negative() -> None:
     assert min(reading.values["car1"] for reading in said) == 0.0
 
 
-def test_behind_a_wall_it_is_not_seen_where_sight_is_needed() -> None:
+def test_walls_block_ranges_that_need_sight() -> None:
     world = World(solids=(Box(center=(1.5, 2.0, 0.5), size=(3.0, 0.2, 2.0)),))
     scene = scene_of(*PLACES, world=world)
     assert set(readings(NeighbourRange(line_of_sight=True), [scene])[0].values) == {"car2"}
@@ -127,7 +127,7 @@ def said(looks: Looks) -> set[tuple[int, int]]:
 
 
 def expected_cells(x: float, y: float, reach_m: float, cell_m: float) -> list[list[int]]:
-    """One after the other, from the definition."""
+    """Cells one by one, from the definition."""
     far = math.ceil(reach_m / cell_m) + 2
     about = [(math.floor(x / cell_m) + i, math.floor(y / cell_m) + j) for j in range(-far, far) for i in range(-far, far)]
     return [[i, j] for i, j in about if math.hypot((i + 0.5) * cell_m - x, (j + 0.5) * cell_m - y) <= reach_m]
@@ -147,11 +147,11 @@ def test_the_cells_are_those_with_their_middle_within_reach(seed: int) -> None:
 def test_no_cell_lies_beyond_the_bounds() -> None:
     looks = look(TargetSensor(), world_of(bounds=(-50.0, -50.0, 50.0, 50.0)), 49.0, -48.0, 20.0)
     columns, rows = looks.cells.T.tolist()
-    assert (max(columns), min(rows)) == (24, -25)  # the last cells of 2 m
+    assert (max(columns), min(rows)) == (24, -25)  # last 2 m cells inside the bounds
     assert [each for each in expected_cells(49.0, -48.0, 8.0, 2.0) if each[0] <= 24 and each[1] >= -25] == looks.cells.tolist()
 
 
-def test_more_cells_than_a_look_can_hold_are_refused_but_none_are_made_beyond_the_bounds() -> None:
+def test_too_many_cells_are_refused_and_none_lie_beyond_the_bounds() -> None:
     sensor = TargetSensor(reach_m=1e5, cell_m=0.1)
     with pytest.raises(ScenarioError, match="use larger cells") as caught:
         look(sensor, World(), 0.0, 0.0, 20.0)
@@ -160,7 +160,7 @@ def test_more_cells_than_a_look_can_hold_are_refused_but_none_are_made_beyond_th
     assert len(look(sensor, world_of(bounds=(-5.0, -5.0, 5.0, 5.0)), -3e5, 0.0, 20.0).cells) == 0
 
 
-def test_without_errors_it_says_where_the_targets_are_now() -> None:
+def test_without_errors_it_reports_current_targets() -> None:
     world = world_of(
         GroundTarget(place=(3.9, -0.1)), GroundTarget(way=((0.0, 5.0), (4.0, 5.0)), speed=1.0), GroundTarget(place=(30.0, 0.0))
     )
@@ -171,8 +171,8 @@ def test_without_errors_it_says_where_the_targets_are_now() -> None:
     assert {(i, j) for i, j in contrary.cells[~contrary.hits].tolist()} == {(1, -1), (0, 2)}
 
 
-def counts(sensor: TargetSensor, world: World, number: int) -> tuple[Array, Array]:
-    """Answers for the cell of the origin, and numbers of all other hits, one after the other."""
+def hit_counts(sensor: TargetSensor, world: World, number: int) -> tuple[Array, Array]:
+    """Answers for the cell of the origin, and numbers of hits in all other cells, (number,) each."""
     scenes = [scene_of((0.5, 0.5, 10.0), t=float(k), world=world) for k in range(number)]
     own, others = [], []
     for looks in readings(sensor, scenes):
@@ -184,17 +184,17 @@ def counts(sensor: TargetSensor, world: World, number: int) -> tuple[Array, Arra
 
 def test_answers_are_independent_draws_with_p_and_q() -> None:
     number, p, q = 3000, 0.8, 0.15
-    own, others = counts(TargetSensor(p=p, q=q), world_of(GroundTarget(place=(1.0, 1.0))), number)
+    own, others = hit_counts(TargetSensor(p=p, q=q), world_of(GroundTarget(place=(1.0, 1.0))), number)
     cells = len(expected_cells(0.5, 0.5, 8.0, 2.0)) - 1
     assert abs(own.mean() - p) < 4.0 * math.sqrt(p * (1 - p) / number)  # binomial, four standard deviations
     assert abs(others.mean() - q * cells) < 4.0 * math.sqrt(q * (1 - q) * cells / number)
-    assert others.var() == pytest.approx(q * (1 - q) * cells, rel=4.0 * math.sqrt(2.0 / number))  # as of independent ones
+    assert others.var() == pytest.approx(q * (1 - q) * cells, rel=4.0 * math.sqrt(2.0 / number))  # as of independent draws
     after = np.corrcoef(own[1:], own[:-1])[0, 1], np.corrcoef(others[1:], others[:-1])[0, 1], np.corrcoef(own, others)[0, 1]
     assert max(map(abs, after)) < 4.0 / math.sqrt(number)
 
 
 @pytest.mark.parametrize("kind", ["kinematic", "bullet"])
-def test_it_serves_in_runs_and_a_seed_says_all(kind: str) -> None:
+def test_runs_depend_on_the_seed_only(kind: str) -> None:
     def run(seed: int) -> list[Looks]:
         seen: list[Looks] = []
 
@@ -224,4 +224,4 @@ def test_it_serves_in_runs_and_a_seed_says_all(kind: str) -> None:
     assert [each.time_ns for each in once] == [0, 10**9, 2 * 10**9, 3 * 10**9]
     assert [each.hits.tolist() for each in once] == [each.hits.tolist() for each in again]
     assert [each.hits.tolist() for each in once] != [each.hits.tolist() for each in other]
-    assert [each.cells[:, 0].mean() for each in once] == pytest.approx([-0.5, 0.0, 0.5, 1.0], abs=0.26)  # it flies east
+    assert [each.cells[:, 0].mean() for each in once] == pytest.approx([-0.5, 0.0, 0.5, 1.0], abs=0.26)  # flies east

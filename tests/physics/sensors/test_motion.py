@@ -1,4 +1,4 @@
-"""The inertial unit and wheel odometry: truth where nothing errs, and errors of the stated size."""
+"""Inertial unit and wheel odometry: exact without errors, and errors of the stated size."""
 
 import math
 from typing import Any
@@ -23,16 +23,16 @@ G = 9.81
 angles = st.floats(-3.0, 3.0)
 
 
-def test_in_free_fall_it_feels_nothing_whatever_its_attitude() -> None:
+def test_free_fall_reads_zero_at_any_attitude() -> None:
     (reading,) = readings(EXACT, [scene_of(attitude=(0.5, 0.5, -0.5, 0.5), acceleration=(0.0, 0.0, -G), rate=(1.0, 2.0, 3.0))])
     assert reading.acceleration == pytest.approx((0.0, 0.0, 0.0))
     assert reading.angular_velocity == (1.0, 2.0, 3.0)
 
 
 @given(yaw=angles)
-def test_on_a_circle_it_feels_v_squared_by_r_towards_the_centre(yaw: float) -> None:
+def test_a_circle_reads_v_squared_by_r_towards_the_centre(yaw: float) -> None:
     v, r = 2.0, 5.0
-    inward = v * v / r * np.array([-np.sin(yaw), np.cos(yaw), 0.0])  # to the left of its way
+    inward = v * v / r * np.array([-np.sin(yaw), np.cos(yaw), 0.0])  # to the left of the direction of travel
     (reading,) = readings(EXACT, [scene_of(yaw=yaw, acceleration=inward.tolist(), rate=(0.0, 0.0, v / r))])
     assert reading.acceleration == pytest.approx((0.0, v * v / r, G))
     assert reading.angular_velocity == (0.0, 0.0, v / r)
@@ -46,7 +46,7 @@ def test_at_rest_it_shows_which_way_is_up(q: tuple[float, ...]) -> None:
 
 
 @pytest.mark.parametrize("hz", [20.0, 80.0])
-def test_a_noise_density_makes_what_is_integrated_walk_away_by_the_root_of_time(hz: float) -> None:
+def test_integrated_noise_grows_with_the_root_of_time(hz: float) -> None:
     sensor = InertialUnit(
         rate_hz=hz, gyroscope_density=0.01, gyroscope=Noise(), accelerometer_density=0.02, accelerometer=Noise()
     )
@@ -69,8 +69,8 @@ def test_readings_end_at_the_limits_and_are_quantised() -> None:
     assert reading.acceleration == (0.5, 0.0, 10.0)
 
 
-def test_by_default_it_errs_as_a_calibrated_low_cost_unit() -> None:
-    """Turn-on biases from unit to unit, and the white noise of a density at 60 Hz."""
+def test_default_errors_of_a_calibrated_low_cost_unit() -> None:
+    """Turn-on bias per unit, and white noise of a density at 60 Hz."""
     units = [readings(InertialUnit(), still(40, hz=60.0), f"car{number}/imu") for number in range(150)]
     force: Array = np.array([[reading.acceleration for reading in unit] for unit in units]) - (0.0, 0.0, G)
     turn: Array = np.array([[reading.angular_velocity for reading in unit] for unit in units])
@@ -84,7 +84,7 @@ Pose = tuple[float, float, float]
 
 
 def driven(speeds: list[tuple[float, float]], dt: float = 0.1, start: Pose = (1.0, 2.0, 0.5)) -> tuple[list[Scene], list[Pose]]:
-    """Scenes of a robot that keeps each (v m/s, w rad/s) for dt without slip, and its true poses."""
+    """Scenes of a robot with each (v m/s, w rad/s) for dt, without slip, and its true poses."""
     poses, left, right, scenes = [start], 3.0, -2.0, []
     for number in range(len(speeds) + 1):
         x, y, yaw = poses[-1]
@@ -110,15 +110,15 @@ def test_without_slip_and_errors_it_is_the_truth(speeds: list[tuple[float, float
         assert (reading.v, reading.w) == pytest.approx((v, w), abs=1e-9)
 
 
-def test_wheels_taken_for_one_per_cent_larger_make_the_way_one_per_cent_longer() -> None:
+def test_a_radius_error_of_one_per_cent_scales_the_distance() -> None:
     scenes, _ = driven([(0.5, 0.0)] * 100, start=(0.0, 0.0, 0.0))
     last = readings(odometer(left_radius_error=0.01, right_radius_error=0.01), scenes)[-1]
     assert last.pose == pytest.approx((5.05, 0.0, 0.0))
     assert last.v == pytest.approx(0.505)
 
 
-def test_one_wheel_taken_for_larger_makes_a_straight_way_a_circle() -> None:
-    """The left way is 1 % longer than the right one: a right turn of radius b (2.01 / 2) / 0.01."""
+def test_a_radius_error_of_one_wheel_bends_a_line() -> None:
+    """The left distance is 1 % too long: a right turn of radius b (2.01 / 2) / 0.01."""
     scenes, _ = driven([(0.5, 0.0)] * 100, start=(0.0, 0.0, 0.0))
     x, y, yaw = readings(odometer(left_radius_error=0.01), scenes)[-1].pose
     turned, radius = 0.01 * 5.0 / B, B * 1.005 / 0.01
@@ -130,8 +130,8 @@ def test_a_wide_track_makes_turns_small() -> None:
     assert readings(odometer(track_error=0.01), scenes)[-1].pose[2] == pytest.approx(poses[-1][2] / 1.01)
 
 
-def test_a_walk_grows_with_the_root_of_the_way() -> None:
-    """Of s m: each wheel by walk sqrt(s), so the middle by walk sqrt(s / 2) and the yaw by walk sqrt(2 s) / track."""
+def test_a_walk_grows_with_root_distance() -> None:
+    """After s m: each wheel by walk sqrt(s), so the middle by walk sqrt(s / 2) and the yaw by walk sqrt(2 s) / track."""
     scenes, _ = driven([(0.5, 0.0)] * 40, start=(0.0, 0.0, 0.0))
     ends = np.array([readings(odometer(walk_m=0.002), scenes, f"car{n}/odo")[-1].pose for n in range(600)])
     assert ends[:, 0].std() == pytest.approx(0.002 * 1.0, rel=0.12)

@@ -1,4 +1,4 @@
-"""Positioning sensors: errors as told, outliers, biases near walls, geometry of anchors; draws that nothing else moves."""
+"""Positioning sensors: stated errors, outliers, biases near walls, geometry of anchors, independent draws."""
 
 from typing import Any
 
@@ -27,7 +27,7 @@ def fixes(sensor: Positioning, n: int, name: str = "car/positioning") -> list[Fi
 
 
 def errors(sensor: Positioning, n: int, name: str = "car/positioning") -> np.ndarray:
-    """(n, 3): x m, y m, yaw rad."""
+    """Errors (n, 3): x m, y m, yaw rad."""
     return np.array([(f.position[0] - 3.0, f.position[1] + 4.0, wrap((f.yaw or 0.0) - 3.1)) for f in fixes(sensor, n, name)])
 
 
@@ -41,7 +41,7 @@ def test_errors_are_independent_and_of_the_stated_size() -> None:
     assert abs(np.corrcoef(e[1:, 0], e[:-1, 0])[0, 1]) < 4 / n**0.5
 
 
-def test_without_noise_it_tells_the_truth() -> None:
+def test_without_noise_it_is_exact() -> None:
     fix = fixes(Positioning(sigma_m=0.0, sigma_rad=0.0), 1)[0]
     assert fix.position == TRUTH.position
     assert fix.yaw == pytest.approx(3.1)
@@ -52,10 +52,10 @@ def test_yaw_is_wrapped() -> None:
     yaws = [fix.yaw or 0.0 for fix in fixes(Positioning(sigma_rad=0.5), 500)]
     assert min(yaws) >= -np.pi
     assert max(yaws) < np.pi
-    assert min(yaws) < 0.0 < max(yaws)  # 3.1 rad with noise lies on both sides of the seam
+    assert min(yaws) < 0.0 < max(yaws)  # 3.1 rad with noise crosses the wrap at pi
 
 
-def test_parameters_never_move_the_draws() -> None:
+def test_parameters_change_no_draws() -> None:
     plain = errors(Positioning(sigma_m=0.1), 200)
     assert errors(Positioning(sigma_m=0.2), 200)[:, :2] == pytest.approx(2.0 * plain[:, :2])
     some = errors(Positioning(sigma_m=0.1, outlier_probability=0.3), 200)
@@ -65,7 +65,7 @@ def test_parameters_never_move_the_draws() -> None:
     assert not np.array_equal(errors(Positioning(sigma_m=0.1), 200, "other/positioning"), plain)
 
 
-def test_as_a_sensor_among_others_it_gives_the_same_fixes_from_the_same_draws() -> None:
+def test_the_sensor_gives_equal_fixes_from_equal_draws() -> None:
     parameters: Any = {"sigma_m": 0.2, "sigma_rad": 0.1, "outlier_probability": 0.3, "outlier_m": 3.0}
     scenes = [scene_of(TRUTH.position, t=k * 1e-9, yaw=3.1) for k in range(100)]
     assert readings(PositioningSensor(**parameters), scenes, "car/positioning") == fixes(Positioning(**parameters), 100)
@@ -75,7 +75,7 @@ def gps_errors(sensor: Gps, count: int, name: str = "car0/gps", hz: float = 5.0)
     return np.array([fix.position for fix in readings(sensor, still(count, (3.0, -4.0, 5.0), hz=hz), name)]) - (3.0, -4.0, 5.0)
 
 
-def test_many_receivers_err_by_what_their_fixes_tell() -> None:
+def test_many_receivers_have_the_spread_of_sigma() -> None:
     many = np.array([gps_errors(Gps(), 1, f"car{number}/gps")[0] for number in range(3000)])
     fix = readings(Gps(), [scene_of()])[0]
     assert fix.yaw is None
@@ -83,8 +83,8 @@ def test_many_receivers_err_by_what_their_fixes_tell() -> None:
     assert np.median(np.hypot(*many.T[:2])) == pytest.approx(2.5, rel=0.06)  # circular error probable of the data sheet
 
 
-def test_one_receiver_errs_slowly_with_white_noise_upon_it() -> None:
-    """Correlation after t: the share of the slow variance times exp(-t / T)."""
+def test_one_receiver_drifts_slowly_plus_white_noise() -> None:
+    """Correlation after t: the slow share of the variance times exp(-t / T)."""
     runs = np.array([gps_errors(Gps(drift_time_s=10.0), 60, f"car{n}/gps", hz=1.0) for n in range(700)])
     slow = 2.1**2 / (2.1**2 + 0.3**2)
     for lag in (1, 5, 10, 30):
@@ -101,7 +101,7 @@ def test_outliers_and_mount_of_an_antenna() -> None:
     assert fix.position == pytest.approx((2.0, 4.0, 0.5))
 
 
-WALL_AT_5 = World(solids=(Box(center=(0.0, 5.1, 1.0), size=(20.0, 0.2, 4.0)),))  # its face at y = 5
+WALL_AT_5 = World(solids=(Box(center=(0.0, 5.1, 1.0), size=(20.0, 0.2, 4.0)),))  # face at y = 5
 SQUARE = ((-5.0, -5.0, 1.0), (5.0, -5.0, 1.0), (5.0, 5.0, 1.0), (-5.0, 5.0, 1.0))
 EXACT: Any = {"sigma_m": 0.0, "sigma_z_m": 0.0}
 
@@ -110,7 +110,7 @@ def uwb_errors(sensor: Uwb, count: int, place: tuple[float, float, float], world
     return np.array([fix.position for fix in readings(sensor, still(count, place, world=world))]) - place
 
 
-def test_in_the_open_it_errs_by_what_it_tells_and_has_no_heading() -> None:
+def test_open_field_errors_match_sigma_without_heading() -> None:
     n = 5000
     e = uwb_errors(Uwb(), n, (3.0, 4.0, 1.0))
     assert e.std(axis=0) == pytest.approx((0.15, 0.15, 0.3), rel=4 / (2 * n) ** 0.5)
@@ -121,7 +121,7 @@ def test_in_the_open_it_errs_by_what_it_tells_and_has_no_heading() -> None:
 
 
 @pytest.mark.parametrize(("bias_m", "reach_m"), [(0.3, 1.0), (0.8, 4.0)])
-def test_near_a_wall_it_is_pushed_away_from_it_and_less_and_less_up_to_the_reach(bias_m: float, reach_m: float) -> None:
+def test_the_bias_points_away_from_a_wall_and_fades_to_the_reach(bias_m: float, reach_m: float) -> None:
     for gap in (0.001, 0.25, 0.5, 0.9, 1.0, 2.0, 3.0, 3.99, 4.01):
         pushed = bias_m * max(1.0 - gap / reach_m, 0.0)
         e = uwb_errors(Uwb(**EXACT, wall_bias_m=bias_m, wall_reach_m=reach_m), 1, (2.0, 5.0 - gap, 1.0), WALL_AT_5)[0]
@@ -140,7 +140,7 @@ def test_outliers_and_mount() -> None:
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.0, 1.0), (4.0, 1.0, 0.0), (20.0, 3.0, 0.2), (-30.0, 30.0, 4.0)])
-def test_errors_are_diluted_by_geometry_as_told(place: tuple[float, float, float]) -> None:
+def test_errors_match_the_stated_dilution(place: tuple[float, float, float]) -> None:
     n, sensor = 2000, Uwb(anchors=SQUARE)
     e = uwb_errors(sensor, n, place)
     (fix,) = readings(sensor, [scene_of(place)])
@@ -150,8 +150,8 @@ def test_errors_are_diluted_by_geometry_as_told(place: tuple[float, float, float
     assert (fix.sigma_m > 0.2) == outside
 
 
-def test_it_errs_as_the_solution_of_the_ranges_does() -> None:
-    """Against a least-squares solution of the ranges themselves, iterated to its end."""
+def test_errors_equal_those_of_the_ranges() -> None:
+    """Against an iterated least-squares solution of the ranges."""
     place, sensor = np.array([3.0, -2.0, 0.4]), Uwb(anchors=SQUARE, sigma_m=0.001, sigma_z_m=0.002)
     anchors = np.array(SQUARE)
     said = uwb_errors(sensor, 20, (3.0, -2.0, 0.4))
@@ -168,7 +168,7 @@ def test_it_errs_as_the_solution_of_the_ranges_does() -> None:
         assert each == pytest.approx(solved - place, abs=2e-5)
 
 
-def test_a_range_through_a_solid_is_too_long_and_pushes_away_from_that_anchor() -> None:
+def test_a_blocked_range_is_too_long_and_pushes_away_from_its_anchor() -> None:
     wall = World(solids=(Box(center=(2.5, 2.5, 1.0), size=(1.0, 1.0, 4.0), yaw_rad=np.pi / 4),))
     sensor = Uwb(anchors=SQUARE, **EXACT, wall_bias_m=0.0, blocked_bias_m=0.4)
     e = uwb_errors(sensor, 1, (0.0, 0.0, 1.0), wall)[0]

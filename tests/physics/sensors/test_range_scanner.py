@@ -1,4 +1,4 @@
-"""Range scanners: where their beams point, what they see."""
+"""Range scanners: beam directions, ranges and errors."""
 
 import math
 from typing import Any
@@ -35,7 +35,7 @@ def angles(found: Scan) -> Floats:
 
 
 def room(angle: Floats, x: float = 0.0, y: float = 0.0) -> Floats:
-    """Distance to the walls, by hand."""
+    """Distance to the walls, in closed form."""
     c, s = np.cos(angle), np.sin(angle)
     with np.errstate(divide="ignore"):
         found: Floats = np.minimum((np.copysign(4.0, c) - x) / c, (np.copysign(3.0, s) - y) / s)
@@ -44,7 +44,7 @@ def room(angle: Floats, x: float = 0.0, y: float = 0.0) -> Floats:
 
 @pytest.mark.parametrize("field_of_view", [0.5, math.pi, 5.0, FULL])
 @pytest.mark.parametrize("beams", [2, 33, 512])
-def test_a_room_whichever_way_the_scanner_looks(field_of_view: float, beams: int) -> None:
+def test_a_room_for_any_scanner_heading(field_of_view: float, beams: int) -> None:
     for yaw, heading, x, y in ((0.0, 0.0, 0.0, 0.0), (1.3, -2.2, 1.5, -2.0), (-3.0, 3.1, -3.0, 1.0)):
         sensor = RangeScanner(beams=beams, field_of_view=field_of_view, range_max=20.0, yaw=yaw)
         found = scan(sensor, scene(ROOM, [(x, y, 0.5)], np.array([quaternion_from_yaw(heading)])))
@@ -54,11 +54,11 @@ def test_a_room_whichever_way_the_scanner_looks(field_of_view: float, beams: int
         assert not found.ranges.flags.writeable
 
 
-def test_beams_are_spread_as_ros_spreads_them() -> None:
+def test_beams_are_spread_as_in_ros() -> None:
     half_turn = scan(RangeScanner(beams=181, field_of_view=math.pi, range_max=9.0), scene(ROOM, [(0, 0, 1)]))
     assert angles(half_turn)[[0, 90, 180]] == pytest.approx([-0.5 * math.pi, 0.0, 0.5 * math.pi])  # right, ahead, left
     full = scan(RangeScanner(beams=4, field_of_view=FULL, range_max=9.0), scene(ROOM, [(1, 0, 1)]))
-    assert angles(full) == pytest.approx([0.0, 0.5 * math.pi, math.pi, 1.5 * math.pi])  # the last is not the first again
+    assert angles(full) == pytest.approx([0.0, 0.5 * math.pi, math.pi, 1.5 * math.pi])  # the last beam differs from the first
     assert full.ranges.tolist() == pytest.approx([3.0, 3.0, 5.0, 3.0])
     alone = scan(RangeScanner(beams=1, field_of_view=1.0, range_max=9.0, yaw=0.5 * math.pi), scene(ROOM, [(1, 1, 1)]))
     assert (alone.angle_min, alone.ranges.tolist()) == (0.5 * math.pi, [2.0])
@@ -72,7 +72,7 @@ def test_reach_and_too_near() -> None:
     assert scan(exact, scene(ROOM, [(0, 0, 1)])).ranges.tolist() == [4.0]
 
 
-def test_inside_a_solid_everything_is_in_the_way() -> None:
+def test_inside_a_solid_all_ranges_are_zero() -> None:
     sensor = RangeScanner(beams=9, field_of_view=FULL, range_max=9.0)
     assert scan(sensor, scene(ROOM, [(4.5, 0.0, 1.0)])).ranges.tolist() == [0.0] * 9
     assert scan(sensor, scene(ROOM, [(4.5, 0.0, 3.1)])).ranges.tolist() == [math.inf] * 9
@@ -80,7 +80,7 @@ def test_inside_a_solid_everything_is_in_the_way() -> None:
     assert scan(sensor, two).ranges.tolist() == [0.0] * 9
 
 
-def test_a_scanner_that_looks_down_itself() -> None:
+def test_a_scanner_pitched_downwards() -> None:
     sensor = RangeScanner(beams=1, field_of_view=0.1, range_max=20.0, pitch=0.3, yaw=1.0, position=(0.5, 0.0, 0.2))
     low = scan(sensor, scene(World(), [(0.0, 0.0, 1.0)]))
     assert low.ranges.tolist() == pytest.approx([1.2 / math.sin(0.3)])
@@ -95,7 +95,7 @@ def test_others_are_seen_and_the_own_vehicle_is_not() -> None:
     drone = Hull(size=(0.5, 0.5, 0.1), kind="cylinder")
     among = scene(World(), [(0, 0, 0), (3, 0, 0), (0, 2, 0.1), (0, -2, 0.4)], hulls=[car, car, drone, car])
     found = scan(RangeScanner(beams=3, field_of_view=math.pi, range_max=9.0, position=(0.0, 0.0, 0.1)), among)
-    assert found.ranges.tolist() == pytest.approx([math.inf, 2.75, 1.75])  # the one on the right flies above the beam
+    assert found.ranges.tolist() == pytest.approx([math.inf, 2.75, 1.75])  # the vehicle on the right flies above the beam
     back = scan(RangeScanner(beams=1, field_of_view=1.0, range_max=9.0, position=(0.0, 0.0, 0.1), yaw=math.pi), among, row=1)
     assert back.ranges.tolist() == pytest.approx([2.75])
 
@@ -110,12 +110,12 @@ def test_presets() -> None:
     assert np.isfinite(found.ranges).sum() >= 8
 
 
-def test_a_range_that_is_none_is_refused() -> None:
+def test_an_impossible_range_is_refused() -> None:
     with pytest.raises(ValueError, match=r"range_min = 2.0 must be less than range_max = 1.0"):
         RangeScanner(beams=3, field_of_view=1.0, range_min=2.0, range_max=1.0)
 
 
-# All beams of a scanner at the origin meet the wall at 4 m, nearly at right angles.
+# All beams of a scanner at the origin meet the wall at 4 m, almost perpendicularly.
 WALL = scene(World(solids=(Box(center=(4.5, 0.0, 0.5), size=(1.0, 9.0, 2.0)),)), [(0.0, 0.0, 0.5)])
 BEAMS = 40_000
 
@@ -136,7 +136,7 @@ def test_gaussian_errors_of_the_stated_size_independent_from_beam_to_beam() -> N
     assert abs(np.corrcoef(error[1:], error[:-1])[0, 1]) < 4 / BEAMS**0.5
 
 
-def test_whole_steps() -> None:
+def test_quantised_ranges() -> None:
     assert set(ranges(quantum_m=0.3).tolist()) == {np.float32(3.9)}
     found = ranges(sigma_m=0.2, quantum_m=0.1)
     assert np.abs(found / 0.1 - np.rint(found / 0.1)).max() < 1e-5
@@ -159,7 +159,7 @@ def test_outliers_are_anywhere_within_reach() -> None:
     assert far.std() == pytest.approx(10.0 / math.sqrt(12.0), rel=0.03)
     among_nothing = RangeScanner(beams=BEAMS, field_of_view=1e-4, range_max=10.0, yaw=math.pi, outlier_probability=0.2)
     seen = np.isfinite(among_nothing.measure(WALL, 0, stream(1, "car/scan")).ranges)
-    assert np.array_equal(seen, found != 4.0)  # a ghost needs nothing there
+    assert np.array_equal(seen, found != 4.0)  # outliers also occur without an obstacle
 
 
 def test_outliers_and_missing_returns_are_different_beams() -> None:
@@ -178,7 +178,7 @@ def test_never_a_nan_and_nothing_outside_the_limits() -> None:
     assert ranges(sigma_m=3.0).min() == 0.0
 
 
-def test_parameters_never_move_the_draws() -> None:
+def test_parameters_change_no_draws() -> None:
     plain = ranges(sigma_m=0.05)
     assert ranges(sigma_m=0.1) - 4.0 == pytest.approx(2.0 * (plain - 4.0), abs=1e-6)
     cases: tuple[dict[str, Any], ...] = ({"no_return": 0.2}, {"outlier_probability": 0.2})
@@ -189,7 +189,7 @@ def test_parameters_never_move_the_draws() -> None:
     assert not np.array_equal(ranges("other/scan", sigma_m=0.05), plain)
 
 
-def test_all_at_once_are_the_same_scans() -> None:
+def test_a_batch_gives_equal_scans() -> None:
     among = scene(WALL.world, [(0.0, 0.0, 0.5), (0.0, 2.0, 0.5), (3.0, 1.0, 0.4)])
     sensors = [Ring(no_return=0.1), Ring(beams=7, range_min=0.2), Ring(field_of_view=2.0, outlier_probability=0.3)]
     together = Ring.measure_all(sensors, among, [0, 1, 2], [stream(1, str(k)) for k in range(3)])

@@ -1,4 +1,4 @@
-"""What all sensors have in common: errors of readings, draws that no parameter moves, runs, a sensor of one's own."""
+"""Common sensor functions: errors of readings, independent draws, runs, custom sensors."""
 
 import dataclasses
 from pathlib import Path
@@ -35,7 +35,7 @@ N = 20_000
 
 
 def sequence(noise: Noise, channels: int, times_s: Array) -> Array:
-    """Errors of as many equal channels at these times, (t, channels)."""
+    """Errors of equal channels at these times, (t, channels)."""
     errors, rng = Errors([noise] * channels), stream(1, "noise")
     return np.array([errors.read(np.zeros(channels), round(1e9 * t), rng) for t in times_s])
 
@@ -57,7 +57,7 @@ def test_nothing_by_default() -> None:
     ],
     ids=["white", "turn-on bias", "drift", "walk", "all"],
 )
-def test_errors_have_the_stated_mean_and_covariance_however_often_they_are_read(noise: Noise, times_s: Array) -> None:
+def test_errors_have_the_stated_mean_and_covariance_at_any_rate(noise: Noise, times_s: Array) -> None:
     e = sequence(noise, N, times_s) - noise.bias
     apart, since = np.abs(np.subtract.outer(times_s, times_s)), np.minimum.outer(times_s, times_s) - times_s[0]
     white = noise.sigma**2 + noise.outlier_probability * noise.outlier**2
@@ -68,7 +68,7 @@ def test_errors_have_the_stated_mean_and_covariance_however_often_they_are_read(
     assert (np.abs(e @ e.T / N - expected) <= 5.0 * (2.0 / N) ** 0.5 * np.outer(size, size) + 1e-12).all()
 
 
-def test_outliers_are_as_many_and_as_far_as_stated_on_both_sides() -> None:
+def test_outliers_have_the_stated_rate_and_size_on_both_sides() -> None:
     e = sequence(Noise(outlier_probability=0.1, outlier=7.0), N, np.zeros(1))[0]
     assert set(e.tolist()) == {-7.0, 0.0, 7.0}
     for side in (-7.0, 7.0):
@@ -91,8 +91,8 @@ def test_channels_may_differ() -> None:
     assert third == pytest.approx(3.3)
 
 
-def test_no_parameter_moves_the_draws() -> None:
-    """The generator stands at the same place after any reading, and what one parameter adds does not depend on another."""
+def test_parameters_change_no_draws() -> None:
+    """Every reading takes the same number of draws, and the contributions of parameters are independent."""
     times, zero = (0, 10**8, 10**9), np.zeros(2)
     every = Noise(bias=1.0, bias_sd=1.0, drift_sd=1.0, walk=1.0, sigma=1.0, outlier_probability=0.5, outlier=9.0, quantum=0.1)
     a, b = stream(1, "a"), stream(1, "a")
@@ -107,7 +107,7 @@ def test_no_parameter_moves_the_draws() -> None:
     assert whole == pytest.approx(sums)
 
 
-def test_jumps_are_as_many_and_as_far_as_stated_in_all_directions() -> None:
+def test_jumps_have_the_stated_rate_and_size_in_all_directions() -> None:
     rng = stream(1, "jump")
     jumps = np.array([jump(0.2, 3.0, rng) for _ in range(N)])
     far = np.hypot(*jumps.T)
@@ -145,14 +145,14 @@ def test_default_rates_fall_on_steps_of_120_and_240_hz(kind: type[Sensor]) -> No
     assert 120.0 % kind().rate_hz == 0.0
 
 
-def test_an_altimeter_tells_the_height_and_drifts_with_the_weather() -> None:
+def test_an_altimeter_reads_height_plus_weather_drift() -> None:
     (exact,) = readings(Altimeter(noise=Noise()), [scene_of((1.0, 2.0, 3.5))])
     assert exact.values == {"height_m": 3.5}
     said = np.array([reading.values["height_m"] for reading in readings(Altimeter(), still(2000, (0.0, 0.0, 50.0), hz=20.0))])
-    assert np.diff(said).std() == pytest.approx(0.1 * 2**0.5, rel=0.06)  # white noise; the drift hardly moves in 50 ms
+    assert np.diff(said).std() == pytest.approx(0.1 * 2**0.5, rel=0.06)  # white noise; drift within 50 ms is negligible
 
 
-def test_a_compass_tells_the_yaw_wrapped() -> None:
+def test_a_compass_reads_the_wrapped_yaw() -> None:
     (exact,) = readings(Compass(noise=Noise()), [scene_of(yaw=-2.0)])
     assert exact.values == {"yaw_rad": pytest.approx(-2.0)}
     said = [reading.values["yaw_rad"] for reading in readings(Compass(noise=Noise(sigma=0.3)), still(300, yaw=3.1))]
@@ -160,7 +160,7 @@ def test_a_compass_tells_the_yaw_wrapped() -> None:
     assert 3.0 < max(said) < np.pi
 
 
-def test_a_magnetometer_tells_the_field_along_its_axes() -> None:
+def test_a_magnetometer_reads_the_field_in_its_axes() -> None:
     sensor = Magnetometer(noise=Noise(), field_ut=(1.0, 20.0, -40.0))  # east, north, up
     (east,) = readings(sensor, [scene_of(yaw=0.0)])
     (north,) = readings(sensor, [scene_of(yaw=0.5 * np.pi)])
@@ -178,7 +178,7 @@ def odometer(**errors: float) -> WheelOdometry:
     return WheelOdometry(wheel_radius_m=MODEL.wheel_radius_m, track_m=MODEL.track_m, **errors)  # type: ignore[arg-type]
 
 
-def ran(kind: type[Physics], sensors: dict[str, Sensor], **rest: Any) -> dict[str, dict[int, Any]]:
+def values_of(kind: type[Physics], sensors: dict[str, Sensor], **rest: Any) -> dict[str, dict[int, Any]]:
     """Values by key and time of delivery, of a car that starts at the origin."""
     spec = VehicleSpec(name="car", model=MODEL, position=(0.0, 0.0, 0.0), heading=0.3, sensors=sensors)
     physics = kind(world=rest.get("world", World()), vehicles=[spec])
@@ -190,29 +190,29 @@ def ran(kind: type[Physics], sensors: dict[str, Sensor], **rest: Any) -> dict[st
 
 
 def poses(values: dict[str, dict[int, Any]]) -> tuple[Any, Any]:
-    """What the odometer says and what is true, (n, 3) x m, y m, yaw rad."""
+    """Odometry and true poses, (n, 3) x m, y m, yaw rad."""
     said = np.array([reading.pose for reading in values["car/odo"].values()])
     true = np.array([(*state.position[:2], state.yaw) for state in values["car/estimate"].values()])
     return said, true
 
 
 def test_odometry_of_wheels_that_do_not_slip_is_the_truth() -> None:
-    said, true = poses(ran(KinematicPhysics, {"odo": odometer()}))
+    said, true = poses(values_of(KinematicPhysics, {"odo": odometer()}))
     assert len(said) == 101
     assert np.abs(said - true).max() < 1e-9
 
 
 def test_odometry_of_a_body_on_a_good_floor_is_nearly_the_truth() -> None:
-    said, true = poses(ran(BulletPhysics, {"odo": odometer()}))
+    said, true = poses(values_of(BulletPhysics, {"odo": odometer()}))
     assert np.hypot(*(said - true)[:, :2].T).max() < 0.01
     assert np.abs(said - true)[:, 2].max() < 0.005
-    wrong, _ = poses(ran(BulletPhysics, {"odo": odometer(track_error=0.02)}))
+    wrong, _ = poses(values_of(BulletPhysics, {"odo": odometer(track_error=0.02)}))
     assert np.abs(wrong - true)[:, 2].max() > 0.02
 
 
-def test_a_bumper_says_when_the_car_has_reached_the_wall() -> None:
+def test_a_bumper_reports_contact_with_the_wall() -> None:
     wall = World(solids=(Box(center=(2.0, 0.6, 0.5), size=(0.2, 6.0, 1.0), yaw_rad=0.3),))
-    values = ran(BulletPhysics, {"bump": Bumper()}, world=wall, commands=[(0.0, "car", 0.5, 0.0)])
+    values = values_of(BulletPhysics, {"bump": Bumper()}, world=wall, commands=[(0.0, "car", 0.5, 0.0)])
     (hit_ns,) = values["world/contact"]
     pressed = [time_ns for time_ns, reading in values["car/bump"].items() if reading.values["front"]]
     assert pressed[0] == hit_ns
@@ -220,16 +220,16 @@ def test_a_bumper_says_when_the_car_has_reached_the_wall() -> None:
 
 
 @pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics, MujocoPhysics])
-def test_an_inertial_unit_feels_the_floor_push_and_the_turn(kind: type[Physics]) -> None:
+def test_an_inertial_unit_reads_floor_force_and_turn(kind: type[Physics]) -> None:
     exact = InertialUnit(
         rate_hz=120.0, accelerometer_density=0.0, accelerometer=Noise(), gyroscope_density=0.0, gyroscope=Noise()
     )
-    readings = ran(kind, {"imu": exact})["car/imu"]
+    readings = values_of(kind, {"imu": exact})["car/imu"]
     times = np.array(list(readings)) * 1e-9
     force = np.array([reading.acceleration for reading in readings.values()])
     turn = np.array([reading.angular_velocity for reading in readings.values()])
     circling, standing = (times > 4.5) & (times < 6.0), (times > 7.5) & (times < 8.0)
-    assert force[circling].mean(axis=0) == pytest.approx((0.0, 0.3 * 0.6, 9.81), abs=0.02)  # v w to the left
+    assert force[circling].mean(axis=0) == pytest.approx((0.0, 0.3 * 0.6, 9.81), abs=0.02)  # v w, to the left
     assert turn[circling].mean(axis=0) == pytest.approx((0.0, 0.0, 0.6), abs=0.005)
     assert force[standing].mean(axis=0) == pytest.approx((0.0, 0.0, 9.81), abs=0.02)
 
@@ -256,7 +256,7 @@ def altimeter(tmp_path: Path) -> Any:
     return registry.find("sensor", "my_sensors.py:Altimeter", folder=tmp_path)
 
 
-def test_it_is_read_as_any_other(altimeter: Any) -> None:
+def test_it_is_read_like_others(altimeter: Any) -> None:
     built = binding.call(altimeter, {"sigma_m": 0, "rate_hz": 20, "latency_s": 0.05}, key="vehicle.car0.sensors.alt")
     instruments = SensorScheduler({"car0": {"alt": built}}, 1)
     (event,) = instruments.read(scene_of((1.0, 2.0, 3.0)))
@@ -265,14 +265,14 @@ def test_it_is_read_as_any_other(altimeter: Any) -> None:
     assert [instruments.due(now) for now in (0, 25_000_000, 50_000_000)] == [True, False, True]
 
 
-def test_it_errs_by_itself(altimeter: Any) -> None:
+def test_it_has_own_noise(altimeter: Any) -> None:
     instruments = SensorScheduler({"car0": {"alt": altimeter()}, "car1": {"alt": altimeter()}}, 1)
     a, b = (event.value for event in instruments.read(scene_of((0.0, 0.0, 3.0), (0.0, 0.0, 3.0))))
     assert isinstance(a, Measured)
     assert isinstance(b, Measured)
     assert 0.0 < abs(a.values["height_m"] - 3.0) < 0.5
     assert a != b
-    assert Decoder[Measured](Measured).decode(encode(a)) == a  # NumPy's numbers travel as plain ones
+    assert Decoder[Measured](Measured).decode(encode(a)) == a  # NumPy numbers are encoded as plain ones
 
 
 def test_its_parameters_are_checked_by_their_annotations(altimeter: Any) -> None:

@@ -1,4 +1,4 @@
-"""The numbers of a quadrotor against the measurements they come from, and what it refuses."""
+"""Parameters of a quadrotor against the measurements behind them, and refused values."""
 
 import math
 
@@ -35,7 +35,7 @@ def test_its_hull_is_the_cylinder_around_arms_and_propellers() -> None:
 def test_its_inertia_is_that_of_a_flat_body() -> None:
     x, y, z = MODEL.inertia
     assert x == y
-    assert x < z < x + y  # every rigid body; a flat one comes near the sum
+    assert x < z < x + y  # true for every rigid body; z is close to x + y for a flat one
     assert z > 0.9 * (x + y)
 
 
@@ -48,12 +48,12 @@ def test_numbers_outside_their_range_are_refused(key: str, value: object) -> Non
 
 
 @pytest.mark.parametrize(("key", "value"), [("max_tilt_rad", 1.6), ("max_thrust", 1.1)])
-def test_numbers_that_cannot_be_are_refused(key: str, value: float) -> None:
+def test_impossible_numbers_are_refused(key: str, value: float) -> None:
     with pytest.raises(msgspec.ValidationError, match=key):
         msgspec.convert({key: value}, Quadrotor)
 
 
-def test_there_may_be_none() -> None:
+def test_an_empty_fleet() -> None:
     fleet = QuadrotorFleet([], np.empty((0, 3)), [])
     force, torque = fleet.wrench(0.01, np.empty((0, 3)))
     fleet.integrate(force, torque, 0.01)

@@ -1,4 +1,4 @@
-"""Vehicles of one's own from URDF: they drive as their parameters say, and what is missing in a file is named."""
+"""Vehicles from URDF: driving by their parameters, and messages for missing elements."""
 
 import math
 import tomllib
@@ -21,7 +21,7 @@ from vcmvsp.physics.vehicles.urdf_shapes import GREY
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import World
 
-# A robot of a user's own, in less than 30 lines.
+# A user's robot, in less than 30 lines.
 ROBOT = """\
 <robot name="cart">
   <link name="base">
@@ -81,14 +81,14 @@ def test_the_example_is_short() -> None:
     assert len((ROBOT + SCENARIO).strip().splitlines()) <= 30
 
 
-def test_the_file_says_where_the_wheels_are(cart: UrdfDrive) -> None:
+def test_the_file_places_the_wheels(cart: UrdfDrive) -> None:
     assert cart.wheel_radius_m == pytest.approx(0.1)
     assert cart.track_m == pytest.approx(0.4)
     assert cart.plan.axle == pytest.approx((0.05, 0.0, 0.0))
     assert cart.plan.signs == (1.0, -1.0)
 
 
-def test_it_stands_where_it_was_put_with_the_inertia_of_the_file(cart: UrdfDrive) -> None:
+def test_it_starts_in_place_with_the_inertia_of_the_file(cart: UrdfDrive) -> None:
     moved = engine((cart, (1.0, 2.0, 0.0)), headings=[0.7])
     assert moved.read().position[0] == pytest.approx((1.0, 2.0, 0.0), abs=1e-9)
     assert moved.read().attitude[0] == pytest.approx((math.cos(0.35), 0.0, 0.0, math.sin(0.35)))
@@ -113,7 +113,7 @@ def test_it_drives_as_commanded(cart: UrdfDrive) -> None:
     assert steady.angular_velocity[0, 2] == pytest.approx(0.4, rel=0.01)
     assert steady.odometry[0, 3:] == pytest.approx((0.5, 0.4), rel=0.01)
     assert steady.odometry[0, :2] == pytest.approx(steady.position[0, :2], abs=0.02)
-    assert (np.diff(steady.wheels[0]) > 0.0).all()  # the right wheel has turned further, and both forward
+    assert (np.diff(steady.wheels[0]) > 0.0).all()  # the right wheel has turned further, both forward
     assert (steady.wheels > 0.0).all()
     moved.close()
 
@@ -122,7 +122,7 @@ def test_firmware_limits_are_kept(cart: UrdfDrive) -> None:
     moved = engine((cart, ORIGIN))
     moved.command(0, (9.0, 0.0, 0.0), 0.0)
     moved.advance(SECOND_NS)
-    assert moved.read().velocity[0, 0] == pytest.approx(0.8, rel=0.05)  # accel
+    assert moved.read().velocity[0, 0] == pytest.approx(0.8, rel=0.05)  # limited by accel
     moved.advance(4 * SECOND_NS)
     assert moved.read().velocity[0, 0] == pytest.approx(1.2, rel=0.01)
     moved.close()
@@ -140,7 +140,7 @@ def test_a_quadrotor_takes_mass_and_inertia_of_all_its_links(tmp_path: Path) -> 
     file.write_text(FRAME)
     model = UrdfQuadrotor(file=str(file), max_rotor_speed=900.0)
     assert model.mass_kg == pytest.approx(0.8)
-    # Two of 0.2 kg at (+-0.2, 0): front by its joint, back by its inertial origin, turned by a right angle.
+    # Two links of 0.2 kg at (+-0.2, 0): front by its joint, back by its inertial origin, turned by 90 degrees.
     assert model.inertia == pytest.approx((1.2e-3, 1.2e-3 + 0.016, 2.2e-3 + 0.016))
     moved = engine((model, ORIGIN))
     assert isinstance(moved.read().position, np.ndarray)
@@ -173,7 +173,7 @@ def test_a_quadrotor_takes_mass_and_inertia_of_all_its_links(tmp_path: Path) -> 
         ("</robot>", SECOND + "</robot>", "'left' of cart.urdf is the child of two joints", "file"),
     ],
 )
-def test_what_is_wrong_with_a_file_is_named(old: str, new: str, words: str, key: str, tmp_path: Path) -> None:
+def test_errors_of_a_file_are_named(old: str, new: str, words: str, key: str, tmp_path: Path) -> None:
     file = tmp_path / "cart.urdf"
     assert old in ROBOT
     file.write_text(ROBOT.replace(old, new, 2 if old == "robot" else 1))
@@ -183,7 +183,7 @@ def test_what_is_wrong_with_a_file_is_named(old: str, new: str, words: str, key:
 
 
 @pytest.mark.parametrize("limits", ['lower="-1.5" ', 'upper="1.5" ', ""])
-def test_a_wheel_may_be_revolute_but_for_its_limits(limits: str, tmp_path: Path) -> None:
+def test_a_wheel_may_be_revolute_without_limits(limits: str, tmp_path: Path) -> None:
     file = tmp_path / "cart.urdf"
     limit = f'<limit {limits}effort="10" velocity="10"/></joint>'
     file.write_text(ROBOT.replace("continuous", "revolute").replace("</joint>", limit))
@@ -196,24 +196,24 @@ def test_a_wheel_may_be_revolute_but_for_its_limits(limits: str, tmp_path: Path)
     moved = engine((UrdfDrive(**keys), ORIGIN))
     moved.command(0, (0.5, 0.0, 0.0), 0.0)
     moved.advance(6 * SECOND_NS)
-    assert moved.read().wheels[0] == pytest.approx(2.75 / 0.1, rel=0.02)  # on and on
+    assert moved.read().wheels[0] == pytest.approx(2.75 / 0.1, rel=0.02)  # continuous rotation
     moved.close()
 
 
-def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(ScenarioError, match=r"none\.urdf cannot be read") as raised:
         UrdfQuadrotor(file=str(tmp_path / "none.urdf"))
     assert raised.value.key == "file"
 
 
-def test_contacts_of_any_of_its_links_but_wheels_with_the_floor_are_named(cart: UrdfDrive) -> None:
+def test_contacts_of_all_links_except_wheels_on_the_floor_are_named(cart: UrdfDrive) -> None:
     moved = engine((cart, ORIGIN), world=World(solids=(Box(center=(1.0, 0.0, 0.5), size=(0.2, 2.0, 1.0)),)))
     moved.advance(SECOND_NS)
     assert moved.touching(passing=True) == []
     moved.command(0, (0.4, 0.0, 0.0), 0.0)
     moved.advance(5 * SECOND_NS)
     assert {(touch.row, touch.other) for touch in moved.touching(passing=True)} == {(0, None)}
-    assert moved.read().position[0, 0] - 0.05 - 0.05 + 0.2 == pytest.approx(0.9, abs=0.02)  # the box of the base at the wall
+    assert moved.read().position[0, 0] - 0.05 - 0.05 + 0.2 == pytest.approx(0.9, abs=0.02)  # the base's box at the wall
     moved.close()
 
 
@@ -233,7 +233,7 @@ def test_the_collision_shapes_are_drawn_where_a_file_has_no_others(tmp_path: Pat
     model = UrdfDrive(file=str(tmp_path / "cart.urdf"), left_wheel="left_wheel", right_wheel="right_wheel")
     (part,) = model.drawn
     low, high = part.triangles.min(axis=(0, 1)), part.triangles.max(axis=(0, 1))
-    # The frame's origin is below the axle, 0.05 m ahead of the root; wheels of 0.1 m stand 0.2 m aside.
+    # The frame's origin is below the axle, 0.05 m ahead of the root; wheels of 0.1 m, 0.2 m to each side.
     assert low == pytest.approx((-0.05 - 0.2 - 0.05, -0.3, 0.0), abs=2e-3)
     assert high == pytest.approx((0.1, 0.3, 0.23), abs=2e-3)
 
@@ -259,7 +259,7 @@ def test_a_quadrotor_is_drawn_about_its_centre_of_mass(tmp_path: Path) -> None:
     assert middle == pytest.approx((-0.1, 0.0, 0.0), abs=1e-9)
 
 
-def test_what_cannot_be_drawn_is_left_out(tmp_path: Path) -> None:
+def test_undrawable_shapes_are_omitted(tmp_path: Path) -> None:
     places = {"0 0 0": '<box size="a b c"/>', "1 0 0": "<capsule/>", "two": '<sphere radius="1"/>'}
     shapes = [f'<visual><origin xyz="{xyz}"/><geometry>{kind}</geometry></visual>' for xyz, kind in places.items()]
     bad = "".join(shapes) + "</link>"

@@ -1,4 +1,4 @@
-"""Targets: where they are, how they look from above, and what stands in front of them."""
+"""Targets: positions, appearance from above, occlusion."""
 
 import math
 from pathlib import Path
@@ -31,7 +31,7 @@ from vcmvsp.physics.worlds.urban import Urban
 
 pytestmark = pytest.mark.slow
 
-NORTH_UP = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])  # straight down, the upper edge of the picture north
+NORTH_UP = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])  # straight down, upper picture edge to the north
 NAMES = ("alpha", "bravo", "charlie")
 PICTURES = {name: str(SHIPPED / "targets" / f"{name}.png") for name in NAMES}
 RED = (255, 0, 0)
@@ -67,7 +67,7 @@ def test_a_target_runs_along_its_way_at_its_speed() -> None:
 
 
 def test_on_a_loop_it_goes_back_to_the_first_place_and_round_again() -> None:
-    target = one(way=((0.0, 0.0), (3.0, 0.0), (3.0, 4.0)), speed=1.0, loop=True)  # 3, 4 and 5 m
+    target = one(way=((0.0, 0.0), (3.0, 0.0), (3.0, 4.0)), speed=1.0, loop=True)  # legs of 3, 4 and 5 m
     for time_s, place in ((7.0, (3, 4)), (9.5, (1.5, 2)), (12.0, (0, 0)), (13.0, (1, 0)), (24.0 + 5.0, (3, 2))):
         assert target.place(time_s) == pytest.approx(place)
 
@@ -78,7 +78,7 @@ def test_on_a_loop_it_goes_back_to_the_first_place_and_round_again() -> None:
     loop=st.booleans(),
     time_s=st.floats(0.0, 300.0),
 )
-def test_nowhere_is_it_faster_than_its_speed(way: Any, speed: float, loop: bool, time_s: float) -> None:
+def test_it_never_exceeds_its_speed(way: Any, speed: float, loop: bool, time_s: float) -> None:
     target = one(way=tuple(way), speed=speed, loop=loop)
     assert math.dist(target.place(time_s), target.place(time_s + 0.5)) <= 0.5 * speed * (1.0 + 1e-9) + 1e-9
 
@@ -98,7 +98,7 @@ def test_nowhere_is_it_faster_than_its_speed(way: Any, speed: float, loop: bool,
         ({"place": [0, 0], "pictur": "x"}, "did you mean 'picture'"),
     ],
 )
-def test_what_makes_no_sense_is_refused(keys: dict[str, Any], words: str) -> None:
+def test_wrong_targets_are_refused(keys: dict[str, Any], words: str) -> None:
     with pytest.raises(ScenarioError, match=words):
         binding.call(Empty, {"targets": [keys]}).build()
 
@@ -117,7 +117,7 @@ def test_a_picture_that_is_not_finite_anywhere_is_refused() -> None:
         GroundTarget(place=(math.nan, 0.0))
 
 
-def test_names_are_made_up_where_none_is_given_and_are_unique() -> None:
+def test_missing_names_are_generated_and_unique() -> None:
     world = of(DISC, GroundTarget(name="flag", place=(9.0, 0.0)), GroundTarget(place=(0.0, 9.0)))
     assert [each.name for each in world.targets] == ["target1", "flag", "target3"]
     with pytest.raises(ScenarioError, match="two targets are named 'target2'"):
@@ -133,7 +133,7 @@ def test_every_kind_of_world_has_targets_and_a_file_too(tmp_path: Path) -> None:
     )
     file = File(path=str(tmp_path / "w.toml"))
     assert [target.picture for target in file.build().targets] == [str(tmp_path / "pics" / "own.png"), PICTURES["alpha"]]
-    assert [path.name for path in file.files()] == ["own.png", "alpha.png"]  # a run keeps them, beside it
+    assert [path.name for path in file.files()] == ["own.png", "alpha.png"]  # copied beside the recording
     (tmp_path / "pics" / "own.png").rename(tmp_path / "own.png")
     assert file.build().targets[0].picture == str(tmp_path / "own.png")
 
@@ -141,8 +141,8 @@ def test_every_kind_of_world_has_targets_and_a_file_too(tmp_path: Path) -> None:
 # --- how they look ------------------------------------------------------------------------------------------------------------
 
 
-def seen_from(eye: Array, rotation: Array, points: Array, focal_px: float, size: tuple[int, int]) -> Array:
-    """Where a pinhole shows places (k, 3), (k, 2) px; the middle of the first pixel is 0."""
+def pixels_of(eye: Array, rotation: Array, points: Array, focal_px: float, size: tuple[int, int]) -> Array:
+    """Pixels (k, 2) of places (k, 3) in a pinhole camera; the centre of the first pixel is 0."""
     away = (points - eye) @ rotation
     return focal_px * away[:, :2] / away[:, 2:] + 0.5 * np.array(size) - 0.5
 
@@ -156,28 +156,28 @@ def test_the_upper_edge_of_a_picture_is_north_before_it_is_turned(tmp_path: Path
     eye = np.array([5.0, 3.0, 20.0])
     floor = np.array([World().ground.color], float)
     levels = render(world, View(eye, NORTH_UP, 201, 201, 400.0)).pixels @ np.linalg.pinv(np.vstack([[RED], floor]))
-    red = levels[:, :, 0]  # the share of it in each pixel
+    red = levels[:, :, 0]  # red share of each pixel
     assert red.sum() == pytest.approx(40.0**2, rel=0.01)
     rows, columns = np.indices(red.shape) - 100
     c, s = math.cos(yaw), math.sin(yaw)
-    east, north = c - s, s + c  # the middle of the upper right quarter, m
+    east, north = c - s, s + c  # centre of the upper right quarter, m
     middle = (columns * red).sum() / red.sum(), -(rows * red).sum() / red.sum()
     assert middle == pytest.approx((20 * east, 20 * north), abs=0.1)
 
 
-def test_what_is_finer_than_pixels_is_averaged(tmp_path: Path) -> None:
+def test_detail_below_a_pixel_is_averaged(tmp_path: Path) -> None:
     board = np.indices((256, 256)).sum(axis=0) % 2 * 200
     cv2.imwrite(str(tmp_path / "board.png"), board.astype(np.uint8))
     world = of(GroundTarget(picture=str(tmp_path / "board.png"), place=(0.0, 0.0), size=4.0))
     for height in (10.0, 23.0, 40.0):
         pixels = render(world, View(np.array([0.1, 0.2, height]), NORTH_UP, 120, 120, 400.0)).pixels.astype(int)
-        half = int(2.0 * 400.0 / height) - 14  # well inside
+        half = int(2.0 * 400.0 / height) - 14  # well inside the target
         assert np.abs(pixels[60 - half : 60 + half, 60 - half : 60 + half] - 100).max() <= 3
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_it_is_seen_where_nothing_stands_before_it_and_nowhere_else(seed: int) -> None:
-    """With and without the target, pictures differ on the floor alone, and there it is as if nothing stood on it."""
+def test_it_is_visible_exactly_where_nothing_hides_it(seed: int) -> None:
+    """With and without the target, pictures differ on visible floor only."""
     rng = np.random.default_rng(seed)
     boxes = tuple(
         Box(center=(*rng.uniform(-6, 6, 2).tolist(), 1.5), size=(1.5, 1.5, 3.0), yaw_rad=float(rng.uniform(0, 3)))
@@ -188,12 +188,12 @@ def test_it_is_seen_where_nothing_stands_before_it_and_nowhere_else(seed: int) -
     view = View(eye, towards(eye, np.zeros(3), float(rng.uniform(-1, 1))), 320, 240, 200.0)
     bare, painted = render(Empty(boxes=boxes).build(), view, depth=True), render(of(large, boxes=boxes), view, depth=True)
     assert bare.depth_m is not None
-    np.testing.assert_array_equal(bare.depth_m, painted.depth_m)  # it is flat
+    np.testing.assert_array_equal(bare.depth_m, painted.depth_m)  # the target is flat
     open_floor = render(of(large), view).pixels
     is_floor = (bare.pixels == World().ground.color).all(axis=2)
     np.testing.assert_array_equal(painted.pixels[is_floor], open_floor[is_floor])
     np.testing.assert_array_equal(painted.pixels[~is_floor], bare.pixels[~is_floor])
-    assert 0 < (is_red(painted.pixels)).sum() < is_red(open_floor).sum()  # some of it is hidden
+    assert 0 < (is_red(painted.pixels)).sum() < is_red(open_floor).sum()  # partly hidden
 
 
 def test_a_vehicle_hides_it() -> None:
@@ -205,8 +205,8 @@ def test_a_vehicle_hides_it() -> None:
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_from_anywhere_nothing_is_seen_of_it_in_the_sky_nor_off_its_place(seed: int) -> None:
-    """Also where it is partly, or wholly, behind the camera."""
+def test_from_anywhere_it_is_not_in_the_sky_nor_off_its_place(seed: int) -> None:
+    """Including targets partly or wholly behind the camera."""
     rng = np.random.default_rng(seed)
     world = of(GroundTarget(color=RED, place=(0.0, 0.0), size=20.0))
     eye = np.array([*rng.uniform(-12, 12, 2), rng.uniform(0.3, 4)])
@@ -221,7 +221,7 @@ def test_from_anywhere_nothing_is_seen_of_it_in_the_sky_nor_off_its_place(seed: 
     assert not red[away > 10.5].any()
 
 
-def test_it_is_where_it_is_at_the_time_of_the_picture() -> None:
+def test_it_is_at_its_place_at_the_picture_time() -> None:
     moving = GroundTarget(color=RED, way=((-5.0, 0.0), (5.0, 0.0)), speed=1.0)
     world = of(moving)
     view = View(np.array([0.0, 0.0, 20.0]), NORTH_UP, 201, 101, 200.0)
@@ -234,7 +234,7 @@ def test_it_is_where_it_is_at_the_time_of_the_picture() -> None:
             assert columns.mean() == pytest.approx(100 + 10 * (time_s - 5.0), abs=0.2)
 
 
-def test_drawings_of_a_world_show_it_and_its_way() -> None:
+def test_drawings_of_a_world_show_it_and_its_path() -> None:
     world = of(GroundTarget(color=RED, way=((-30.0, 0.0), (30.0, 0.0)), speed=2.0, size=6.0))
     low, high = extent(world)
     assert low[0] <= -33.0
@@ -254,7 +254,7 @@ def town() -> World:
     return Urban(size=(102.0, 102.0), height_max=20.0, targets=listed, seed=5).build()
 
 
-def test_shipped_pictures_are_told_from_each_other_and_from_roofs(town: World) -> None:
+def test_shipped_pictures_differ_from_each_other_and_from_roofs(town: World) -> None:
     detector = Detector([Wanted.load(name, PICTURES[name], 2.0) for name in NAMES])
     rng = np.random.default_rng(2)
     for number in range(15):
@@ -266,7 +266,7 @@ def test_shipped_pictures_are_told_from_each_other_and_from_roofs(town: World) -
         visible = {}
         for each in town.targets:
             place = np.array([[*each.place(0.0), 0.0]])
-            u, v = seen_from(eye, view.rotation, place, 400.0, (640, 480))[0].tolist()
+            u, v = pixels_of(eye, view.rotation, place, 400.0, (640, 480))[0].tolist()
             visible[each.name] = (u, v)
         found = {each.target: each for each in detector.detect(render(town, view).pixels, height, 400.0)}
         assert target.name in found
@@ -276,7 +276,7 @@ def test_shipped_pictures_are_told_from_each_other_and_from_roofs(town: World) -
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_shipped_picture_seen_in_a_mirror_is_another(name: str) -> None:
+def test_a_mirrored_shipped_picture_differs(name: str) -> None:
     picture = Wanted.load(name, PICTURES[name], 2.0).picture
     detector = Detector([Wanted(name, picture, 2.0), Wanted("mirrored", np.ascontiguousarray(picture[:, ::-1]), 2.0)])
     floor = of(GroundTarget(picture=PICTURES[name], place=(2.0, 1.0), yaw_rad=0.8))

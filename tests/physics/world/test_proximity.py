@@ -1,4 +1,4 @@
-"""The nearest point of all solids: closed form, prisms against the triangles of the same solid, ways against single places."""
+"""Nearest point of all solids: closed form, prisms against triangles of equal solids, paths against single places."""
 
 import math
 
@@ -42,7 +42,7 @@ def test_prisms_and_triangles_of_the_same_solids_agree(x: float, y: float, z: fl
     world, place = World(solids=SOLIDS), np.array([x, y, z])
     vertices, triangles = world.mesh()
     outside = nearest(world, place)
-    if outside > 0.0:  # a mesh has no inside
+    if outside > 0.0:  # a mesh has no interior
         meshed = World(solids=(Mesh(triangles=vertices[triangles]),))
         assert nearest(meshed, place) == pytest.approx(outside, abs=1e-9)
 
@@ -59,7 +59,7 @@ def test_only_within_reach() -> None:
 
 
 def scattered(rng: np.random.Generator, count: int, *, meshed: bool) -> World:
-    """Boxes, cylinders and a wedge all over 20 x 20 m; as triangles where asked for."""
+    """Boxes, cylinders and a wedge across 20 x 20 m; as triangles if ``meshed``."""
     solids: list[AnySolid] = []
     for x, y, z in rng.uniform((-10, -10, 0.0), (10, 10, 2.0), (count, 3)).tolist():
         size = tuple(rng.uniform(0.05, 2.0, 3).tolist())
@@ -72,7 +72,7 @@ def scattered(rng: np.random.Generator, count: int, *, meshed: bool) -> World:
     return World(solids=(Mesh(triangles=vertices[triangles]), *solids[:3]))
 
 
-def wandering(rng: np.random.Generator, count: int) -> Array:
+def random_walk(rng: np.random.Generator, count: int) -> Array:
     heading = np.cumsum(rng.normal(0.0, 0.2, count))
     steps = 0.05 * np.column_stack([np.cos(heading), np.sin(heading), rng.normal(0.0, 0.3, count)])
     return np.cumsum(steps, axis=0) + rng.uniform((-10.0, -10.0, 0.0), (10.0, 10.0, 4.0))
@@ -80,16 +80,16 @@ def wandering(rng: np.random.Generator, count: int) -> Array:
 
 @pytest.mark.parametrize("meshed", [False, True])
 @pytest.mark.parametrize("seed", range(12))
-def test_of_a_way_it_is_the_least_of_its_places(seed: int, meshed: bool) -> None:
-    """Whatever the length of the way, one that jumps about included, against one place after the other."""
+def test_of_a_path_it_is_the_least_of_all(seed: int, meshed: bool) -> None:
+    """For paths of any length, also discontinuous ones, against each place by itself."""
     rng = np.random.default_rng(seed)
     clearance = scattered(rng, 1 + 5 * (seed % 4), meshed=meshed).clearance
     for count in (1, 31, 33, 200):
-        way = wandering(rng, count) if seed % 3 else rng.uniform(-12.0, 12.0, (count, 3))
+        way = random_walk(rng, count) if seed % 3 else rng.uniform(-12.0, 12.0, (count, 3))
         near = [clearance.nearest(place, 100.0) for place in way]
         expected = min(each.distance_m for each in near if each is not None)
         assert clearance.least_m(way) == pytest.approx(expected, abs=1e-12)
-        assert clearance.least_m(way, 0.5 * expected) == 0.5 * expected  # none is nearer than that
+        assert clearance.least_m(way, 0.5 * expected) == 0.5 * expected  # no place is nearer than the bound
         assert clearance.least_m(way, 2.0 * expected + 1.0) == pytest.approx(expected, abs=1e-12)
 
 
@@ -99,10 +99,10 @@ def test_above_a_wall_the_height_counts_and_beside_it_the_corner() -> None:
     time_ns = np.arange(61) * SECOND_NS
     for way, expected in zip(over, (0.7, 0.5), strict=True):
         assert wall.least_clearance_m(time_ns, way.T[:, :, None]) == pytest.approx(expected)
-    assert wall.least_clearance_m(time_ns, over.T) == pytest.approx(0.5)  # of both together
+    assert wall.least_clearance_m(time_ns, over.T) == pytest.approx(0.5)  # over both vehicles
 
 
-def test_a_vehicle_that_is_not_there_is_near_nothing() -> None:
+def test_an_absent_vehicle_has_no_clearance() -> None:
     wall = World(solids=(Box(center=(0.0, 0.0, 1.0), size=(0.2, 4.0, 2.0)),))
     position = np.array([[(5.0, 0.0, 0.0), (np.nan,) * 3], [(4.0, 0.0, 0.0), (9.0, 0.0, 0.0)]]).transpose(2, 0, 1)
     assert wall.least_clearance_m(np.array([0, 1]), position) == pytest.approx(3.9)
@@ -110,7 +110,7 @@ def test_a_vehicle_that_is_not_there_is_near_nothing() -> None:
     assert wall.least_clearance_m(np.empty(0, np.int64), np.empty((3, 0, 2))) is None
 
 
-def test_where_there_is_nothing_but_floor_and_what_can_be_pushed_there_is_no_clearance() -> None:
+def test_floor_and_movables_alone_have_no_clearance() -> None:
     crate = Movable(name="crate", solid=Box(center=(0, 0, 0.5), size=(1, 1, 1)), mass_kg=1.0)
     assert World(movables=(crate,)).least_clearance_m(np.array([0]), np.zeros((3, 1, 1))) is None
 
@@ -118,8 +118,8 @@ def test_where_there_is_nothing_but_floor_and_what_can_be_pushed_there_is_no_cle
 @pytest.mark.parametrize(
     "solid", [Box(center=(9, 9, 9), size=(0.6, 1.4, 1.0)), Cylinder(center=(9, 9, 9), radius=0.4, height=0.8)]
 )
-def test_obstacles_with_a_time_table_are_where_they_are_at_the_time(solid: Box | Cylinder) -> None:
-    """Against a world in which the obstacle stands still, of each instant; it goes to and fro and turns."""
+def test_obstacles_follow_their_timetable(solid: Box | Cylinder) -> None:
+    """Against a world with the obstacle at rest, at each instant; it moves back and forth and turns."""
     way = ((0.0, -2.0, 0.5, 0.0), (1.0, 2.0, 0.5, 2.0), (0.0, -2.0, 0.5, 0.0))
     cart = Moving(name="cart", solid=solid, times_s=(0.0, 4.0, 8.0), way=way, loop=True)
     rng = np.random.default_rng(5)

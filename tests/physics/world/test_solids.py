@@ -1,4 +1,4 @@
-"""Solids in pieces and as a mesh: closed, facing outwards, of the right volume; colours; the ground picture."""
+"""Solids in pieces and as a mesh: closed, outward orientation, volume; colours; ground picture."""
 
 import math
 from collections import Counter
@@ -40,13 +40,13 @@ def cart(times_s: tuple[float, ...], count: int | None = None) -> Moving:
 
 
 def volume_of(points: Array, triangles: Array) -> float:
-    """By the divergence theorem: positive only if triangles run counter-clockwise seen from outside."""
+    """Volume by the divergence theorem: positive only if triangles are counter-clockwise seen from outside."""
     a, b, c = (points - points.mean(axis=0))[triangles].transpose(1, 0, 2)
     return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
 
 
 def check_closed(points: Array, triangles: Array) -> None:
-    """Each edge is run as often one way as the other, by places: pieces that share a face cancel there."""
+    """Each edge occurs equally often in both directions, by places: shared faces of pieces cancel."""
     _, number = np.unique(points.round(9), axis=0, return_inverse=True)
     corners = number.reshape(-1)[triangles]
     edges = Counter((int(t[i]), int(t[(i + 1) % 3])) for t in corners for i in range(3))
@@ -89,7 +89,7 @@ def test_a_courtyard_stays_open() -> None:
     assert world.blocking(small + 1.2, 0.0, 1.0) is not None
 
 
-def test_shapes_know_their_solids() -> None:
+def test_shapes_name_their_solid() -> None:
     triangle = np.array([[(0, 0, 0), (1, 0, 0), (0, 1, 0)]], float)
     solids = (
         Cylinder(center=(9, 9, 1), radius=0.5, height=2.0),
@@ -148,7 +148,7 @@ def test_a_cylinder_is_a_polygon_just_inside_the_circle(radius: float) -> None:
         (lambda: GroundPicture(size=(5000.0, 5000.0), marks=(Mark(radius=1.0),)), "resolution_m = 0.1"),
     ],
 )
-def test_what_cannot_be_is_refused(make: object, words: str) -> None:
+def test_wrong_solids_are_refused(make: object, words: str) -> None:
     assert callable(make)
     with pytest.raises(ValueError, match=words):
         make()
@@ -166,7 +166,7 @@ def test_colours_are_checked_and_have_a_default() -> None:
 
 
 def at(ground: GroundPicture, x: float, y: float) -> list[int]:
-    """The colour of the pixel that holds a place."""
+    """The colour of the pixel at a place."""
     picture = ground.image
     assert picture is not None
     rows, columns = picture.shape[:2]
@@ -175,7 +175,7 @@ def at(ground: GroundPicture, x: float, y: float) -> list[int]:
     return picture[int(row), int(column)].tolist()
 
 
-def test_marks_are_where_they_say_they_are() -> None:
+def test_marks_are_at_their_places() -> None:
     square = Mark(outline=((1, 1), (3, 1), (3, 2), (1, 2)), color=(255, 0, 0))
     disc = Mark(center=(-5.0, 5.0), radius=2.0, color=(0, 255, 0))
     line = Mark(line=((-8, -8), (8, -8)), width=0.4, color=(0, 0, 255))
@@ -196,10 +196,10 @@ def test_marks_are_where_they_say_they_are() -> None:
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.5 * math.pi, 0.7])
-def test_a_picture_lies_as_it_was_turned(tmp_path: Path, yaw: float) -> None:
+def test_a_picture_has_its_yaw(tmp_path: Path, yaw: float) -> None:
     pixels = np.zeros((40, 60, 3), np.uint8)
-    pixels[:20, 30:] = (255, 255, 255)  # its north-eastern quarter
-    pixels[20:, :30] = (0, 0, 200)  # red, as OpenCV writes it: south-west
+    pixels[:20, 30:] = (255, 255, 255)  # north-eastern quarter
+    pixels[20:, :30] = (0, 0, 200)  # red in OpenCV's BGR: south-western quarter
     cv2.imwrite(str(tmp_path / "poster.png"), pixels)
     poster = Mark(picture=str(tmp_path / "poster.png"), center=(2.0, 1.0), size=(6.0, 4.0), yaw_rad=yaw)
     ground = GroundPicture(size=(30.0, 30.0), color=(50, 60, 70), marks=(poster,))
@@ -214,7 +214,7 @@ def test_a_picture_lies_as_it_was_turned(tmp_path: Path, yaw: float) -> None:
         assert at(ground, 2.0 + c * u - s * v, 1.0 + s * u + c * v) == list(color)
 
 
-def test_a_picture_at_the_rim_is_cut_off_and_one_outside_left_out(tmp_path: Path) -> None:
+def test_a_picture_is_cut_off_at_the_rim_and_omitted_outside(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "white.png"), np.full((8, 8, 3), 255, np.uint8))
     marks = tuple(Mark(picture=str(tmp_path / "white.png"), center=(x, 0.0), size=(4.0, 4.0)) for x in (5.0, 50.0))
     ground = GroundPicture(size=(10.0, 10.0), color=(0, 0, 0), marks=marks)
@@ -246,8 +246,8 @@ bars = st.builds(rectangle, *[st.floats(-3, 3)] * 2, *[st.floats(0.1, 2)] * 2, s
 
 
 @given(one=bars, other=bars)
-def test_overlap_is_the_least_way_out(one: Array, other: Array) -> None:
-    """How far the origin is from the rim of the Minkowski difference that it lies in."""
+def test_overlap_is_the_least_shift(one: Array, other: Array) -> None:
+    """Distance of the origin from the boundary of the Minkowski difference around it."""
     rim = ConvexHull((one[:, None] - other).reshape(-1, 2)).equations[:, 2]
     assert overlap_m(one, other) == pytest.approx(max(0.0, -rim.max()), abs=1e-6)
 
@@ -272,7 +272,7 @@ def test_a_moving_obstacle_keeps_to_its_time_table() -> None:
 
 
 @given(time_s=st.floats(0.0, 50.0), span_s=st.floats(0.3, 3.0))
-def test_an_obstacle_that_goes_round_is_never_faster_than_its_time_table(time_s: float, span_s: float) -> None:
+def test_a_looping_obstacle_never_exceeds_its_timetable_speed(time_s: float, span_s: float) -> None:
     box = Box(center=(0.0, 0.0, 0.0), size=(1.0, 1.0, 1.0))
     way = ((0.0, 0.0, 0.5, 0.0), (2.0 * span_s, 0.0, 0.5, 3.0 * span_s), (0.0, span_s, 0.5, 6.0 * span_s))
     around = Moving(name="cart", solid=box, times_s=(0.0, span_s, 2.0 * span_s), way=way, loop=True)
@@ -280,7 +280,7 @@ def test_an_obstacle_that_goes_round_is_never_faster_than_its_time_table(time_s:
     first, second = ((2.0, 0.0, 0.0, 3.0), (-2.0, 1.0, 0.0, 3.0))
     assert rates in (pytest.approx(first), pytest.approx(second))
     here, soon = (np.array(around.pose(each)) for each in (time_s, time_s + 1e-6))
-    if np.abs(soon - here).max() < 1e-5:  # neither back at the start by then nor at a bend
+    if np.abs(soon - here).max() < 1e-5:  # no restart in between and no corner
         assert rates == pytest.approx((soon - here) / 1e-6, abs=1e-3) or time_s % span_s > span_s - 2e-6
 
 
@@ -301,7 +301,7 @@ def blocking(world: World, *body: Any) -> Any:
     return world.blocking(*body)
 
 
-def test_how_far_outside_the_bounds() -> None:
+def test_distance_out_of_bounds() -> None:
     world = World(bounds=(-10.0, -5.0, 10.0, 5.0))
     assert [world.outside(0, 0), world.outside(10, 5), world.outside(12, 0), world.outside(-13, -9)] == [0.0, 0.0, 2.0, 5.0]
     assert World().outside(1e9, 0) == 0.0
@@ -311,14 +311,14 @@ def test_a_body_in_a_solid_is_found_with_the_shortest_way_out() -> None:
     wall, post = Box(center=(3.0, 0.0, 1.0), size=(1.0, 8.0, 2.0)), Cylinder(center=(-3.0, 0.0, 0.5), radius=0.5, height=1.0)
     world = World(solids=(wall, post))
     assert blocking(world, square(0.0, 0.0), 0.0, 1.0) is None
-    assert blocking(world, square(2.0, 0.0), 0.0, 1.0) is None  # touches
+    assert blocking(world, square(2.0, 0.0), 0.0, 1.0) is None  # in contact only
     assert blocking(world, square(2.2, 0.0), 0.0, 1.0) == (wall, pytest.approx(0.2))
-    assert blocking(world, square(2.2, 0.0), 1.95, 2.5) == (wall, pytest.approx(0.05))  # upwards is shorter
+    assert blocking(world, square(2.2, 0.0), 1.95, 2.5) == (wall, pytest.approx(0.05))  # shorter upwards
     assert blocking(world, square(2.2, 0.0), 2.0, 2.5) is None
     assert blocking(world, square(-3.0, 0.9), 0.0, 1.0) == (post, pytest.approx(0.1))
 
 
-def test_the_deepest_of_several_is_told() -> None:
+def test_the_deepest_overlap_counts() -> None:
     solids = tuple(Box(center=(x, 0.0, 1.0), size=(1.0, 1.0, 2.0)) for x in (-0.9, 0.7))
     assert blocking(World(solids=solids), square(0.0, 0.0), 0.0, 1.0) == (solids[1], pytest.approx(0.3))
 
@@ -334,7 +334,7 @@ solid_boxes = st.builds(
 @given(
     box=solid_boxes, yaw=st.floats(-4.0, 4.0), x=st.floats(-3.0, 3.0), bottom=st.floats(-3.0, 3.0), height=st.floats(0.1, 2.0)
 )
-def test_a_mesh_blocks_as_the_box_it_is_made_of(box: Box, yaw: float, x: float, bottom: float, height: float) -> None:
+def test_a_mesh_blocks_like_its_box(box: Box, yaw: float, x: float, bottom: float, height: float) -> None:
     body = rectangle(x, 0.5, 0.4, 0.3, yaw)
     points, triangles = World(solids=(box,)).mesh()
     mesh = Mesh(triangles=points[triangles])
@@ -346,14 +346,14 @@ def test_a_mesh_blocks_as_the_box_it_is_made_of(box: Box, yaw: float, x: float, 
         assert as_mesh[0] is mesh
         low, high = points.min(axis=0), points.max(axis=0)
         out = [high[:2] - body.min(axis=0), body.max(axis=0) - low[:2], [high[2] - bottom, bottom + height - low[2]]]
-        assert 0.0 < as_mesh[1] <= min(map(min, out)) + 1e-9  # out of the box around it is free of it
+        assert 0.0 < as_mesh[1] <= min(map(min, out)) + 1e-9  # a body outside the bounding box is free
 
 
-def test_a_body_deep_inside_a_closed_mesh_is_found_though_it_touches_no_triangle() -> None:
+def test_a_body_inside_a_closed_mesh_is_found_without_contact() -> None:
     points, triangles = World(solids=(Box(center=(0.0, 0.0, 5.0), size=(10.0, 10.0, 10.0)),)).mesh()
     mesh = Mesh(triangles=points[triangles])
     assert blocking(World(solids=(mesh,)), square(3.0, 0.1), 4.0, 5.0) == (mesh, pytest.approx(2.5))
-    room = Mesh(triangles=points[triangles][:, ::-1])  # seen from inside: a room
+    room = Mesh(triangles=points[triangles][:, ::-1])  # faces inwards: a room
     assert World(solids=(room,)).blocking(square(3.0, 0.1), 4.0, 5.0) is None
     assert World(solids=(room,)).blocking(square(4.9, 0.1), 4.0, 5.0) is not None
     roof = Mesh(triangles=mesh.triangles[mesh.triangles[:, :, 2].min(axis=1) > 9.0])

@@ -1,4 +1,4 @@
-"""The built-in worlds: nothing in anything else, the sizes they promise, the ways they keep free, the same again."""
+"""Built-in worlds: no overlaps, stated sizes, free paths, reproducibility."""
 
 import itertools
 import math
@@ -47,7 +47,7 @@ built = pytest.mark.parametrize("world", [each.build() for each in WORLDS.values
 
 
 def overlaps(world: World) -> Iterator[tuple[int, int]]:
-    """Pairs of solids that share volume, looked for among pieces that are less than their sizes apart."""
+    """Pairs of solids that overlap, among pieces closer than their sizes."""
     pieces = [
         (corners, bottom, top, solid)
         for group in world.shapes.groups
@@ -69,7 +69,7 @@ def test_no_solid_is_inside_another(world: World) -> None:
     assert list(overlaps(world)) == []
 
 
-def test_two_that_overlap_are_noticed() -> None:
+def test_overlaps_are_detected() -> None:
     one, other = (Box(center=(x, 0.0, 0.5), size=(1.0, 1.0, 1.0)) for x in (0.0, 0.9))
     assert list(overlaps(World(solids=(one, other)))) == [(0, 1)]
 
@@ -81,7 +81,7 @@ def test_everything_stands_on_or_above_the_floor_and_most_of_it_in_bounds(world:
     if world.bounds is not None:
         west, south, east, north = world.bounds
         inside = (points[:, 0] >= west) & (points[:, 0] <= east) & (points[:, 1] >= south) & (points[:, 1] <= north)
-        assert inside.mean() > 0.97  # all but the walls of the laboratory, which are outside its 16.4 x 9.5 m
+        assert inside.mean() > 0.97  # all except the laboratory's walls, outside its 16.4 x 9.5 m
 
 
 @built
@@ -89,7 +89,7 @@ def test_resting_on_each_other_means_at_the_same_height(world: World) -> None:
     boxes = [solid for solid in world.solids if isinstance(solid, Box | Cylinder)]
     heights = {round(solid.center[2] + 0.5 * _height(solid), 6) for solid in boxes} | {0.0, 2.1}
     for solid in boxes:
-        assert round(solid.center[2] - 0.5 * _height(solid), 6) in heights  # nothing floats, but what is above the door
+        assert round(solid.center[2] - 0.5 * _height(solid), 6) in heights  # nothing floats except above the door
 
 
 def _height(solid: Box | Cylinder) -> float:
@@ -97,7 +97,7 @@ def _height(solid: Box | Cylinder) -> float:
 
 
 @pytest.mark.parametrize("kind", list(WORLDS))
-def test_the_same_parameters_make_the_same_world(kind: str) -> None:
+def test_equal_parameters_give_equal_worlds(kind: str) -> None:
     assert WORLDS[kind].build() == WORLDS[kind].build()
 
 
@@ -128,15 +128,15 @@ def test_every_kind_takes_the_surroundings(kind: Any) -> None:
     assert (world.movables[0].name, world.moving[0].name, world.floor_friction) == ("ball", "cart", 0.5)
     assert (world.wind, world.light.ambient) == (Wind(velocity=(3.0, 0.0, 0.0), gust=1.0), 0.4)
     plain = binding.complete(kind, given)
-    assert binding.call(kind, plain).build() == world  # what the resolved scenario says is the same world
+    assert binding.call(kind, plain).build() == world  # the resolved scenario gives an equal world
     picture = world.ground.image
     x, y = world.ground.center
     row = (y + 0.5 * world.ground.size[1] - 0.1) / world.ground.size[1] * len(picture)
     column = (0.1 - x + 0.5 * world.ground.size[0]) / world.ground.size[0] * picture.shape[1]
-    assert picture[int(row), int(column)].tolist() == [200, 230, 255]  # the zone is painted in
+    assert picture[int(row), int(column)].tolist() == [200, 230, 255]  # the zone is in the picture
 
 
-def test_names_of_what_moves_are_unique() -> None:
+def test_names_of_movers_are_unique() -> None:
     box = Box(center=(0.0, 0.0, 0.5), size=(1.0, 1.0, 1.0))
     moving = Moving(name="a", solid=box, times_s=(0.0,), way=((0.0, 0.0, 0.0, 0.0),))
     with pytest.raises(ScenarioError, match="two movables or moving obstacles are named 'a'"):
@@ -184,7 +184,7 @@ def test_the_door_is_open_and_the_rest_of_the_walls_is_not() -> None:
 
 
 @pytest.mark.parametrize("urban", [Urban(), Urban(size=(400.0, 250.0), block=50.0, street=14.0, lots=4, gap=2.0, seed=5)])
-def test_streets_are_as_wide_as_asked_for_and_lots_apart(urban: Urban) -> None:
+def test_streets_have_their_width_and_lots_are_apart(urban: Urban) -> None:
     world = urban.build()
     blocking = Blocking(world.shapes)
     pitch = urban.block + urban.street
@@ -216,7 +216,7 @@ def test_heights_and_density() -> None:
     mean = 0.7 * lots
     bare = sum(isinstance(box, Box) and box.center[2] == 0.5 * box.size[2] for box in world.solids)
     assert abs(bare - mean) < 4.0 * math.sqrt(0.3 * mean)  # binomial, four standard deviations
-    assert abs(roofs.mean() - 17.5) < 4.0 * 25.0 / math.sqrt(12.0 * bare) + 0.5  # uniform
+    assert abs(roofs.mean() - 17.5) < 4.0 * 25.0 / math.sqrt(12.0 * bare) + 0.5  # uniform distribution
 
 
 def test_another_seed_is_another_town_and_targets_move_no_house() -> None:
@@ -253,7 +253,7 @@ def test_impossible_towns_are_refused(parameters: dict[str, Any], key: str, word
     assert caught.value.key == key
 
 
-def test_the_lowest_buildings_are_buildings() -> None:
+def test_the_lowest_buildings_are_solids() -> None:
     world = Urban(height_min=0.05, height_max=0.15).build()
     assert min(solid.size[2] for solid in world.solids if isinstance(solid, Box)) > 0.0
     assert list(overlaps(world)) == []
@@ -286,20 +286,20 @@ def test_a_zone_without_colour_leaves_the_floor_as_it_is() -> None:
     assert Empty(zones=(msgspec.structs.replace(zone, color=(1, 2, 3)),)).build().ground.image is not None
 
 
-def test_a_town_without_a_seed_of_its_own_has_that_of_the_run() -> None:
+def test_a_town_without_a_seed_uses_the_run_seed() -> None:
     source = Source("test", Path())
     towns = {seed: worlds.build({"kind": "urban", "targets": [{}]}, source, seed=seed) for seed in (1, 2)}
     for seed, (world, resolved) in towns.items():
         assert world == Urban(seed=seed, targets=(GroundTarget(),)).build()
-        assert "seed" not in resolved  # the resolved scenario has that of the run
+        assert "seed" not in resolved  # the resolved scenario contains the seed of the run
         assert worlds.build({"kind": "urban", "seed": 2}, source, seed=seed)[1]["seed"] == 2
     assert towns[1][0].solids != towns[2][0].solids
     assert towns[1][0].targets != towns[2][0].targets
     assert worlds.build({"kind": "recreation-centre"}, source, seed=5)[0] == RecreationCentre().build()
 
 
-def test_a_run_its_drawing_and_its_radio_are_in_the_same_town(tmp_path: Path) -> None:
-    """And what the run keeps is the same town again, with its pictures."""
+def test_a_run_its_drawing_and_its_radio_share_a_town(tmp_path: Path) -> None:
+    """The recorded files give the same town again, with its pictures."""
     listed = [{"name": name, "picture": f"targets/{name}.png"} for name in ("alpha", "bravo")]
     scenario = {
         "name": "town",
@@ -322,7 +322,7 @@ def test_a_run_its_drawing_and_its_radio_are_in_the_same_town(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("bends", [(), (0.5,), (0.7, -1.2, 1.57), (-1.0, -1.0)])
-def test_a_corridor_is_as_wide_as_asked_for_everywhere(bends: tuple[float, ...]) -> None:
+def test_a_corridor_has_its_width_everywhere(bends: tuple[float, ...]) -> None:
     corridor = Corridor(length=30.0, width=2.0, bends=bends)
     world, middle = corridor.build(), corridor.middle()
     assert np.hypot(*np.diff(middle, axis=0).T).sum() == pytest.approx(30.0)
@@ -347,7 +347,7 @@ def test_a_corridor_may_begin_anywhere_on_its_axis(bends: tuple[float, ...]) -> 
 
 
 @pytest.mark.parametrize(("bends", "words"), [((2.0,), ""), ((1.5,) * 4, "crosses itself"), ((3.13,), "too short")])
-def test_corridors_that_cannot_be(bends: tuple[float, ...], words: str) -> None:
+def test_impossible_corridors(bends: tuple[float, ...], words: str) -> None:
     if not words:
         Corridor(bends=bends).build()
         return
@@ -356,7 +356,7 @@ def test_corridors_that_cannot_be(bends: tuple[float, ...], words: str) -> None:
     assert caught.value.key == "bends"
 
 
-def test_gates_are_open_where_they_should_be() -> None:
+def test_gates_are_open_at_their_gaps() -> None:
     for gates, offset in ((Gates(number=3), 0.0), (GatesOffset(number=3), 0.75)):
         world = gates.build()
         for gate in range(3):
@@ -367,8 +367,8 @@ def test_gates_are_open_where_they_should_be() -> None:
 
 
 @pytest.mark.parametrize("kind", [Gates, GatesOffset])
-def test_gates_stand_where_each_was_put(kind: type[Gates]) -> None:
-    """Gaps of 0.9 m every 3.5 m; ``offset`` does not count then."""
+def test_gates_have_own_offsets(kind: type[Gates]) -> None:
+    """Gaps of 0.9 m every 3.5 m; ``offset`` is ignored here."""
     offsets = (0.0, 0.8, -0.5)
     world = kind(number=3, spacing=3.5, width=0.9, offsets=offsets).build()
     assert world.name == "gates-offset"
@@ -383,20 +383,20 @@ def test_gates_stand_where_each_was_put(kind: type[Gates]) -> None:
 
 
 @pytest.mark.parametrize("kind", [Gates, GatesOffset])
-def test_one_offset_beside_those_of_all_gates_is_refused(kind: type[Gates]) -> None:
+def test_offset_together_with_offsets_is_refused(kind: type[Gates]) -> None:
     with pytest.raises(ScenarioError, match="places all gaps already") as caught:
         kind(number=2, offset=0.4, offsets=(0.0, 0.8))
     assert caught.value.key == "offsets"
 
 
 @pytest.mark.parametrize("offsets", [(0.0,), (0.0, 0.8, -0.5, 0.1)])
-def test_as_many_offsets_as_gates_are_asked_for(offsets: tuple[float, ...]) -> None:
+def test_one_offset_per_gate_is_required(offsets: tuple[float, ...]) -> None:
     with pytest.raises(ScenarioError, match=rf"one value per gate \(number = 3\), not {len(offsets)}") as caught:
         Gates(number=3, offsets=offsets)
     assert caught.value.key == "offsets"
 
 
-def test_a_pillar_stands_where_it_was_put() -> None:
+def test_a_pillar_stands_in_place() -> None:
     world = Pillar(position=(3.0, 1.0), radius=0.5).build()
     solid, depth = world.blocking(disc(3.0, 0.3, 0.3), 0.0, 0.5) or (None, 0.0)
     assert isinstance(solid, Cylinder)

@@ -1,11 +1,11 @@
-"""Vehicles in the air and a radio without the platform: as little as it takes to close the loop around their algorithms."""
+"""Aerial vehicles and a radio without the platform: a minimal loop around their algorithms."""
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from tests.support.agents.agent_loop import T, Uav, info, received
+from tests.support.agents.agent_loop import T, Uav, info, reception_of
 from vcmvsp.agents.formation.aerial import told
 from vcmvsp.cosim.agent import Agent, Body, Observation, Radio
 from vcmvsp.cosim.types import Reception, Vec3, Velocity
@@ -14,7 +14,7 @@ BODY = Body(width_m=0.5, radius_m=0.25, flies=True)
 
 
 class Drifter(Agent):
-    """Moves as told, and reports what it likes."""
+    """Moves as commanded and reports any content."""
 
     def __init__(self, velocity: Vec3, yaw_rate: float = 0.0) -> None:
         self.velocity, self.yaw_rate = velocity, yaw_rate
@@ -30,7 +30,7 @@ class Drifter(Agent):
 
 @dataclass
 class Flight:
-    """What happened, at every tick before its command."""
+    """Record of every tick before its command."""
 
     position: dict[str, list[Vec3]]
     yaw: dict[str, list[float]]
@@ -46,7 +46,7 @@ def fly(
     *,
     lost: Callable[[int, str], bool] = lambda tick, sender: False,
 ) -> Flight:
-    """Close the loop; what is sent at a tick is heard by all at the next one, unless it is lost."""
+    """Close the loop; every vehicle receives a transmission at the next tick, unless it is lost."""
     names = tuple(agents)
     radios = {name: Radio(name, names) for name in names}
     uavs = dict(zip(names, starts, strict=True))
@@ -68,7 +68,7 @@ def fly(
                 assert isinstance(message.body, dict)
                 seen.messages[name].append(message.body)
                 if not lost(tick, name):
-                    sent.append(received(message))
+                    sent.append(reception_of(message))
         for name, commands in seen.commands.items():
             uavs[name].move(commands[-1])
         air = sent

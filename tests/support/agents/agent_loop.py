@@ -1,4 +1,4 @@
-"""Vehicles and a radio without the platform: as little as it takes to close the loop around an algorithm."""
+"""Vehicles and a radio without the platform: a minimal loop around a ground vehicle's algorithm."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -48,7 +48,7 @@ class Vehicle:
 
 @dataclass
 class Uav:
-    """A point that moves exactly as it is told."""
+    """A point that moves exactly as commanded."""
 
     position: Vec3
     yaw: float = 0.0
@@ -56,7 +56,7 @@ class Uav:
     yaw_rate: float = 0.0
 
     def see(self, time_ns: int, heard: Sequence[Reception] = (), **readings: Any) -> Observation:
-        """What a vehicle knows that sees itself as it is; None: no such reading."""
+        """Observation of a vehicle with exact sensors; None: no such reading."""
         state = VehicleState(
             position=self.position,
             velocity=self.velocity,
@@ -76,28 +76,28 @@ class Uav:
 def observe(
     pose: Pose, time_ns: int, heard: Sequence[Reception] = (), *, v: float = 0.0, w: float = 0.0, **readings: Any
 ) -> Observation:
-    """What a vehicle on wheels knows."""
+    """Observation of a wheeled vehicle."""
     x, y, yaw = pose
     return Uav((x, y, 0.0), yaw, (v * math.cos(yaw), v * math.sin(yaw), 0.0), w).see(time_ns, heard, **readings)
 
 
-def received(message: Message) -> Reception:
-    """The message as heard; algorithms here look at nothing but its content."""
+def reception_of(message: Message) -> Reception:
+    """Reception of this content; algorithms here use nothing else of it."""
     return Reception(message=message, rssi_dbm=-50.0, sent_ns=0, received_ns=1)
 
 
-def said(sender: str, body: Any) -> Reception:
-    """A message with this content as heard."""
-    return received(Message(sender=sender, body=body, size_bytes=9))
+def reception_of_body(sender: str, body: Any) -> Reception:
+    """Reception of an encoded message."""
+    return reception_of(Message(sender=sender, body=body, size_bytes=9))
 
 
 def info(name: str = "a", vehicles: Sequence[str] = ("a", "b"), **more: Any) -> VehicleInfo:
-    """What a vehicle is told when it starts."""
+    """Agent information at the start."""
     return VehicleInfo(**{"name": name, "vehicles": tuple(vehicles), "period_s": T, "latency_s": 0.0, "seed": 1, **more})
 
 
 def formation_error(leader: Floats, follower: Floats, follows: Follows) -> Floats:
-    """z (..., 2) in m: the follower's handle short of its point, in the follower's frame; poses (..., 3) are true ones."""
+    """z (..., 2), m: offset of the follower's handle from its point, in the follower's frame; poses (..., 3) are true ones."""
     (slot_x, slot_y), ell = follows.slot, follows.handle_m
     lead, own = np.exp(1j * leader[..., 2]), np.exp(1j * follower[..., 2])
     point = leader[..., 0] + 1j * leader[..., 1] + lead * (slot_x + ell + 1j * slot_y)
@@ -108,13 +108,13 @@ def formation_error(leader: Floats, follower: Floats, follows: Follows) -> Float
 
 @dataclass
 class Drive:
-    """What happened, at every tick before its command."""
+    """Record of every tick before its command."""
 
     leader: Floats  # (ticks, 3)
     followers: Floats  # (ticks, n, 3)
     commands: Floats  # (ticks, n, 2), v and w
     z: Floats  # (ticks, n, 2)
-    reports: list[int]  # how many the leader sent, by tick
+    reports: list[int]  # reports that the leader sent, by tick
 
     @property
     def error(self) -> Floats:
@@ -137,9 +137,9 @@ def drive(
 ) -> Drive:
     """Close the loop: the leader starts at the origin, each follower in its slot behind it unless ``poses`` say otherwise.
 
-    The leader is called ``leader``, the followers ``f0``, ``f1``, ...; one that follows another comes after it.
-    Reports arrive ``delay_ticks`` after they were sent; with 0, in the very tick. What followers send to the leader arrives a
-    tick later than that, unless it is ``lost_back``. ``rolling`` is the followers' first speed.
+    The leader is called ``leader``, the followers ``f0``, ``f1``, ...; a leader among the followers comes before its own
+    followers. Reports arrive ``delay_ticks`` after transmission; with 0, in the same tick. Messages of followers to the leader
+    arrive a tick later than that, unless ``lost_back``. ``rolling`` is the followers' first speed.
     """
     starts = [(*each.follows.slot, 0.0) for each in followers if each.follows] if poses is None else poses
     names = [f"f{i}" for i in range(len(followers))]
@@ -158,7 +158,7 @@ def drive(
         answers = back[tick - 1 - delay_ticks] if tick > delay_ticks else ()
         lead_command = leader.act(observe(front.pose, now_ns, answers), lead_radio)
         assert isinstance(lead_command, Velocity)
-        on_air.append([received(message) for message in lead_radio.drain()])
+        on_air.append([reception_of(message) for message in lead_radio.drain()])
         back.append([])
         reports.append(len(on_air[tick]))
         sent = tick - delay_ticks
@@ -168,9 +168,9 @@ def drive(
             orders.append(agent.act(observe(car.pose, now_ns, heard, v=car.v, w=car.w), radio))
             for message in radio.drain():
                 if message.to is None:
-                    on_air[tick].append(received(message))
+                    on_air[tick].append(reception_of(message))
                 elif message.to == "leader" and not lost_back(tick, i):
-                    back[tick].append(received(message))
+                    back[tick].append(reception_of(message))
         log.append((front.pose, [car.pose for car in cars], [(each.linear[0], each.yaw_rate) for each in orders]))
         front.move(lead_command, period_s)
         for car, order in zip(cars, orders, strict=True):

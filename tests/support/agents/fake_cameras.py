@@ -1,4 +1,4 @@
-"""Stand-ins for cameras: one that recognises all it shows, exactly; and a loop around an agent that looks through it."""
+"""Stand-ins for cameras: a detector without errors, and a loop around an agent that uses it."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -22,12 +22,12 @@ BLACK = Image(pixels=np.zeros((480, 640, 3), np.uint8), focal_px=400.0)
 
 
 def at_rest(**places: tuple[float, float]) -> Targets:
-    """Targets that do not move."""
+    """Targets at rest."""
     return lambda time_s: places
 
 
-class Eye:
-    """In place of a `Watch`: a picture every so many ticks; all targets that are in it are recognised."""
+class FakeWatch:
+    """Stand-in for a `Watch`: a picture at an interval of ticks; all targets in it are recognised."""
 
     region: GroundDisc | None = None
 
@@ -59,16 +59,18 @@ class Eye:
         return WatchFrame(obs.time_ns, nadir, tuple(found), image, (0, 0, 640, 480), self.region is None)
 
 
-def started(track: TrackTarget, eye: Eye, members: tuple[str, ...] = ("me", "other"), *, alone: bool = True) -> TrackTarget:
-    """The agent with that eye, told that it is ``me``."""
+def started_agent(
+    track: TrackTarget, eye: FakeWatch, members: tuple[str, ...] = ("me", "other"), *, alone: bool = True
+) -> TrackTarget:
+    """The agent with that camera, started under the name ``me``."""
     track.watch = eye  # type: ignore[assignment]
     track.roster = None if alone else Roster("me", members)
     track.start(info("me", members, body=BODY))
     return track
 
 
-def keep_over(track: TrackTarget, uav: Uav, ticks: int, *, from_tick: int = 0) -> list[Uav]:
-    """Where the vehicle was at every tick; one that is to hover stands still."""
+def positions_over(track: TrackTarget, uav: Uav, ticks: int, *, from_tick: int = 0) -> list[Uav]:
+    """Positions of the vehicle at every tick; a hover command stops it."""
     radio, was = Radio("me", ("me", "other")), []
     for tick in range(from_tick, from_tick + ticks):
         was.append(Uav(uav.position, uav.yaw))

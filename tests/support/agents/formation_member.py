@@ -1,8 +1,8 @@
-"""A member of a team without the platform: what it hears is said by the test, what it does and sends is looked at."""
+"""A team member without the platform: the test gives its receptions and reads its commands and messages."""
 
 from typing import Any
 
-from tests.support.agents.agent_loop import info, observe, said
+from tests.support.agents.agent_loop import info, observe, reception_of_body
 from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.agents.formation.team.shape import Formation
 from vcmvsp.cosim.agent import Radio
@@ -19,19 +19,19 @@ def member(name: str, formation: dict[str, Any] | None = None, **params: Any) ->
     return follower
 
 
-class Seat:
+class MemberRunner:
     """A member, its radio, and its ticks."""
 
     def __init__(self, name: str, formation: dict[str, Any] | None = None, **params: Any) -> None:
         self.follower, self.radio, self.tick = member(name, formation, **params), Radio(name, CARS), -1
 
     def act(self, *heard: Reception, v: float = 0.0, x: float = -1.0) -> tuple[Velocity, dict[str, Any], list[Message]]:
-        """The next tick: command, notes, and what is sent."""
+        """Next tick: command, notes, and sent messages."""
         self.tick += 1
         command = self.follower.act(observe((x, 0.0, 0.0), self.tick * TICK_NS, heard, v=v), self.radio)
         return command, self.follower.drain_notes(), self.radio.drain()
 
 
-def says(sender: str, tick: int, v: float = 0.3, **more: Any) -> Reception:
+def report_of(sender: str, tick: int, v: float = 0.3, **more: Any) -> Reception:
     body = {"seq": tick, "t_ns": tick * TICK_NS, "x": 0.03 * tick, "y": 0.0, "th": 0.0, "v": v, "w": 0.0, **more}
-    return said(sender, body)
+    return reception_of_body(sender, body)

@@ -1,4 +1,4 @@
-"""Vehicles among boxes, without the platform: exact ranges, and as little motion as a method of avoidance needs."""
+"""Vehicles among boxes, without the platform: exact ranges, and the minimal motion for avoidance methods."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -24,7 +24,7 @@ ROBOT, DRONE = Body(width_m=0.33, radius_m=0.216), Body(width_m=0.5, radius_m=0.
 
 
 def to_goal(pose: Pose) -> Task:
-    """Straight to it, turning on the spot before where it lies aside."""
+    """Straight to the goal; turns on the spot first if the goal is to the side."""
     aim = rotate2(GOAL[0] - pose[0], GOAL[1] - pose[1], -pose[2])
     aside = math.atan2(aim[1], aim[0])
     return Task((0.0 if abs(aside) > 0.8 else min(0.3, math.hypot(*aim)), 0.0), max(-0.8, min(1.5 * aside, 0.8)), aim)
@@ -35,13 +35,13 @@ def there(place: Point | Pose) -> bool:
 
 
 def rooms(seed: int, beams: int = 181) -> Array:
-    """Ranges of walls at random distances."""
+    """Ranges to walls at random distances."""
     rng = np.random.default_rng(seed)
     return np.repeat(rng.uniform(0.3, 2.5, 12), 16)[:beams] + rng.uniform(0.0, 0.05, beams)
 
 
 def look(pose: Pose, boxes: Sequence[Box], *, beams: int = 32, fov: float = math.tau) -> View:
-    """What a scanner without noise sees there; with a full turn beam 0 points ahead, else they go from right to left."""
+    """Noise-free scan at a pose; with a full turn beam 0 points ahead, else beams go from right to left."""
     first = 0.0 if fov == math.tau else None
     return view(ranges_of(walls_of(boxes), pose, beams, fov, first), fov, first)
 
@@ -57,8 +57,8 @@ def clearance(place: Point, boxes: Sequence[Box]) -> float:
 
 
 @dataclass(frozen=True)
-class Way:
-    """What became of a vehicle."""
+class DriveResult:
+    """Result of a vehicle's drive."""
 
     poses: list[Pose]
     decisions: list[Decision]
@@ -81,8 +81,8 @@ def fly(
     *,
     yaw: float = 0.0,
     seconds: float = 60.0,
-) -> Way:
-    """A vehicle of constant yaw past a pillar, whose velocity is the commanded one; its task is told in the world frame."""
+) -> DriveResult:
+    """A vehicle of constant yaw past a pillar, moving at the commanded velocity; its task is given in the world frame."""
     place, poses, decisions = start, [(*start, yaw)], list[Decision]()
     while len(decisions) < seconds / T and not until(place):
         wish = task(place)
@@ -92,7 +92,7 @@ def fly(
         ux, uy = rotate2(*decisions[-1].velocity, yaw)
         place = place[0] + ux * T, place[1] + uy * T
         poses.append((*place, yaw))
-    return Way(poses, decisions, min(clearance(pose[:2], [PILLAR]) for pose in poses))
+    return DriveResult(poses, decisions, min(clearance(pose[:2], [PILLAR]) for pose in poses))
 
 
 def drive(
@@ -105,8 +105,8 @@ def drive(
     beams: int = 32,
     fov: float = math.tau,
     seconds: float = 60.0,
-) -> Way:
-    """A robot on wheels whose speeds are the commanded ones; its task is told in its own frame."""
+) -> DriveResult:
+    """A wheeled robot with exact speeds; its task is given in its own frame."""
     pose = start
     poses = [start]
     decisions: list[Decision] = []
@@ -119,34 +119,36 @@ def drive(
         nearest = min(nearest, clearance(pose[:2], boxes))
         poses.append(pose)
         decisions.append(decision)
-    return Way(poses, decisions, nearest)
+    return DriveResult(poses, decisions, nearest)
 
 
-# Through the whole of the avoidance
+# Through all of avoidance
 
 WHEELS, WINGS = Body(width_m=0.33, radius_m=0.18), Body(width_m=0.5, radius_m=0.25, flies=True)
 
 
 def steering(settings: Settings, body: Body = WHEELS) -> AvoidanceSteering:
-    """Of one vehicle, before its first tick."""
+    """Avoidance of one vehicle, before its first tick."""
     made = AvoidanceSteering(settings)
     made.start(info(body=body, sensors=("scan",)))
     return made
 
 
-def seen_from(pose: Pose, scan: Scan | None, tick: int, speed: float = 0.0) -> Observation:
-    """What a vehicle is told there that moves along its heading."""
+def observation_from(pose: Pose, scan: Scan | None, tick: int, speed: float = 0.0) -> Observation:
+    """Observation of a vehicle that moves along its heading."""
     return observe(pose, tick * 10**8, v=speed, scan=scan)
 
 
 def sweep(
     pose: Pose, boxes: Sequence[Box], tick: int = 0, *, beams: int = 181, fov: float = math.pi, first: float | None = None
 ) -> Scan:
-    """A scan from there, whose first beam points to ``first``, rad; default: straight behind, or as far right as it looks."""
+    """A scan at a position, whose first beam points to ``first``, rad; default: straight behind, or the scanner's rightmost
+    beam.
+    """
     return scan_of(ranges_of(walls_of(boxes), pose, beams, fov, first), fov, first, tick * 10**8)
 
 
-def steered(
+def steer_to_goal(
     settings: Settings,
     boxes: Sequence[Box],
     goal: Point,
@@ -156,10 +158,10 @@ def steered(
     speed: float = 0.3,
     seconds: float = 60.0,
     **scanner: Any,
-) -> tuple[Way, bool]:
-    """A robot on its way to a goal, whose scanner looks at every so many ticks; and whether it gets there.
+) -> tuple[DriveResult, bool]:
+    """A robot on its way to a goal, scanning at an interval of ticks; also returned: whether it arrives.
 
-    Its task heads for the goal, on the spot where that lies aside by more than 0.8 rad.
+    Its task heads for the goal, and turns on the spot where that is more than 0.8 rad to the side.
     """
     made, pose, way, nearest = steering(settings), start, [start], clearance(start[:2], boxes)
     decisions: list[Decision] = []
@@ -170,14 +172,14 @@ def steered(
         aside = wrap(math.atan2(goal[1] - pose[1], goal[0] - pose[0]) - pose[2])
         wish = (0.0 if abs(aside) > 0.8 else speed, max(-0.8, min(1.5 * aside, 0.8)))
         now = decisions[-1].velocity[0] if decisions else 0.0
-        decisions.append(made.drive(seen_from(pose, scan, tick, now), wish, goal))
+        decisions.append(made.drive(observation_from(pose, scan, tick, now), wish, goal))
         pose = arc(pose, decisions[-1].velocity[0], decisions[-1].yaw_rate, T)
         way.append(pose)
         nearest = min(nearest, clearance(pose[:2], boxes))
-    return Way(way, decisions, nearest), math.dist(pose[:2], goal) <= 0.15
+    return DriveResult(way, decisions, nearest), math.dist(pose[:2], goal) <= 0.15
 
 
-def scattered(rng: np.random.Generator) -> list[Box]:
+def scattered_boxes(rng: np.random.Generator) -> list[Box]:
     """Four boxes of half a metre between the origin and (6, 0)."""
     places = [(rng.uniform(1.2, 4.5), rng.uniform(-1.5, 1.5)) for _ in range(4)]
     return [((x - 0.25, y - 0.25), (x + 0.25, y + 0.25)) for x, y in places]

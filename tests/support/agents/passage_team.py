@@ -1,4 +1,4 @@
-"""A team of three before a passage, without the platform: the test says what each of them sees and hears."""
+"""A team of three before a passage, without the platform: the test gives scans and receptions."""
 
 import math
 from collections.abc import Mapping
@@ -9,7 +9,7 @@ import numpy as np
 
 from tests.support.agents import agent_loop
 from tests.support.agents.agent_loop import observe
-from tests.support.agents.formation_member import TICK_NS, says
+from tests.support.agents.formation_member import TICK_NS, report_of
 from tests.support.agents.scans import scan_of
 from vcmvsp.agents.formation.leaders.trajectory import Trajectory
 from vcmvsp.agents.formation.reports.prediction import DeadReckoning
@@ -48,33 +48,33 @@ def scan(*points: tuple[float, float], time_ns: int = 0) -> Scan:
     return scan_of(ranges, time_ns=time_ns)
 
 
-def sees(reading: Any, tick: int = 0, *heard: Reception) -> Observation:
+def observation(reading: Any, tick: int = 0, *heard: Reception) -> Observation:
     return observe((0.03 * tick, 0.0, 0.0), tick * TICK_NS, heard, v=0.3, scan=reading)
 
 
 def free(
     reading: Any, *, ahead_m: float = 2.0, heard: ReportReceiver | None = None, tick: int = 0, of: Lookout | None = None
 ) -> bool:
-    return (of or lookout()).is_free(sees(reading, tick), heard or ReportReceiver((), 0.0), DeadReckoning(), ahead_m)
+    return (of or lookout()).is_free(observation(reading, tick), heard or ReportReceiver((), 0.0), DeadReckoning(), ahead_m)
 
 
-def heard_of(*receptions: Reception) -> ReportReceiver:
-    """What the leader, at the origin, has heard."""
+def receptions_of(*receptions: Reception) -> ReportReceiver:
+    """Receptions of the leader, at the origin."""
     listening = ReportReceiver(CARS, 0.0)
-    listening.take(sees(None, 1000, *receptions))
+    listening.take(observation(None, 1000, *receptions))
     return listening
 
 
 def at(sender: str, x: float, y: float, tick: int = 0, **more: Any) -> Reception:
-    return says(sender, tick, v=0.0, **{"x": x, "y": y, **more})
+    return report_of(sender, tick, v=0.0, **{"x": x, "y": y, **more})
 
 
 def clear(car: str, tick: int, cl: Any = 1) -> Reception:
-    return says(car, tick, cl=cl)
+    return report_of(car, tick, cl=cl)
 
 
-class Front:
-    """A leader of which the test says what it sees and hears."""
+class ScriptedLeader:
+    """A leader whose scans and receptions the test gives."""
 
     def __init__(self, of: Formation, clock_bound_s: float = 0.0, **sees_and_is: Any) -> None:
         self.agent = Trajectory("straight", formation=of, clock_bound_s=clock_bound_s)
@@ -82,10 +82,10 @@ class Front:
         self.agent.start(info(**sees_and_is))
 
     def act(self, reading: Any, *heard: Reception) -> tuple[dict[str, Any], Mapping[str, Any]]:
-        """The next tick: notes, and the report that is sent."""
+        """Next tick: notes, and the sent report."""
         self.tick += 1
         reading = msgspec.structs.replace(reading, time_ns=self.tick * TICK_NS) if isinstance(reading, Scan) else reading
-        assert isinstance(self.agent.act(sees(reading, self.tick, *heard), self.radio), Velocity)
+        assert isinstance(self.agent.act(observation(reading, self.tick, *heard), self.radio), Velocity)
         (message,) = self.radio.drain()
         assert isinstance(message.body, dict)
         return self.agent.drain_notes(), message.body

@@ -19,18 +19,18 @@ SMALL = Body(width_m=0.33, radius_m=0.18)
 
 
 def scan_of(ranges: Any, fov: float = math.pi, first: float | None = None, time_ns: int = 0) -> Scan:
-    """Of ranges that begin at ``first``, rad; default: on the right, a whole turn straight behind."""
+    """Scan with ranges that begin at ``first``, rad; default: on the right, for a whole turn straight behind."""
     first, step = -0.5 * fov if first is None else first, fov / (len(ranges) - (fov != math.tau))
     return Scan(ranges=np.asarray(ranges, float), angle_min=first, angle_step=step, range_max=20.0, time_ns=time_ns)
 
 
 def ring(ranges: Sequence[float], time_ns: int = 0) -> Scan:
-    """All the way round, from straight ahead on."""
+    """A full turn, from straight ahead on."""
     return scan_of(ranges, math.tau, 0.0, time_ns)
 
 
 def view(ranges: Any, fov: float = math.pi, first: float | None = None) -> View:
-    """What is seen in `scan_of` these."""
+    """Observation of a vehicle with the scan of `scan_of`."""
     found = view_of(scan_of(ranges, fov, first))
     assert found is not None
     return found
@@ -48,7 +48,7 @@ def ranges_of(
     fov: float = math.pi,
     first: float | None = None,
 ) -> Array:
-    """How far each beam gets, m; inf where it meets no wall."""
+    """Range of each beam, m; inf where it meets no wall."""
     x, y, yaw = pose
     angles = yaw + bearings(beams, fov, first)[:, None]
     ux, uy = np.cos(angles), np.sin(angles)
@@ -63,14 +63,14 @@ def ranges_of(
 
 
 def sides(lower: Point, upper: Point) -> list[Wall]:
-    """Of the box between two corners."""
+    """Four sides of the box between two corners."""
     (left, right), (bottom, top) = zip(lower, upper, strict=True)
     corners = [(left, bottom), (right, bottom), (right, top), (left, top)]
     return list(zip(corners, corners[1:] + corners[:1], strict=True))
 
 
 def wall_with_doors(distance: float, doors: Sequence[tuple[float, float]], tilt: float = 0.0, half: float = 20.0) -> list[Wall]:
-    """A wall across the way with doors, each from and to so many metres to the left; tilted about the x axis' point."""
+    """A wall across the way with doors, each from and to this many metres to the left; tilted about its point on the x axis."""
     edges = [-half, *(edge for door in sorted(doors) for edge in door), half]
 
     def at(left: float) -> Point:

@@ -1,4 +1,4 @@
-"""Vehicles that search, without the platform: points in the air, looks that are made up, and a radio that loses messages."""
+"""Searching vehicles without the platform: points in the air, invented looks, and a lossy radio."""
 
 import math
 from collections.abc import Callable
@@ -9,7 +9,7 @@ import numpy as np
 
 from tests.support.agents import agent_loop
 from tests.support.agents.aerial_loop import BODY
-from tests.support.agents.agent_loop import T, Uav, received
+from tests.support.agents.agent_loop import T, Uav, reception_of
 from vcmvsp.agents.reconnaissance.probability_map import Grid, Rectangle
 from vcmvsp.agents.reconnaissance.search import Search
 from vcmvsp.cosim.agent import Observation, Radio, VehicleInfo
@@ -31,7 +31,7 @@ def searcher(**params: Any) -> Search:
 
 
 def looks(x: float, y: float, time_ns: int, rng: np.random.Generator | None = None) -> Looks:
-    """Of the cells around a place; right with 0.9, or, without a generator, always."""
+    """Looks at the cells around a place; correct with 0.9, or, without a generator, always."""
     cells = GRID.within(x, y, REACH)
     truth = np.isin(cells, [cell for target in TARGETS if (cell := GRID.at(*target)) is not None])
     hits = truth if rng is None else np.where(rng.random(len(cells)) < 0.9, truth, ~truth)
@@ -39,13 +39,13 @@ def looks(x: float, y: float, time_ns: int, rng: np.random.Generator | None = No
     return Looks(time_ns=time_ns, cell_m=2.0, cells=np.column_stack([columns, rows]).astype(np.int32), hits=hits)
 
 
-def see(position: Vec3, time_ns: int, *heard: Reception, yaw: float = 0.0, **readings: Any) -> Observation:
+def observation(position: Vec3, time_ns: int, *heard: Reception, yaw: float = 0.0, **readings: Any) -> Observation:
     return Uav(position, yaw).see(time_ns, heard, **readings)
 
 
 @dataclass
 class Team:
-    """Searchers that move exactly as they are told and look once a second; what is sent is heard at the next tick."""
+    """Searchers that move exactly as commanded and look once a second; messages arrive at the next tick."""
 
     agents: dict[str, Search]
     starts: dict[str, Vec3] = field(default_factory=dict)
@@ -66,7 +66,7 @@ class Team:
             agent.start(info(name, names))
 
     def step(self, *, standing_by: tuple[str, ...] = (), dead: tuple[str, ...] = ()) -> None:
-        """A tick."""
+        """Advance by a tick."""
         self.tick += 1
         now_ns, air = round(self.tick * T * S), self.air
         self.air = []
@@ -77,7 +77,7 @@ class Team:
             if self.tick % 10 == 0:
                 self.readings[name] = looks(x, y, now_ns, self.rngs[name] if self.errs else None)
             heard = [each for each in air if each.sender != name and not self.lost(self.tick, each.sender, name)]
-            obs = see((x, y, z), now_ns, *map(received, heard), looks=self.readings[name])
+            obs = observation((x, y, z), now_ns, *map(reception_of, heard), looks=self.readings[name])
             if name in standing_by:
                 agent.stand_by(obs, self.radios[name])
                 self.commands[name] = Velocity()
@@ -98,5 +98,5 @@ class Team:
 
 
 def of_map(messages: list[Message]) -> list[Message]:
-    """Without what the roster says."""
+    """Content of the map without the roster."""
     return [each for each in messages if isinstance(each.body, dict) and "do" not in each.body]

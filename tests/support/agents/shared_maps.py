@@ -1,4 +1,4 @@
-"""Members of a team that share small maps."""
+"""Team members that share small maps."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from vcmvsp.agents.reconnaissance.exchange import Kind, Ledger, MapExchange, exc
 from vcmvsp.agents.reconnaissance.probability_map import Grid, Rectangle, Sensor
 from vcmvsp.cosim.types import Array
 
-SMALL = Grid(Rectangle(0.0, 0.0, 19.0, 7.0), 1.0)  # more than a tile, and no multiple of one
+SMALL = Grid(Rectangle(0.0, 0.0, 19.0, 7.0), 1.0)  # larger than a tile, and no multiple of one
 SENSOR = Sensor(0.9, 0.2)
 GRID = Grid(Rectangle(0.0, 0.0, 100.0, 100.0), 2.0)
 S = 1_000_000_000  # ns
@@ -18,7 +18,7 @@ KINDS: tuple[Kind, ...] = ("none", "delta", "consensus", "ledger")
 
 
 def over_the_air(body: dict[str, Any]) -> Any:
-    """The body as another vehicle gets it."""
+    """Body as a receiver decodes it."""
     return msgspec.msgpack.decode(msgspec.msgpack.encode(body))
 
 
@@ -48,6 +48,6 @@ def tell(teller: MapExchange, hearers: dict[str, MapExchange], me: str, now_ns: 
             assert mind.take(me, over_the_air(body), now_ns)
 
 
-def everything(mind: Ledger) -> tuple[bytes, ...]:
-    """All that can make a difference later, but how often what was sent."""
+def full_state(mind: Ledger) -> tuple[bytes, ...]:
+    """All state that can matter later, except how often each part was sent."""
     return tuple(each.tobytes() for each in (mind._own, mind._changed, mind._sent_ms, mind._others, mind._others_changed))

@@ -1,4 +1,4 @@
-"""Straight ways in the plane."""
+"""Straight paths in the plane."""
 
 import math
 
@@ -6,7 +6,7 @@ from vcmvsp.agents.formation.team.shape import Slot
 
 
 def crosses(a: Slot, p: Slot, b: Slot, q: Slot) -> bool:
-    """Whether the ways a -> p and b -> q meet in a point inside both, neither along the other."""
+    """Whether the paths a -> p and b -> q cross in a point inside both, neither along the other."""
 
     def side(o: Slot, u: Slot, w: Slot) -> float:
         """Signed distance of w from the line through o and u."""

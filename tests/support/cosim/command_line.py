@@ -1,4 +1,4 @@
-"""The command line, called in this process: what it returned and what it wrote where."""
+"""The command line, called in this process: exit code and output of a command."""
 
 import contextlib
 import io
@@ -9,7 +9,7 @@ from vcmvsp.cosim.cli.app import main
 
 
 class Outcome(NamedTuple):
-    """What a command gave."""
+    """Exit code and output of a command."""
 
     code: int | str | None
     out: str
@@ -17,7 +17,7 @@ class Outcome(NamedTuple):
 
 
 def vcmvsp_command(*arguments: str) -> Outcome:
-    """Run one command. What is no `SystemExit` would be a traceback on a terminal, and is raised."""
+    """Run one command. An exception other than `SystemExit` would be a traceback on a terminal, and is raised."""
     out, err, code = io.StringIO(), io.StringIO(), None
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         try:
@@ -28,12 +28,12 @@ def vcmvsp_command(*arguments: str) -> Outcome:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """What must not differ between two equal runs: all files but ``about.json``, and what the page says of the machine."""
+    """Content that is equal for two equal runs: all files but ``about.json`` and the page's section on the machine."""
     paths = [path for path in sorted(folder.iterdir()) if path.name not in ("about.json", "__pycache__")]
     files = {path.name: path.read_bytes() for path in paths}
     if "report.html" in files:
         files["report.html"], _, machine = files["report.html"].partition(b"<h2>Machine</h2>")
-        assert machine.count(b"<h2>") == 0  # it is the last section, and nothing hides behind it
+        assert machine.count(b"<h2>") == 0  # it is the last section
     return files
 
 
@@ -47,16 +47,11 @@ def two_cars(
     agent: str | None = None,
     tail: str = "",
 ) -> str:
-    """A short kinematic scenario of a leader and a follower, with lines added where a test wants them.
+    """A short kinematic scenario of a leader and a follower, with lines that a test adds.
 
-    Args:
-        top: lines before the tables.
-        physics: lines in ``[physics]``.
-        agents: lines in ``[agents]``.
-        car1: lines in the leader's table.
-        car2: lines in the follower's table.
-        agent: what the follower's ``agent`` holds, instead of following.
-        tail: lines after everything.
+    Args: top: lines before the tables. physics: lines in ``[physics]``. agents: lines in ``[agents]``. car1: lines in the
+    leader's table. car2: lines in the follower's table. agent: the follower's ``agent`` table, instead of following. tail:
+    lines after everything.
     """
     agent = 'kind = "leader_follower", leader = "car1"' if agent is None else agent
     return f"""

@@ -1,4 +1,4 @@
-"""Short runs of built-in scenarios with everything recorded, made once for all tests of a process."""
+"""Short runs of built-in scenarios with everything recorded, made once per process."""
 
 import functools
 import json
@@ -73,23 +73,23 @@ RUNS: Mapping[str, tuple[str | dict[str, Any], dict[str, Any]]] = {
 
 @functools.cache
 def run_of(name: str) -> Path:
-    """The folder that a run has left; nobody may change anything in it."""
+    """Folder of a recorded run; read-only for tests."""
     scenario, settings = RUNS[name]
     folder = Path(_FOLDER.name) / name.replace(" ", "-")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(mcap_writer, "CHUNK_BYTES", 1 << 18)  # so that such a short one has several
+        patch.setattr(mcap_writer, "CHUNK_BYTES", 1 << 18)  # so that even a short one has several
         vcmvsp.run(scenario, set=settings, agents="inprocess", out=folder)
     return folder
 
 
-def recorded(name: str, topic: str) -> list[tuple[int, Any]]:
+def topic_messages(name: str, topic: str) -> list[tuple[int, Any]]:
     """Time (ns) and content of each message of a topic of a run's recording."""
     with (run_of(name) / "run.mcap").open("rb") as stream:
         return [(time_ns, json.loads(data)) for each, time_ns, data in messages(stream) if each == topic]
 
 
-def cut(name: str, folder: Path, part: float) -> Path:
-    """A copy of a run that was killed: the beginning of its recording, and nothing else."""
+def truncated_copy(name: str, folder: Path, part: float) -> Path:
+    """A copy of a killed run: the beginning of its recording, and no other file."""
     folder.mkdir(parents=True, exist_ok=True)
     whole = (run_of(name) / "run.mcap").read_bytes()
     (folder / "run.mcap").write_bytes(whole[: round(part * len(whole))])

@@ -1,4 +1,4 @@
-"""A feed and its reader on a clock of their own, and events to feed it with."""
+"""A feed and its reader on a clock of their own, and events for it."""
 
 import socket
 import struct
@@ -32,7 +32,7 @@ SCENERY = Scenery(
 
 
 class Reader:
-    """A feed, and a reader of what it writes, on a clock of their own."""
+    """A feed, and a reader of its output, on a clock of their own."""
 
     def __init__(self, buffer_bytes: int | None = None, **more: Any) -> None:
         ours, self.sock = socket.socketpair()
@@ -55,12 +55,12 @@ class Reader:
         self.feed.on(Event(key, time_ns, value))
 
     def wait(self, wall_s: float = PERIOD_S) -> None:
-        """Let time pass, in which the run stands still."""
+        """Let time pass while the run stands still."""
         self.now_s += wall_s
         self.feed.pace(Pace())
 
     def read(self, most: int = 1 << 30) -> list[PageUpdate]:
-        """Read no more than so many bytes; the messages that are whole now, each of which adds to what is known."""
+        """Read at most a number of bytes; returns the messages that are complete now, with the state after each."""
         while most > 0:
             try:
                 data = self.sock.recv(min(most, 1 << 16))
@@ -69,7 +69,7 @@ class Reader:
             self._got, most = self._got + data, most - len(data)
         shown = list(self._whole())
         for each in shown:
-            self.newest = merged(self.newest, each)
+            self.newest = merge(self.newest, each)
         return shown
 
     def known(self) -> PageUpdate:
@@ -93,8 +93,8 @@ class Reader:
             self._got = self._got[4 + length :]
 
 
-def merged(older: PageUpdate | None, newer: PageUpdate) -> PageUpdate:
-    """Two messages as one: of everything the newest, and every line."""
+def merge(older: PageUpdate | None, newer: PageUpdate) -> PageUpdate:
+    """Two messages as one: the newest value of everything, and every line."""
     if older is None:
         return newer
     fields = {name: getattr(older, name) for name in PageUpdate.__struct_fields__}
@@ -119,8 +119,8 @@ def receptions(received_ns: int) -> Receptions:
     return receptions_at("a", [reception], NAMES)
 
 
-class Counted:
-    """Readings that are worked out when somebody looks at them, and how often that was."""
+class CountedReadings:
+    """Readings that are computed on access, and the number of accesses."""
 
     def __init__(self, reading: Reading) -> None:
         self.reading, self.times = reading, 0

@@ -1,4 +1,4 @@
-"""A figure by its name, with all that holds for each of them, whatever comes out."""
+"""A figure by its name, and the laws of every figure."""
 
 import csv
 import json
@@ -15,7 +15,7 @@ from vcmvsp.cosim.reproduction.runner import Runner
 ENDS = ".csv", "-expected.csv", ".json", ".png", ".svg", ".pdf"
 
 
-def drawn(name: str, folder: Path, panels: int, **settings: Any) -> Figure:
+def draw_figure(name: str, folder: Path, panels: int, **settings: Any) -> Figure:
     figure = figures.find(name)(Runner(1), **settings)
     cases = [row.case for row in figure.rows]
     assert len(set(cases)) == len(cases) > 0
@@ -33,8 +33,8 @@ def missed(figure: Figure) -> list[str]:
     return [f"{row.case}: {row.measured}" for row in figure.rows if not row.ok]
 
 
-class Once(Runner):
-    """Makes a run once, however many figures show it."""
+class CachedRun(Runner):
+    """Makes a run once for all figures."""
 
     def __init__(self) -> None:
         super().__init__(1)
@@ -48,11 +48,11 @@ class Once(Runner):
         return [self._made[key] for key in keys]
 
 
-RUNNER = Once()
+RUNNER = CachedRun()
 
 
-def made(name: str, folder: Path, panels: int, words: Sequence[str], **settings: Any) -> Figure:
-    """A figure by its name, with all that holds for each of them."""
+def checked_figure(name: str, folder: Path, panels: int, words: Sequence[str], **settings: Any) -> Figure:
+    """A figure by its name, after the checks of the laws of every figure."""
     figure = figures.find(name)(RUNNER, **settings)
     assert [row for row in figure.rows if not row.ok] == []
     cases = [row.case for row in figure.rows]

@@ -1,4 +1,4 @@
-"""A disk that is full, for anybody and anywhere: files of this process that grow beyond a size are refused."""
+"""A full disk for any user on any system: files of this process cannot grow beyond a size."""
 
 import contextlib
 import resource
@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 @contextlib.contextmanager
 def room_for(size_bytes: int) -> Iterator[None]:
-    """Meanwhile no file grows beyond a size: writing raises EFBIG, as it raises ENOSPC where a disk is full."""
+    """Within the block no file grows beyond a size: writing raises EFBIG, like ENOSPC on a full disk."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size_bytes, hard))
     try:

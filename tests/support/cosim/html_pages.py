@@ -1,4 +1,4 @@
-"""A page of HTML, taken apart."""
+"""Parser of an HTML page for tests."""
 
 import re
 from html.parser import HTMLParser
@@ -7,7 +7,7 @@ VOID = {"meta", "link", "br", "hr", "img", "input", "wbr"}
 
 
 class Reader(HTMLParser):
-    """What is in a page: its words and tables, what it asks for, and names. Every tag must be closed where it should be."""
+    """Content of a page: words, tables, requested resources, and names. Every tag must be closed in order."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -53,5 +53,5 @@ class Reader(HTMLParser):
             self.tables[-1][-1][-1] += data
 
     def rows(self, *head: str) -> list[list[str]]:
-        """The rows of the table whose head begins so."""
+        """Rows of the table whose head begins with these cells."""
         return next(rows[1:] for rows in self.tables if rows[0][: len(head)] == [*head])

@@ -1,6 +1,6 @@
-"""What ``mcap doctor`` checks of a file, from the specification (https://mcap.dev/spec): order, indexes, sums, counts, offsets.
+"""Checks of ``mcap doctor`` from the specification (https://mcap.dev/spec): order, indexes, sums, counts, offsets.
 
-Only the layout of single records is the library's; where they lie is worked out here.
+The library decodes single records only; their places are computed here.
 """
 
 import io
@@ -33,7 +33,7 @@ _KINDS: dict[int, Any] = {
 
 
 def read(data: bytes, start: int = 0) -> Iterator[tuple[int, int, Any]]:
-    """Where each record begins and ends, and the record."""
+    """Begin, end and content of each record."""
     while start < len(data):
         opcode, length = struct.unpack_from("<BQ", data, start)
         end = start + 9 + length
@@ -44,7 +44,7 @@ def read(data: bytes, start: int = 0) -> Iterator[tuple[int, int, Any]]:
 
 
 def examine(data: bytes) -> int:
-    """Assert that a file is whole and says nothing wrong of itself; the answer is how many messages it holds."""
+    """Assert that a file is complete and consistent; returns its number of messages."""
     assert data[:8] == data[-8:] == MAGIC
     listed = list(read(data[:-8], 8))
     assert isinstance(listed[0][2], records.Header)
@@ -75,7 +75,7 @@ def _of(listed: list[tuple[int, int, Any]], kind: type) -> list[Any]:
 
 
 def _examine_body(body: list[tuple[int, int, Any]]) -> tuple[list[Any], Counter[int], list[Any], tuple[int, int]]:
-    """The chunk indexes that there should be, messages by channel, schemas and channels in order, first and last time."""
+    """Expected chunk indexes, messages by channel, schemas and channels in order, first and last time."""
     chunks: list[Any] = []
     counts: Counter[int] = Counter()
     known: list[Any] = []
@@ -117,7 +117,7 @@ def _examine_body(body: list[tuple[int, int, Any]]) -> tuple[list[Any], Counter[
 
 
 def _examine_chunk(raw: bytes, known: list[Any]) -> dict[int, list[tuple[int, int]]]:
-    """By channel: time and place of each message. Schemas and channels come before what needs them, and once."""
+    """Time and place of each message, by channel. Schemas and channels come once, before their first use."""
     entries: dict[int, list[tuple[int, int]]] = {}
     last = 0
     for start, _, each in read(raw):
@@ -139,7 +139,7 @@ def _examine_chunk(raw: bytes, known: list[Any]) -> dict[int, list[tuple[int, in
 
 
 def _examine_summary(data: bytes, summary: list[tuple[int, int, Any]], start: int) -> None:
-    """Its place and sum, and that its groups are where it says."""
+    """Check the summary's place and sum, and the places of its groups."""
     footer_start, _, footer = summary[-1]
     assert isinstance(footer, records.Footer)
     assert footer.summary_start == start

@@ -1,8 +1,8 @@
-"""Commands in processes of their own: what each answered, and what CPU time and memory it took.
+"""Commands in processes of their own: answer, CPU time and memory of each.
 
-As a program: the commands, one per argument; one line of JSON for all. Each is a fork of this process, which has imported what
-they need, so that this is not done again for each. Of ``view`` the page is left out, which has no end; what it would show first
-and last is made. Runs draw no figures.
+As a program: the commands, one per argument; one line of JSON for all. Each is a fork of this process, which has imported
+their modules once. ``view`` does not serve its page, which has no end; its first and last state are computed. Runs draw no
+figures.
 """
 
 import gc
@@ -33,8 +33,8 @@ SHARED = (
 CPU_S, MOST_BYTES = 10, 1 << 30
 
 
-class Measured(NamedTuple):
-    """What a command gave and took."""
+class CommandCost(NamedTuple):
+    """Answer and cost of a command."""
 
     code: int
     err: str
@@ -42,7 +42,7 @@ class Measured(NamedTuple):
     bytes: int
 
 
-def answered(answer: Measured) -> None:
+def assert_answered(answer: CommandCost) -> None:
     """The command gave a result or one clear line, at little cost."""
     assert answer.code in (0, 2), answer
     assert "Traceback" not in answer.err, answer.err
@@ -50,14 +50,14 @@ def answered(answer: Measured) -> None:
     assert answer.bytes < MOST_BYTES, answer
 
 
-def measured(commands: Sequence[str]) -> list[Measured]:
-    """Run each; the system ends what takes more than `CPU_S`."""
+def measure_commands(commands: Sequence[str]) -> list[CommandCost]:
+    """Run each command; the system ends those that take more than `CPU_S`."""
     line = [sys.executable, "-m", "tests.support.cosim.measured_commands", *commands]
     done = subprocess.run(line, stdout=subprocess.PIPE, check=True, text=True)
-    return [Measured(*each) for each in json.loads(done.stdout)]
+    return [CommandCost(*each) for each in json.loads(done.stdout)]
 
 
-def _run(command: str) -> Measured:
+def _run(command: str) -> CommandCost:
     with tempfile.TemporaryFile() as said:
         child = os.fork()
         if child == 0:
@@ -69,7 +69,7 @@ def _run(command: str) -> Measured:
         _, status, used = os.wait4(child, 0)
         said.seek(0)
         err = said.read().decode()
-    return Measured(os.waitstatus_to_exitcode(status), err, used.ru_utime + used.ru_stime, 1024 * used.ru_maxrss)
+    return CommandCost(os.waitstatus_to_exitcode(status), err, used.ru_utime + used.ru_stime, 1024 * used.ru_maxrss)
 
 
 def _show(player: Player, recording: Recording, *_: object, **__: object) -> None:
@@ -81,7 +81,7 @@ def _show(player: Player, recording: Recording, *_: object, **__: object) -> Non
 if __name__ == "__main__":
     for _name in SHARED:
         importlib.import_module(_name)
-    gc.freeze()  # a collection in a forked process would copy all that it visits
+    gc.freeze()  # a collection in a forked process would copy all objects that it visits
     sys.modules["vcmvsp.cosim.cli.outputs"]._serve = _show  # type: ignore[attr-defined]
     os.environ["VCMVSP_FIGURES"] = "0"
     sys.stdout.write(json.dumps([_run(each) for each in sys.argv[1:]]))

@@ -1,4 +1,4 @@
-"""Agents of this process behind the bytes of the wire: no process, and answers that a test may change."""
+"""Agents of this process behind an encoded link: no process, and answers that a test may change."""
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -35,7 +35,7 @@ class MemoryLink:
 
 @contextlib.contextmanager
 def behind_the_wire(link: type[MemoryLink] = MemoryLink) -> Iterator[None]:
-    """Runs whose agents are in this process have them behind such a link."""
+    """Within the block, in-process agents of runs are behind such a link."""
 
     def start(hosts: Hosts, specs: Mapping[str, Sequence[AgentSpec]], objects: object) -> None:
         desk = Desk(hosts._builders["inprocess"])

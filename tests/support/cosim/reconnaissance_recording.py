@@ -1,4 +1,4 @@
-"""A small reconnaissance as its recorder sees it: vehicles comb a field in lanes, show what they see, and find two targets."""
+"""Recording of a small reconnaissance: vehicles comb a field in lanes, take pictures, and find two targets."""
 
 import io
 import math
@@ -34,7 +34,7 @@ WORLD = World(targets=TARGETS)
 
 @cache
 def jpeg(name: str, number: int) -> bytes:
-    """A picture with a yellow square where a target is said to be."""
+    """A picture with a yellow square at the target."""
     rng = np.random.default_rng(number)
     pixels = rng.integers(90, 130, (HEIGHT // 8, WIDTH // 8, 3), np.uint8).repeat(8, 0).repeat(8, 1)
     if name:
@@ -52,7 +52,7 @@ def pose(vehicle: int, vehicles: int, time_s: float) -> tuple[float, float, floa
 
 
 def events(names: Sequence[str], seconds: float, looks: float = 1.0) -> Iterator[Event]:
-    """States at 10 Hz; maps, mosaics, sightings and what a detector says at 1 Hz (``looks``: pictures more often)."""
+    """States at 10 Hz; maps, mosaics, sightings and detections at 1 Hz (``looks``: pictures more often)."""
     middles = CELL_M * (np.arange(CELLS) + 0.5)
     counts = np.zeros((len(names), CELLS, CELLS))
     found: set[tuple[str, str]] = set()
@@ -95,7 +95,7 @@ def events(names: Sequence[str], seconds: float, looks: float = 1.0) -> Iterator
 
 
 def _noted(name: str, now: int, seen: Sequence[PlacedTarget], found: set[tuple[str, str]]) -> Iterator[Event]:
-    """It is found at first sight; then it is tracked, in word only, for as long as it is seen."""
+    """A target is found at first sight; later detections only track it."""
     for each in seen:
         if (name, each.name) not in found:
             found.add((name, each.name))
@@ -114,10 +114,10 @@ def _mapped(name: str, now: int, counts: np.ndarray) -> Iterator[Event]:
     yield note(name, now, map_bytes=100.0 * (1 + now // SECOND_NS))
 
 
-def recorded(
+def reconnaissance_recorder(
     names: Sequence[str] = ("uav1", "uav2"), seconds: float = 20.0, *, more: Sequence[Event] = (), looks: float = 1.0
 ) -> tuple[Recorder, io.BytesIO]:
-    """A closed recorder of it, and ``run.mcap``."""
+    """A closed recorder of the reconnaissance, and ``run.mcap``."""
     stream = io.BytesIO()
     run = RunInfo(scenario="reconnaissance", seed=1, duration_ns=round(seconds * SECOND_NS), vehicles=tuple(names))
     agents = [AgentInfo(vehicle=name, agent="x", ticks=TENTH, latency_ns=0, params={}, known=(), taken=()) for name in names]

@@ -1,4 +1,4 @@
-"""A run that somebody looked on at, its recording, and what both say of a time."""
+"""A run with an observer, its recording, and the state of both at a time."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -89,14 +89,14 @@ NEWEST: Mapping[type, str] = {
 
 
 class Run:
-    """A run that was looked at, and the folder that it left."""
+    """A run with the observer's states, and its folder."""
 
     def __init__(self, folder: Path, events: list[Event]) -> None:
         self.folder, self.events = folder, events
 
 
-def looked_on(folder: Path) -> Run:
-    """Run the scenario, and look on."""
+def observed_run(folder: Path) -> Run:
+    """Run the scenario with an observer."""
     events: list[Event] = []
 
     def look(event: Event) -> None:
@@ -107,12 +107,12 @@ def looked_on(folder: Path) -> Run:
     return Run(folder, events)
 
 
-def seen(events: Sequence[Event], names: tuple[str, ...], time_ns: int) -> dict[str, Any]:
-    """What one who had looked on knew at a time."""
+def observer_state(events: Sequence[Event], names: tuple[str, ...], time_ns: int) -> dict[str, Any]:
+    """State of the observer at a time."""
     past = [event for event in events if event.time_ns <= time_ns]
     known: dict[str, Any] = {field: {} for field in (*NEWEST.values(), "notes", "heard_ns")}
     frames = [event.value for event in past if isinstance(event.value, FrameReport)]
-    known["sent"], known["received"] = counted(frames, names)
+    known["sent"], known["received"] = frame_counts(frames, names)
     known["states"] = None
     known["links"] = {each.sender: (each.sent_ns, each.receivers, each.rssi_dbm, each.outcome) for each in frames}
     for event in past:
@@ -129,8 +129,8 @@ def seen(events: Sequence[Event], names: tuple[str, ...], time_ns: int) -> dict[
     return known
 
 
-def counted(frames: Sequence[FrameReport], names: tuple[str, ...]) -> tuple[Array, Array]:
-    """Frames sent and received, a row per sender."""
+def frame_counts(frames: Sequence[FrameReport], names: tuple[str, ...]) -> tuple[Array, Array]:
+    """Sent and received frames, a row per sender."""
     sent, received = (np.zeros((len(names),) * 2, np.int64) for _ in range(2))
     for each in frames:
         for receiver, outcome in zip(each.receivers, each.outcome, strict=True):
@@ -140,8 +140,8 @@ def counted(frames: Sequence[FrameReport], names: tuple[str, ...]) -> tuple[Arra
     return sent, received
 
 
-def told(shown: PageUpdate) -> dict[str, Any]:
-    """The same of what is shown."""
+def recording_state(shown: PageUpdate) -> dict[str, Any]:
+    """State of the recording at a time."""
     links = {each.sender: (each.sent_ns, each.receivers, each.rssi_dbm, each.outcome) for each in shown.links}
     for each in shown.links:
         assert each.received.tolist() == [outcome == "received" for outcome in each.outcome]
@@ -150,7 +150,7 @@ def told(shown: PageUpdate) -> dict[str, Any]:
 
 
 def assert_same(one: Any, other: Any, where: str = "") -> None:
-    """Equal to the last bit; but of a scan whose ends are told, the angle between beams is rounded."""
+    """Equal to the last bit; only the angle between beams is rounded, of a scan that states its ends."""
     if isinstance(one, Mapping):
         assert set(one) == set(other), where
         for name, value in one.items():
@@ -158,7 +158,7 @@ def assert_same(one: Any, other: Any, where: str = "") -> None:
     elif isinstance(one, Scan):
         assert one.angle_step == pytest.approx(other.angle_step, rel=1e-12)
         assert encode(msgspec.structs.replace(one, angle_step=0.0)) == encode(msgspec.structs.replace(other, angle_step=0.0))
-    elif isinstance(one, Fix):  # a heading passes through a quaternion
+    elif isinstance(one, Fix):  # a heading is stored as a quaternion
         assert one.yaw == (None if other.yaw is None else pytest.approx(other.yaw, abs=1e-12))
         same = {"yaw": 0.0, "sigma_z_m": None}
         assert msgspec.structs.replace(one, **same) == msgspec.structs.replace(other, **same)
@@ -167,12 +167,12 @@ def assert_same(one: Any, other: Any, where: str = "") -> None:
 
 
 def all_of(shown: PageUpdate) -> dict[str, Any]:
-    """All that is shown, but for the pace."""
-    return told(shown) | {name: getattr(shown, name) for name in ("obstacles", "targets", "lines", "halted")}
+    """Everything on display, except the pace."""
+    return recording_state(shown) | {name: getattr(shown, name) for name in ("obstacles", "targets", "lines", "halted")}
 
 
 def chunk_ends(data: bytes) -> list[int]:
-    """Where the chunks of a file end."""
+    """Offsets at which the chunks of a file end."""
     ends, place = [], 8
     while data[place] != 0x0F:
         opcode, length = data[place], int.from_bytes(data[place + 1 : place + 9], "little")

@@ -1,4 +1,4 @@
-"""Events of vehicles and frames with known answers, and what a recorder makes of them."""
+"""Events of vehicles and frames with known answers, and their recording."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -27,7 +27,7 @@ def states(time_ns: int, poses: dict[str, Pose]) -> Event:
 
 
 def frame(number: int, sender: str, sent_ns: int, received: dict[str, int | None]) -> Event:
-    """A frame and when each receiver got it (None: lost)."""
+    """A frame and its arrival at each receiver (None: lost)."""
     count = len(received)
     value = FrameReport(
         frame=number,
@@ -55,8 +55,10 @@ def note(vehicle: str, time_ns: int, **values: float | str | bool) -> Event:
     return Event(f"{vehicle}/note", time_ns, Note(values=values))
 
 
-def recorded(names: Sequence[str], events: Iterable[Event], end_ns: int, ticks: Ticks = TENTH, world: Any = None) -> Recorder:
-    """A recorder that has seen these events and is closed."""
+def recorder_after(
+    names: Sequence[str], events: Iterable[Event], end_ns: int, ticks: Ticks = TENTH, world: Any = None
+) -> Recorder:
+    """A closed recorder of these events."""
     run = RunInfo(scenario="test", seed=3, duration_ns=end_ns, vehicles=tuple(names))
     agents = [AgentInfo(vehicle=name, agent="x", ticks=ticks, latency_ns=0, params={}, known=(), taken=()) for name in names]
     recorder = Recorder(run, record_ticks=TENTH, mcap=None, agents=agents, radius_m={}, world=world)

@@ -1,4 +1,4 @@
-"""Runs and hosts as processes of a folder, and a network between them that can be cut: a TCP forwarder of this machine."""
+"""Runs and hosts as processes in a folder, and a network between them that can be cut: a local TCP forwarder."""
 
 import contextlib
 import socket
@@ -15,10 +15,10 @@ VCMVSP = [sys.executable, *PROGRAM]
 
 
 @contextlib.contextmanager
-def reserved() -> Iterator[int]:
-    """A TCP port of 127.0.0.1 where nobody listens, and which Linux gives to nobody else who asks for any.
+def reserve_port() -> Iterator[int]:
+    """A free TCP port of 127.0.0.1 that Linux assigns to no other socket.
 
-    Who knows it may listen there, if he lets others use the address again (``SO_REUSEADDR``), as all servers do.
+    A program that is given the number may listen there with ``SO_REUSEADDR``, as all servers do.
     """
     with socket.socket() as held:
         held.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -27,7 +27,7 @@ def reserved() -> Iterator[int]:
 
 
 class Stage:
-    """A folder, a port that is its own, and the processes that are started there; leave it, and they are gone."""
+    """A folder, a port of its own, and the processes started there; leaving the block ends them."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.out = folder, folder / "out"
@@ -45,10 +45,10 @@ class Stage:
         self._held.close()
 
     def another_port(self) -> int:
-        return self._held.enter_context(reserved())
+        return self._held.enter_context(reserve_port())
 
     def start(self, *arguments: str, before: Sequence[str] = ()) -> subprocess.Popen[str]:
-        """Start ``vcmvsp`` with these arguments; ``before`` is a command that starts commands, such as ``ip netns exec``."""
+        """Start ``vcmvsp`` with these arguments; ``before`` is a prefix command, such as ``ip netns exec``."""
         return self.python(*PROGRAM, *arguments, before=before)
 
     def python(self, *arguments: str, before: Sequence[str] = ()) -> subprocess.Popen[str]:
@@ -58,22 +58,22 @@ class Stage:
         return process
 
 
-def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
-    """Its exit code, and what it said on the way."""
+def exit_of(process: subprocess.Popen[str]) -> tuple[int, str]:
+    """Exit code and output of a process."""
     _, said = process.communicate(timeout=500)
     assert "Traceback" not in said
     return process.returncode, said
 
 
-def ended_with(code: int, process: subprocess.Popen[str]) -> str:
-    """What it said until it ended with this exit code."""
-    found, said = ended(process)
+def output_at_exit(code: int, process: subprocess.Popen[str]) -> str:
+    """Output of a process that ended with this exit code."""
+    found, said = exit_of(process)
     assert found == code, said
     return said
 
 
-def said_by(process: subprocess.Popen[str], what: str) -> str:
-    """Read what it says until this; the line that has it."""
+def read_until(process: subprocess.Popen[str], what: str) -> str:
+    """Read the output up to this text; returns the line that contains it."""
     assert process.stderr is not None
     found = next((line for line in process.stderr if what in line), None)
     assert found is not None, what
@@ -81,15 +81,15 @@ def said_by(process: subprocess.Popen[str], what: str) -> str:
 
 
 def wait_for(path: Path) -> None:
-    """Until there is such a file."""
+    """Wait for a file."""
     last = time.monotonic() + 60.0
     while not path.exists():
         assert time.monotonic() < last
         time.sleep(0.02)
 
 
-class Wire:
-    """Forwards connections to ``port``; cut, it carries nothing, or breaks what there is and lets nobody in."""
+class Forwarder:
+    """Forwards connections to ``port``; a cut either holds data back, or breaks connections and refuses new ones."""
 
     def __init__(self, port: int) -> None:
         self._target = port
@@ -102,13 +102,13 @@ class Wire:
         threading.Thread(target=self._accept, daemon=True).start()
 
     def freeze(self, seconds: float) -> None:
-        """Carry nothing for so long, and then what has been waiting: a cable that is pulled and put back."""
+        """Hold all data back for a time, then forward them: a cable that is pulled and put back."""
         self._whole.clear()
         time.sleep(seconds)
         self._whole.set()
 
     def reset(self, seconds: float) -> None:
-        """Break all connections, and let nobody in for so long."""
+        """Break all connections and refuse new ones for a time."""
         self._refuses = True
         for end in self._ends:
             with contextlib.suppress(OSError):
@@ -136,7 +136,7 @@ class Wire:
     def _dial(self) -> socket.socket | None:
         try:
             return socket.create_connection(("127.0.0.1", self._target))
-        except OSError:  # nobody listens yet
+        except OSError:  # no process listens yet
             return None
 
     def _carry(self, one: socket.socket, other: socket.socket) -> None:

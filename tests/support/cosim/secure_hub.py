@@ -1,4 +1,4 @@
-"""Sessions of Zenoh with real certificates: a hub under the rules of a run, and those who dial it."""
+"""Zenoh sessions with real certificates: a hub with a run's access rules, and its clients."""
 
 import contextlib
 import json
@@ -29,7 +29,7 @@ LASTING = {"transport": {"link": {"tx": {"lease": LEASE_MS}}}}
 """A machine may be held up for longer than the lease of the real ones: both ends of a link are in one process here."""
 TOPIC = "vcmvsp/topic/car2/state"
 PATIENCE_S = 20.0
-EXCHANGED = (b"question", b"answer")  # what a run and its hosts say to one another
+EXCHANGED = (b"question", b"answer")  # keys between a run and its hosts
 
 
 def start(config: dict[str, Any]) -> zenoh.Session:
@@ -37,7 +37,7 @@ def start(config: dict[str, Any]) -> zenoh.Session:
 
 
 def lasting_links(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same for sessions that the product opens in this process."""
+    """Long-lived connections for sessions that the product opens in this process."""
     monkeypatch.setattr(access_control, "LEASE_MS", LEASE_MS)
     monkeypatch.setitem(COMMON["transport"]["link"]["tx"], "lease", LEASE_MS)
 
@@ -46,16 +46,16 @@ def direct(function: Callable[[Any], object]) -> Any:
     return Callback(function, indirect=False)
 
 
-def answering(host: zenoh.Session, key: str, answer: Callable[[bytes], bytes] = lambda _: b"answer") -> None:
-    """Answer what the hub asks under this key as a host does: not in a thread of Zenoh's, which has to send it, too."""
-    says = host.declare_publisher(key_names.answer_key(key), congestion_control=zenoh.CongestionControl.BLOCK)
-    asked: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
-    host.declare_subscriber(key, direct(asked.put))
+def answer_queries(host: zenoh.Session, key: str, answer: Callable[[bytes], bytes] = lambda _: b"answer") -> None:
+    """Answer the hub's queries under this key as a host does: outside of Zenoh's thread, which has to send as well."""
+    publisher = host.declare_publisher(key_names.answer_key(key), congestion_control=zenoh.CongestionControl.BLOCK)
+    queries: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
+    host.declare_subscriber(key, direct(queries.put))
 
     def work() -> None:
         with contextlib.suppress(zenoh.ZError):  # the session has been closed
             while True:
-                says.put(answer(asked.get().payload.to_bytes()))
+                publisher.put(answer(queries.get().payload.to_bytes()))
 
     threading.Thread(target=work, daemon=True).start()
 
@@ -73,7 +73,7 @@ def until(condition: Callable[[], object]) -> None:
 
 
 class Hub:
-    """A router with the rules, which answers greetings and counts whatever gets through to it."""
+    """A router with the rules, which answers greetings and counts everything that passes."""
 
     def __init__(self, rules: dict[str, Any], endpoints: tuple[str, ...] = ("tls/127.0.0.1:0",)) -> None:
         self.seen: Counter[str] = Counter()
@@ -97,7 +97,7 @@ class Hub:
         self.session.close()  # type: ignore[no-untyped-call]
 
     def ask(self, name: str, host: zenoh.Session, question: bytes = b"question", within_s: float = 1.0) -> list[bytes]:
-        """The answer of a host, if one comes in time."""
+        """Answer of a host, if one comes in time."""
         key, box = key_names.host_key(name, str(host.zid()), "ask"), queue.SimpleQueue[bytes]()
         hears = self.session.declare_subscriber(
             key_names.answer_key(key), direct(lambda sample: box.put(sample.payload.to_bytes()))
@@ -111,7 +111,7 @@ class Hub:
             hears.undeclare()  # type: ignore[no-untyped-call]
 
     def links(self, name: str) -> list[bool]:
-        """True for each link of this name that came, False for each that went."""
+        """Links of this name: True for each that opened, False for each that closed."""
         return [each.kind == zenoh.SampleKind.PUT for each in self._links if each.link.auth_identifier == name]
 
     def _heard(self, sample: zenoh.Sample) -> None:
@@ -130,8 +130,8 @@ class Hub:
         return list(found)
 
 
-def issued(folder: Path) -> Keys:
-    """An authority whose car2 and car3 host, and whose anna watches; one that was given to 'gone' is revoked."""
+def issue_certificates(folder: Path) -> Keys:
+    """An authority with certificates for the host of car2 and car3 and for the observer anna; one for 'gone' is revoked."""
     folder = folder / "keys"
     authority.init(folder)
     for name in ("car2", "car3", "gone"):
@@ -150,19 +150,19 @@ def dial(endpoint: str, machine: Bundle | None, mode: str = "client") -> zenoh.S
     return start(merge(QUIET, own, access_control.machine_security(machine) if machine else {}))
 
 
-def asked(session: zenoh.Session, key: str, payload: bytes) -> list[bytes]:
-    """The replies to a query."""
+def replies_of(session: zenoh.Session, key: str, payload: bytes) -> list[bytes]:
+    """Replies to a query."""
     return [each.ok.payload.to_bytes() for each in session.get(key, payload=payload, timeout=PATIENCE_S) if each.ok]
 
 
 def greet(session: zenoh.Session, name: str, payload: bytes = b"hello") -> list[bytes]:
-    return asked(session, key_names.join_key(name), payload)
+    return replies_of(session, key_names.join_key(name), payload)
 
 
 def inquire(session: zenoh.Session, name: str, payload: bytes = b"about") -> list[bytes]:
-    return asked(session, key_names.about_key(name), payload)
+    return replies_of(session, key_names.about_key(name), payload)
 
 
 def settle() -> None:
-    """Time for what should not arrive to arrive; the test without rules shows that it is enough."""
+    """Time in which forbidden messages could arrive; the test without rules shows that it is enough."""
     time.sleep(0.2)

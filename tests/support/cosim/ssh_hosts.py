@@ -1,4 +1,4 @@
-"""Another machine, as ssh sees it: one that is played by a script, or this one behind a real server of SSH."""
+"""Other machines for ssh: imitated by a script, or this machine behind a real SSH server."""
 
 import os
 import socket
@@ -49,16 +49,16 @@ asyncio.run(main())
 
 
 class Machine(NamedTuple):
-    """Another machine."""
+    """A machine that ssh reaches."""
 
     ssh: str  # for a file of hosts
     options: tuple[str, ...]
-    environment: dict[str, str]  # of whoever calls ssh
+    environment: dict[str, str]  # environment of the caller of ssh
     server: subprocess.Popen[bytes] | None
 
 
-def played(folder: Path) -> Machine:
-    """A program called ssh that runs things in ``folder``."""
+def scripted_ssh(folder: Path) -> Machine:
+    """A program called ssh that runs commands in ``folder``."""
     folder.mkdir()
     programs = folder.parent / "programs"
     programs.mkdir()
@@ -67,8 +67,8 @@ def played(folder: Path) -> Machine:
     return Machine("anna@far", (), {"PATH": f"{programs}:{os.environ['PATH']}", "FAR": str(folder)}, None)
 
 
-def served(kind: str, folder: Path, port: int) -> Machine:
-    """This machine, behind ``sshd`` of OpenSSH or ``asyncssh`` of PyPI, at a port, for whoever has the key in ``folder``."""
+def ssh_server(kind: str, folder: Path, port: int) -> Machine:
+    """This machine behind ``sshd`` of OpenSSH or ``asyncssh`` of PyPI, at a port; the key is in ``folder``."""
     for each in ("ssh", "ssh-keygen"):
         requirements.program(each)
     folder.mkdir()

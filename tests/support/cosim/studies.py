@@ -1,4 +1,4 @@
-"""A scenario whose runs take a hundredth of a second, and what studies of it are started with."""
+"""A scenario whose runs take a hundredth of a second, and arguments of its studies."""
 
 import subprocess
 from pathlib import Path
@@ -71,18 +71,18 @@ agent = { kind = "mine.py:Mine" }
 
 
 def mine(folder: Path) -> Path:
-    """A scenario file with an agent of its own beside it, which can fail, and take its time: as long as there is a file."""
+    """A scenario file with a user agent beside it, which can fail, or wait as long as a file exists."""
     (folder / "mine.py").write_text(AGENT)
     (folder / "mine.toml").write_text(MINE)
     return folder / "mine.toml"
 
 
 def start(folder: Path, *arguments: str) -> "subprocess.Popen[str]":
-    """``vcmvsp study`` in a process of its own."""
+    """Start ``vcmvsp study`` in a process of its own."""
     command = [*VCMVSP, "study", *arguments]
     return subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 def columns(table: pa.Table, *names: str) -> list[tuple[Any, ...]]:
-    """Some columns, row by row."""
+    """Columns of a table, row by row."""
     return list(zip(*(table[name].to_pylist() for name in names), strict=True))

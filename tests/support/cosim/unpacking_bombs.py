@@ -18,7 +18,7 @@ _STEP = 1 << 22
 
 
 def rows(path: Path, like: Path, count: int = ROWS) -> None:
-    """The table of a run with so many rows or more, all alike: its end names the same rows again and again."""
+    """A run's table with at least this many equal rows: its footer lists the same row group again and again."""
     table = pq.read_table(like)
     pq.write_table(table.take(np.zeros(_STEP, np.int64)), path, compression="zstd")
     about, one = pq.read_metadata(path), pq.read_metadata(path)
@@ -30,7 +30,7 @@ def rows(path: Path, like: Path, count: int = ROWS) -> None:
 
 
 def long_text(path: Path, like: Path) -> None:
-    """The table of a run in which a word that stands in all rows has a hundred megabytes."""
+    """A run's table in which all rows contain the same word of a hundred megabytes."""
     table = pq.read_table(like)
     words = pa.array(["x" * 100_000_000]).take(np.zeros(1, np.int64))
     long = pa.DictionaryArray.from_arrays(np.zeros(table.num_rows, np.int32), words)
@@ -39,7 +39,7 @@ def long_text(path: Path, like: Path) -> None:
 
 
 def recording(path: Path, chunks: Iterator[bytes], vehicles: str, seed: str = "1") -> None:
-    """A recording of these chunks, which have no index."""
+    """A recording of these chunks, without an index."""
     codec = pa.Codec("zstd")
     metadata = {"scenario": "bomb", "seed": seed, "vehicles": vehicles}
     with path.open("wb") as stream:
@@ -78,7 +78,7 @@ def one(topic: str, schema: str, data: bytes) -> Iterator[bytes]:
 
 
 def head(topic: str, schema: str) -> bytes:
-    """What declares channel 1."""
+    """Declaration of channel 1."""
     kind = records.Schema(id=1, name=schema, encoding="jsonschema", data=b"{}")
     return _bytes(kind) + _bytes(records.Channel(id=1, topic=topic, message_encoding="json", metadata={}, schema_id=1))
 
@@ -98,7 +98,7 @@ def png(path: Path, side: int = 40_000) -> None:
 
 
 def sparse(path: Path, size: int = LARGE) -> None:
-    """A file of zeros, of which the disk holds none."""
+    """A file of zeros that takes no disk space."""
     with path.open("wb") as stream:
         stream.truncate(size)
 

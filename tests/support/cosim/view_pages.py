@@ -1,4 +1,4 @@
-"""A page that can be looked at without a run: a scenery, how things stand in it, and a browser."""
+"""A station page without a run: a scenery, states in it, and a browser."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -46,7 +46,7 @@ DOWN = Lens(
 
 
 def scenery(count: int = 3, flying: int = 0, may: tuple[str, ...] = LIVE, **more: Any) -> Scenery:
-    """``count`` vehicles, of which the last ``flying`` fly, before a wall, with a crate that may be moved."""
+    """``count`` vehicles before a wall, the last ``flying`` of them in the air, with a movable crate."""
     crafts = [
         Craft(
             name=f"v{index + 1}",
@@ -89,14 +89,14 @@ def scenery(count: int = 3, flying: int = 0, may: tuple[str, ...] = LIVE, **more
 
 
 def states(positions: list[tuple[float, float, float]], yaws: list[float], names: tuple[str, ...]) -> States:
-    """Of vehicles that stand there, m, and are turned so, rad."""
+    """States of vehicles at rest: positions, m, and headings, rad."""
     zero = np.zeros((len(names), 3))
     attitude = np.array([quaternion_from_yaw(yaw) for yaw in yaws])
     return States(names=names, position=np.array(positions), velocity=zero, attitude=attitude, angular_velocity=zero)
 
 
-def shown(scene: Scenery, time_s: float, **more: Any) -> PageUpdate:
-    """All go around a circle, the first one leads; every frame is received but those of the last vehicle."""
+def moving_state(scene: Scenery, time_s: float, **more: Any) -> PageUpdate:
+    """All vehicles circle, the first one leads; every frame is received but those of the last vehicle."""
     names = tuple(each.name for each in scene.vehicles)
     count = len(names)
     angle = 0.3 * time_s + math.tau * np.arange(count) / max(count, 1)
@@ -146,22 +146,22 @@ def picture(color: tuple[int, int, int], time_s: float = 0.0) -> Image:
 
 
 def scan(range_m: float = 1.0) -> Scan:
-    """Four beams, of which one sees nothing."""
+    """Four beams, one without a return."""
     return Scan(
         ranges=np.array([range_m, range_m, np.inf, range_m], np.float32), angle_min=0.0, angle_step=math.pi / 2, range_max=8.0
     )
 
 
-def known_of(scene: Scenery, *messages: PageUpdate) -> PageState:
-    """What a station knows that was told these."""
+def station_state(scene: Scenery, *messages: PageUpdate) -> PageState:
+    """State of a station after these messages."""
     known = PageState(scene)
     for message in messages:
         known.take(message)
     return known
 
 
-class Looking:
-    """A station on a server of its own, and what was ordered."""
+class StationPage:
+    """A station on a server of its own, and its received orders."""
 
     def __init__(self, server: viser.ViserServer, scene: Scenery) -> None:
         self.server, self.scene = server, scene
@@ -171,13 +171,13 @@ class Looking:
 
     @property
     def url(self) -> str:
-        """Of the page."""
+        """Address of the page."""
         return f"http://127.0.0.1:{self.server.get_port()}"
 
     def show(self, time_s: float, **more: Any) -> None:
-        """Show how things stand, and draw it though nobody looks; on the wall, too, a second has gone by."""
+        """Show a state, and draw it without an open page, a second of wall-clock time later."""
         self.now_s += 1.0
-        self.station.show(shown(self.scene, time_s, **more))
+        self.station.show(moving_state(self.scene, time_s, **more))
         self.station.draw()
 
     def node(self, name: str) -> Any:
@@ -194,11 +194,11 @@ class Looking:
         return found[0]
 
     def has(self, label: str) -> bool:
-        """Whether there is such an element."""
+        """Whether the page has an element with this label."""
         return any(getattr(each, "label", None) == label for each in self.server.gui._gui_input_handle_from_uuid.values())
 
     def use(self, label: str, value: Any = True) -> None:
-        """What happens when somebody presses a button, ticks a box, or chooses or writes a value."""
+        """Press a button, tick a box, or choose or write a value on the page."""
         part = self.part(label)
         part._impl.value = value
         for callback in part._impl.update_cb:
@@ -210,11 +210,11 @@ class Looking:
         return [part for folder in folders for part in folder._children.values() if isinstance(part, kind)]
 
     def looked_at(self, patch: pytest.MonkeyPatch) -> None:
-        """Let the station believe that somebody has its page open."""
+        """Pretend that a page is open."""
         patch.setattr(self.server, "get_clients", lambda: {1: None})
 
     def told(self, act: Callable[[], None]) -> list[Any]:
-        """The messages for the pages that come of it."""
+        """Messages to the pages after a state."""
         messages: list[Any] = []
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(self.server._websock_server, "queue_message", messages.append)
@@ -223,18 +223,18 @@ class Looking:
 
 
 @contextmanager
-def looking(scene: Scenery) -> Iterator[Looking]:
-    """A station whose server ends with it."""
+def open_station(scene: Scenery) -> Iterator[StationPage]:
+    """A station; leaving the block closes its server."""
     server = open_server("127.0.0.1", 0, TOKEN)
     try:
-        yield Looking(server, scene)
+        yield StationPage(server, scene)
     finally:
         close_server(server)
 
 
 @contextmanager
 def browser() -> Iterator[Any]:
-    """A browser; where there is none, the test is skipped."""
+    """A browser; without one the test is skipped."""
     from playwright.sync_api import sync_playwright
 
     chromium = requirements.program("chromium")

@@ -1,4 +1,4 @@
-"""A short run among walls, in which frames are lost for every cause that needs no contention."""
+"""A short run among walls, with frames lost by every cause that needs no contention."""
 
 from pathlib import Path
 from typing import Any
@@ -52,13 +52,13 @@ radio = { sensitivity_dbm = -85.0 }
 
 
 def run_rooms(folder: Path) -> Path:
-    """Run it there; the answer is the directory that it leaves. The scenario is ``rooms.toml`` beside it."""
+    """Run the scenario ``rooms.toml`` of a folder; returns the run's folder."""
     (folder / "rooms.toml").write_text(ROOMS)
     api.run(folder / "rooms.toml", out=folder / "run")
     return folder / "run"
 
 
 def rows(folder: Path, sender: str, receiver: str) -> Any:
-    """The rows of a link, by Arrow instead of our own code."""
+    """Rows of a link, read by Arrow instead of our own code."""
     table = pq.read_table(folder / "radio.parquet").to_pylist()
     return [row for row in table if (row["sender"], row["receiver"]) == (sender, receiver)]

@@ -1,4 +1,4 @@
-"""The gallery of built-in scenarios, and what they print."""
+"""Runs of the gallery of built-in scenarios, and their printed output."""
 
 import re
 from functools import cache
@@ -17,16 +17,16 @@ def section(name: str) -> str:
 
 
 @cache
-def made(name: str) -> vcmvsp.Result:
-    """A built-in scenario as its command has it, but for what would make it unlike itself each time."""
+def gallery_scenario(name: str) -> vcmvsp.Result:
+    """A built-in scenario as by its command, without what differs from run to run."""
     (changed,) = re.findall(rf"^    vcmvsp run {name}((?: --set \S+)*)$", section(name), re.MULTILINE) or [""]
     settings = loader.settings_of(changed.split()[1::2])
     return vcmvsp.run(name, set={**loader.load(name)[0].twins, **settings}, mcap=False)
 
 
 def assert_printed(name: str) -> None:
-    """A scenario prints what its gallery says."""
+    """Assert that a scenario prints the lines of its gallery entry."""
     shown = section(name).partition("```\n")[2].partition("```")[0].splitlines()
-    result = made(name)
+    result = gallery_scenario(name)
     assert shown == progress.summary(result).splitlines()[1 : 1 + len(shown)]
-    assert not result.metrics["radio"]["frames"] or shown[0].startswith("radio: ")  # a vehicle alone has nobody to talk to
+    assert not result.metrics["radio"]["frames"] or shown[0].startswith("radio: ")  # a lone vehicle has no receivers

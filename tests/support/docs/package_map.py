@@ -1,7 +1,7 @@
 """The map of the packages in ``cosim/DESIGN.md``, drawn from the imports of the code.
 
-A node is a package of ``cosim``, a part, or the modules that lie in ``cosim`` itself. Imports count wherever they stand, in
-functions and under ``TYPE_CHECKING`` too. An arrow is left out where others lead the same way.
+A node is a package of ``cosim``, a part, or the modules of ``cosim`` itself. Imports count everywhere, also in functions and
+under ``TYPE_CHECKING``. An arrow is left out where a chain of others connects the two.
 """
 
 import ast
@@ -18,7 +18,7 @@ PARTS = ("agents", "hardware", "netsim", "physics")
 
 
 def package_of(module: str) -> str | None:
-    """The node that a module belongs to; None: the front door, which opens onto everything, and data."""
+    """Node of a module; None: the front door, which imports everything, and data."""
     _, *names = module.split(".")
     if names and names[0] in PARTS:
         return names[0]
@@ -44,8 +44,8 @@ def imports(graph: ImportGraph) -> list[tuple[str, str]]:
     return sorted((each, imported) for each in graph.modules for imported in graph.find_modules_directly_imported_by(each))
 
 
-def reduced(graph: ImportGraph) -> ImportGraph:
-    """Without the imports that a chain of others stands for."""
+def without_implied(graph: ImportGraph) -> ImportGraph:
+    """Imports without those that a chain of others implies."""
     for importer, imported in imports(graph):
         graph.remove_import(importer=importer, imported=imported)
         if not graph.chain_exists(importer=importer, imported=imported):
@@ -59,9 +59,9 @@ def purpose(package: str) -> str:
     return " ".join((ast.get_docstring(ast.parse(text)) or "").partition("\n\n")[0].split())
 
 
-def drawn() -> str:
-    """The map: the graph in Mermaid, and a table of what each package holds."""
-    graph = reduced(packages())
+def draw() -> str:
+    """The map: the graph in Mermaid, and a table of the packages."""
+    graph = without_implied(packages())
     names = sorted(graph.modules)
     nodes = [f'    {name}["{name.removeprefix("cosim.")}"]' for name in names]
     arrows = [f"    {importer} --> {imported}" for importer, imported in imports(graph)]
@@ -71,13 +71,13 @@ def drawn() -> str:
     return "\n".join([BEGIN, *picture, "", "| package | holds |", "|---|---|", *rows, END])
 
 
-def written(page: str) -> str:
-    """The page, with the map in its place."""
+def page_with_map(page: str) -> str:
+    """The page with the map in its place."""
     before, _, rest = page.partition(BEGIN)
-    return before + drawn() + rest.partition(END)[2]
+    return before + draw() + rest.partition(END)[2]
 
 
 if __name__ == "__main__":
     if sys.argv[1:] != ["--write"]:
         sys.exit(f"usage: {COMMAND}")
-    PAGE.write_text(written(PAGE.read_text("utf-8")), "utf-8")
+    PAGE.write_text(page_with_map(PAGE.read_text("utf-8")), "utf-8")

@@ -1,4 +1,5 @@
-"""Makes the pictures of the documents anew: ``python -m tests.support.docs.pictures [NAME...]``, or ``make pictures``.
+"""Command that remakes the pictures of the documents: ``python -m tests.support.docs.pictures [NAME...]``, or ``make
+pictures``.
 
 Figures come from runs of the scenarios; pictures of the control station need a browser (Chromium).
 """
@@ -25,9 +26,9 @@ CHANGED = {"relay-chain-none": ("relay-chain", ["--set", "routing.kind=none"])}
 """Scenario and options of runs that have another name."""
 STATIONS = {"recon-urban": 75.0, "recon-team": 60.0, "lab-patrol": 20.0, "pillar-triangle": 12.0}
 """Time of the recording that is shown, s."""
-FILM_S = 35.0  # time of the film that is shown
+FILM_S = 35.0  # time of the film's still
 READY_MS, DRAWN_MS, SETTLED_MS = 60_000, 8_000, 2_000
-COLORS = 192  # of a picture: half of its bytes
+COLORS = 192  # palette of a picture: half of its bytes
 
 
 def main(names: Sequence[str]) -> None:

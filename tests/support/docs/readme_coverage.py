@@ -5,36 +5,33 @@ import re
 from tests.support.docs.readme_pages import COMMANDS
 from vcmvsp.cosim.scenario import loader
 
-GALLERY = "tests/docs/test_gallery.py::test_a_built_in_scenario_prints_what_its_gallery_says"
-SEARCHES = "tests/agents/reconnaissance/test_gallery.py::test_a_scenario_of_reconnaissance_prints_what_its_gallery_says"
-CORNERS = (
-    "tests/validation/test_built_in_studies.py"
-    "::test_every_corner_of_a_study_can_be_run_and_its_scenario_stands_in_the_middle_of_it"
-)
+GALLERY = "tests/docs/test_gallery.py::test_a_built_in_scenario_prints_its_gallery_text"
+SEARCHES = "tests/agents/reconnaissance/test_gallery.py::test_a_reconnaissance_scenario_prints_its_gallery_text"
+CORNERS = "tests/validation/test_built_in_studies.py::test_every_corner_of_a_study_is_a_valid_scenario"
 PAGES = "tests/docs/test_pages.py"
-OWN_METRICS = f"{PAGES}::test_own_metrics_are_as_the_page_says"
-WORLDS = "tests/docs/test_readme.py::test_worlds_and_vehicles_are_shown_as_the_readme_says"
-MACHINES = "tests/docs/test_machines.py::test_a_run_its_host_and_its_observer_each_with_a_certificate"
-STARTED = "tests/docs/test_machines.py::test_hosts_that_are_started_with_the_run"
-WATCHED = "tests/docs/test_machines.py::test_a_run_that_is_watched"
-DEPLOYED = "tests/cosim/hosts/test_containers.py::test_the_same_words_run_as_processes_of_this_machine"
+OWN_METRICS = f"{PAGES}::test_own_metrics_agree_with_the_page"
+WORLDS = "tests/docs/test_readme.py::test_commands_for_worlds_and_vehicles_work"
+MACHINES = "tests/docs/test_machines.py::test_a_run_a_host_and_an_observer_with_certificates"
+STARTED = "tests/docs/test_machines.py::test_hosts_started_with_the_run"
+WATCHED = "tests/docs/test_machines.py::test_a_watched_run"
+DEPLOYED = "tests/cosim/hosts/test_containers.py::test_the_command_lines_run_as_local_processes"
 SECRETS = "tests/cosim/hosts/test_containers.py::test_a_container_sees_no_keys_but_its_own"
-HOSTS = "tests/cosim/hosts/test_containers.py::test_files_of_hosts_are_as_they_are_read"
-NETWORK = "tests/cosim/cli/test_net.py::test_ping_fares_as_the_radio_recorded"
-LEFT_OVER = "tests/cosim/cli/test_net.py::test_status_tells_addresses_and_that_the_run_is_alive"
+HOSTS = "tests/cosim/hosts/test_containers.py::test_hosts_files_in_the_readme_are_valid"
+NETWORK = "tests/cosim/cli/test_net.py::test_ping_agrees_with_the_recorded_radio"
+LEFT_OVER = "tests/cosim/cli/test_net.py::test_status_shows_addresses_and_a_live_run"
 ROUTED = "tests/netsim/bridge/test_routing_program.py::test_routes_over_five_hops_carry_datagrams_and_are_repaired"
-RADIOS = "tests/netsim/bridge/test_several_radios.py::test_datagrams_lose_what_the_recording_says_of_their_radio"
+RADIOS = "tests/netsim/bridge/test_several_radios.py::test_datagrams_are_lost_as_recorded_on_their_radio"
 PORTS = "tests/netsim/bridge/test_readme.py::test_the_worked_example"
 TEN_LINES = "tests/netsim/bridge/test_readme.py::test_the_ten_lines_of_the_radios_page"
 OWN_DOOR = "tests/netsim/bridge/test_readme.py::test_the_custom_gateway_of_the_page_works"
-DIALOGUE = "tests/docs/test_doors.py::test_programs_at_the_doors"
+DIALOGUE = "tests/docs/test_doors.py::test_programs_at_the_gateways"
 TURNS = "tests/netsim/sockets/test_readme.py::test_the_worked_example"
 OBSERVER = "tests/cosim/hosts/test_watch.py::test_the_readme_watches_a_run"
 OBSERVED_PAGE = "tests/cosim/hosts/test_watch.py::test_a_page_elsewhere_shows_the_run_without_controls_and_changes_no_bit"
 
 
 def _in_the_gallery() -> dict[str, str]:
-    """Runs of the built-in scenarios, which the tests of the gallery make as the page has them; studies of them."""
+    """Runs and studies of the built-in scenarios, which the gallery's tests cover."""
     found: dict[str, str] = {}
     for each in COMMANDS:
         words = re.fullmatch(r"vcmvsp (run|study) (\S+)( --(set|out) \S+)*", each.text)
@@ -49,7 +46,7 @@ LEARNED = "tests/docs/test_examples.py::test_learning_writes_policies_that_fly_a
 LEARNING_TASK = "tests/cosim/cli/test_new.py::test_it_runs_and_passes_its_own_test_unedited"
 EXAMPLES = "tests/docs/test_examples.py::test_a_script_makes_its_picture"
 
-RELAYS = "tests/validation/test_relay_canyon.py::test_rays_reach_round_corners_where_walls_do_not"
+RELAYS = "tests/validation/test_relay_canyon.py::test_rays_reach_around_corners_and_walls_do_not"
 
 ELSEWHERE = _in_the_gallery() | {
     "vcmvsp study relay-canyon --vary vehicle.relay.count=1,2,3,4 --seeds 1 --metric routing.delivery_ratio": RELAYS,
@@ -57,15 +54,15 @@ ELSEWHERE = _in_the_gallery() | {
     ".venv/bin/python examples/study_bands.py pictures 3": EXAMPLES,
     ".venv/bin/python examples/own_agent.py pictures": EXAMPLES,
     "vcmvsp new task meet": LEARNING_TASK,
-    "make demo": "tests/docs/test_readme.py::test_the_demo_prints_what_the_readme_says",
+    "make demo": "tests/docs/test_readme.py::test_the_demo_prints_the_output_in_the_readme",
     "vcmvsp export runs/demo/hold --mp4": (
         "tests/cosim/export/test_export.py::test_below_the_film_is_the_formation_error_so_far"
     ),
     "vcmvsp view runs/demo/hold": (
-        "tests/cosim/cli/test_view.py::test_it_prints_a_url_serves_the_page_to_who_has_it_and_ends_quietly"
+        "tests/cosim/cli/test_view.py::test_it_prints_a_url_serves_the_page_only_there_and_ends_quietly"
     ),
     "vcmvsp view runs/formation-circle-1": (
-        "tests/cosim/cli/test_view.py::test_it_prints_a_url_serves_the_page_to_who_has_it_and_ends_quietly"
+        "tests/cosim/cli/test_view.py::test_it_prints_a_url_serves_the_page_only_there_and_ends_quietly"
     ),
     "vcmvsp figure 24": "tests/cosim/reproduction/test_figures.py::test_figure",
     "vcmvsp figure estimators": "tests/cosim/reproduction/test_slow_figures.py::test_estimators",
@@ -87,7 +84,7 @@ ELSEWHERE = _in_the_gallery() | {
     "vcmvsp doctor --connect tls/192.168.1.10:7447 --keys anna.keys": MACHINES,
     "vcmvsp run formation-circle --realtime --listen tls/0.0.0.0:7447 --keys keys": WATCHED,
     "vcmvsp run formation-circle --set bridge.udp.first_port=18000": (
-        "tests/docs/test_doors.py::test_ports_are_where_the_page_has_them"
+        "tests/docs/test_doors.py::test_ports_agree_with_the_page"
     ),
     "vcmvsp run swarm.toml": "tests/hardware/stacks/test_crazyflie.py::test_programs_of_cflib_fly_a_square_and_a_swarm",
     "vcmvsp run nodes.toml": "tests/hardware/stacks/test_ros2.py::test_in_real_time_a_node_drives_and_its_end_is_a_loss",
@@ -161,14 +158,12 @@ SHOWN = {
         "::test_calls_pause_step_and_change_a_run_which_is_recorded_and_repeatable"
     ),
     ("netsim/bridge/README.md", "protocol babel"): ROUTED,
-    ("docs/explanation/rays.md", "load_scene("): (
-        "tests/physics/raycast/test_mitsuba_scene.py::test_sionna_finds_the_same_paths"
-    ),
-    ("README.md", "dead-reckoning  52 %"): "tests/docs/test_readme.py::test_the_demo_prints_what_the_readme_says",
+    ("docs/explanation/rays.md", "load_scene("): ("tests/physics/raycast/test_mitsuba_scene.py::test_sionna_finds_equal_paths"),
+    ("README.md", "dead-reckoning  52 %"): "tests/docs/test_readme.py::test_the_demo_prints_the_output_in_the_readme",
     ("README.md", "class KeepGap"): "tests/docs/test_readme.py::test_the_twenty_lines_keep_the_gap",
     ("docs/howto/programs.md", "where are you?"): TEN_LINES,
-    ("docs/tutorial.md", "formation-circle: 3 agents"): f"{PAGES}::test_the_tutorial_shows_what_its_first_run_prints",
-    ("docs/tutorial.md", "class MyFollower"): f"{PAGES}::test_the_agent_of_the_tutorial_keeps_the_errors_that_it_says",
+    ("docs/tutorial.md", "formation-circle: 3 agents"): f"{PAGES}::test_the_tutorial_shows_the_output_of_its_first_run",
+    ("docs/tutorial.md", "class MyFollower"): f"{PAGES}::test_the_agent_of_the_tutorial_has_the_errors_on_the_page",
     ("docs/tutorial.md", "check_agent(lambda"): f"{PAGES}::test_the_agent_of_the_tutorial_passes_its_check",
     ("docs/howto/learning.md", 'parallel_env("formation", seed=1'): LEARNING,
     ("docs/howto/learning.md", "gymnasium.make("): LEARNING,
@@ -180,10 +175,10 @@ SHOWN = {
     ("docs/howto/own-metric.md", "def above("): OWN_METRICS,
     ("docs/howto/own-metric.md", "late_share ="): OWN_METRICS,
     ("docs/howto/own-metric.md", "result.notes.to_pandas()"): OWN_METRICS,
-    ("docs/howto/export.md", "parquet.read_table"): f"{PAGES}::test_tables_are_read_as_the_page_says",
+    ("docs/howto/export.md", "parquet.read_table"): f"{PAGES}::test_tables_are_read_as_on_the_page",
     ("docs/reference/author-api.md", "class Column"): f"{PAGES}::test_the_agent_of_the_authors_page_works",
     ("docs/explanation/design.md", "scenario.toml -> federates"): "a drawing",
-    ("docs/explanation/rays.md", "x,y,z"): "tests/docs/test_commands.py::test_commands_do_what_they_are_for",
+    ("docs/explanation/rays.md", "x,y,z"): "tests/docs/test_commands.py::test_commands_run_and_write_their_files",
     ("docs/explanation/rays.md", "gain_dbi"): "tests/netsim/propagation/test_antennas.py::test_the_pattern_of_the_page",
     ("docs/explanation/rays.md", "E(s) = D E(edge)"): "equations",
     ("README.md", "r = vcmvsp.run("): "tests/docs/test_readme.py::test_the_lines_for_python_run",
@@ -191,15 +186,18 @@ SHOWN = {
         "docs/reference/agents.md",
         "class Waltz",
     ): "tests/agents/formation/leaders/test_trajectory.py::test_the_leader_of_the_readme_works",
-    ("docs/reference/agents.md", "class Advance"): "tests/agents/test_readme.py::test_it_flies_east_until_something_is_near",
+    ("docs/reference/agents.md", "class Advance"): "tests/agents/test_readme.py::test_it_flies_east_until_an_obstacle_is_near",
     ("docs/reference/agents.md", "class Nearest"): "tests/agents/test_readme.py::test_it_stops_at_a_strong_signal",
     (
         "docs/reference/agents.md",
         "class Cautious",
     ): "tests/agents/formation/reports/test_prediction.py::test_the_estimator_of_the_readme_works",
-    ("docs/reference/agents.md", "class Stop"): "tests/agents/test_readme.py::test_its_own_way_around_things_stops_before_them",
-    ("cosim/README.md", "check_federate("): "tests/docs/test_blocks.py::test_the_federate_of_ones_own",
-    ("docs/howto/cluster.md", "SLURMCluster("): "tests/docs/test_blocks.py::test_the_call_of_a_study_on_slurm_is_one_of_ours",
+    (
+        "docs/reference/agents.md",
+        "class Stop",
+    ): "tests/agents/test_readme.py::test_the_example_avoidance_stops_before_obstacles",
+    ("cosim/README.md", "check_federate("): "tests/docs/test_blocks.py::test_the_custom_federate",
+    ("docs/howto/cluster.md", "SLURMCluster("): "tests/docs/test_blocks.py::test_the_call_of_a_study_on_slurm_is_valid",
     ("cosim/deploy/README.md", "robot7"): HOSTS,
     ("cosim/deploy/README.md", "ExitOnForwardFailure"): HOSTS,
     ("cosim/hosts/README.md", "verify_name_on_connect"): OBSERVER,
@@ -215,10 +213,10 @@ SHOWN = {
     ("netsim/sockets/README.md", "socket.time()"): TURNS,
     ("netsim/sockets/README.md", 'b"pong"'): TURNS,
     ("netsim/sockets/README.md", "44 of 100"): TURNS,
-    ("physics/README.md", "federate.py "): "tests/physics/test_readme.py::test_every_file_and_kind_that_is_named_is_there",
-    ("docs/howto/own-vehicle.md", "<robot name="): "tests/physics/test_readme.py::test_the_vehicle_of_ones_own",
-    ("docs/howto/own-sensor.md", "class Sonar"): "tests/physics/test_readme.py::test_the_sensor_of_ones_own",
-    ("docs/howto/own-world.md", "class Orchard"): "tests/physics/test_readme.py::test_the_world_of_ones_own",
+    ("physics/README.md", "federate.py "): "tests/physics/test_readme.py::test_every_named_file_and_kind_exists",
+    ("docs/howto/own-vehicle.md", "<robot name="): "tests/physics/test_readme.py::test_the_custom_vehicle",
+    ("docs/howto/own-sensor.md", "class Sonar"): "tests/physics/test_readme.py::test_the_custom_sensor",
+    ("docs/howto/own-world.md", "class Orchard"): "tests/physics/test_readme.py::test_the_custom_world",
     ("scenarios/README.md", "radio:     "): GALLERY,
     ("docs/reference/agents.md", "v . u_i <= approach"): "an equation",
     ("docs/reference/agents.md", "F(x) = (R - x)/(x - r)"): "equations",

@@ -1,4 +1,4 @@
-"""What the documents show: lines of a shell, blocks of code, and commands that a sentence mentions."""
+"""Examples in the documents: shell lines, code blocks, and commands within sentences."""
 
 import importlib.util
 import re
@@ -45,11 +45,11 @@ INDENTED = "indented"
 
 
 class Block(NamedTuple):
-    """Lines that stand in a fence, or four blanks to the right of the text."""
+    """Lines of a fence, or indented by four blanks."""
 
     page: str
     line: int
-    language: str  # what stands behind the fence; `INDENTED`
+    language: str  # info string of the fence; `INDENTED`
     text: str
 
     def __str__(self) -> str:
@@ -57,7 +57,7 @@ class Block(NamedTuple):
 
 
 class Command(NamedTuple):
-    """A line for a shell, without the comment behind it."""
+    """A shell line without its comment."""
 
     page: str
     line: int
@@ -68,7 +68,7 @@ class Command(NamedTuple):
 
 
 def blocks_of(page: str, text: str) -> Iterator[Block]:
-    """Every block of a page, fenced or indented, and nothing else."""
+    """Every fenced or indented block of a page."""
     language: str | None = None
     begun, lines = 0, [""]
     for number, line in enumerate([*text.splitlines(), ""], 1):
@@ -91,18 +91,18 @@ def blocks_of(page: str, text: str) -> Iterator[Block]:
 
 
 def words_of(line: str) -> list[str]:
-    """The words of a line for a shell, without its comment, ``$(...)`` taken as a word."""
+    """Shell words of a line without its comment, ``$(...)`` as one word."""
     return shlex.split(re.sub(r"\$\([^)]*\)", "VALUE", line), comments=True)
 
 
 def program_of(words: list[str]) -> str:
-    """What the words start, without the folder that it is in, variables, and ``sudo``."""
+    """Program of a line, without folder, variables, and ``sudo``."""
     rest = (word for word in words if word != "sudo" and not re.match(r"\w+=", word))
     return Path(next(rest, "")).name
 
 
 def commands_in(block: Block) -> list[Command]:
-    """The lines of a block, if it is one for a shell; otherwise none."""
+    """Lines of a block, if it is a shell block; otherwise none."""
     lines = [line for line in block.text.splitlines() if line.strip()]
     if block.language == INDENTED:
         if program_of(_first_words(lines[0])) not in PROGRAMS:
@@ -113,10 +113,10 @@ def commands_in(block: Block) -> list[Command]:
 
 
 def _first_words(line: str) -> list[str]:
-    """Those of a line that need not be one for a shell."""
+    """First words of a line that need not be a shell line."""
     try:
         return words_of(line)
-    except ValueError:  # a quotation that does not end
+    except ValueError:  # an unterminated quotation
         return []
 
 
@@ -125,7 +125,7 @@ def _uncommented(line: str) -> str:
 
 
 def mentions_of(page: str, text: str) -> list[str]:
-    """Commands of ours within sentences: what stands in backticks and begins with one of our programs."""
+    """Our commands within sentences: text in backticks that begins with one of our programs."""
     prose = re.sub(r"^```.*?^```$", "", text, flags=re.DOTALL | re.MULTILINE)
     spans = [" ".join(span.split()) for span in re.findall(r"`([^`]+)`", prose)]
     return [
@@ -142,13 +142,13 @@ MENTIONS = [mention for page, text in PAGES.items() for mention in mentions_of(p
 
 
 def command(words: str) -> str:
-    """The one line for a shell, on whatever pages, that begins so."""
+    """The one shell line, on any page, that begins with these words."""
     (found,) = {each.text for each in COMMANDS if each.text.startswith(words)}
     return found
 
 
 def block(page: str, words: str) -> str:
-    """The one block of a page in which these words stand."""
+    """The one block of a page that contains these words."""
     (found,) = [each.text for each in BLOCKS if each.page == page and words in each.text]
     return found
 
@@ -158,17 +158,15 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 READERS_OWN = re.compile(r"[A-Z_]+|\.\.\.|.*[./].*")  # RUN_DIR, mine.toml, runs/formation-circle-1
 
 
-def ours(words: Sequence[str]) -> list[str]:
-    """The words behind ``vcmvsp``."""
+def our_words(words: Sequence[str]) -> list[str]:
+    """Words behind ``vcmvsp``."""
     return [*words[next(at for at, word in enumerate(words) if Path(word).name == "vcmvsp") + 1 :]]
 
 
-def understood(words: Sequence[str]) -> None:
+def parse_command(words: Sequence[str]) -> None:
     """Parse a whole command.
 
-    Raises:
-        ValueError: one of its words is not known.
-        Exception: of the parser, which has not understood it.
+    Raises: ValueError: one of its words is unknown. Exception: of the parser, for a command that it rejects.
     """
     command, rest = _command(words)
     if hasattr(command, "commands"):
@@ -178,15 +176,14 @@ def understood(words: Sequence[str]) -> None:
         _names(command, rest)
 
 
-def mentioned(words: Sequence[str]) -> None:
-    """Look at a command within a sentence, of which any part may be left out, or stand in brackets.
+def check_mention(words: Sequence[str]) -> None:
+    """Check a command within a sentence, which may be incomplete or have parts in brackets.
 
-    Raises:
-        ValueError: one of its words is not known.
+    Raises: ValueError: one of its words is unknown.
     """
     match program_of([*words]):
         case "vcmvsp":
-            for each in _alternatives([word.strip("[]") for word in ours(words)]):
+            for each in _alternatives([word.strip("[]") for word in our_words(words)]):
                 command, rest = _command(each)
                 _options(command, rest)
                 _names(command, rest)
@@ -213,7 +210,7 @@ def _alternatives(words: list[str]) -> list[list[str]]:
 
 
 def _command(words: Sequence[str]) -> tuple[Any, list[str]]:
-    """What the first words name, and the rest of them."""
+    """Command named by the first words, and the remaining words."""
     command, rest = cli.command(), [*words]
     while rest and not rest[0].startswith("-") and hasattr(command, "commands"):
         _one_of("command", rest[0], command.commands)
@@ -223,13 +220,13 @@ def _command(words: Sequence[str]) -> tuple[Any, list[str]]:
 
 def _options(command: Any, words: list[str]) -> None:
     known = {name for each in command.params for name in (*each.opts, *each.secondary_opts)} | {"-h", "--help"}
-    for word in words[: words.index("--") if "--" in words else None]:  # what follows is another program's
+    for word in words[: words.index("--") if "--" in words else None]:  # another program's words follow
         if re.match(r"--?[a-z]", word):
             _one_of("option", word, sorted(known))
 
 
 def _names(command: Any, words: list[str]) -> None:
-    """What it is about, if that is the first word and none of the reader's own."""
+    """First word as the command's scenario or file, unless the reader chooses it."""
     about = {"run": loader.names(), "study": loader.names(), "check": loader.names(), "figure": NAMES}
     if command.name in about and words and not words[0].startswith("-") and not READERS_OWN.fullmatch(words[0]):
         _one_of("scenario" if command.name != "figure" else "figure", words[0], about[command.name])

@@ -1,4 +1,4 @@
-"""Commands of the READMEs that are run one after another in a folder, as they stand there or shortened as it says here."""
+"""Sequences of the READMEs' commands in one folder, as printed or shortened."""
 
 import json
 from collections.abc import Mapping
@@ -13,13 +13,10 @@ ONE_EACH = f"{BRIEF} --seeds 1 --jobs 1"
 
 @dataclass(frozen=True)
 class Step:
-    """A command, word for word as a README has it.
+    """A command, word for word from a README.
 
-    Args:
-        command: of a line for a shell, or within a sentence.
-        shorter: what is added so that it takes a second.
-        instead: words that are replaced, by what replaces them.
-        why: of a replacement.
+    Args: command: of a shell line, or within a sentence. shorter: additions so that it takes a second. instead: replaced
+    words, and their replacements. why: of a replacement.
     """
 
     command: str
@@ -30,12 +27,9 @@ class Step:
 
 @dataclass(frozen=True)
 class Story:
-    """Commands that follow each other in one folder.
+    """Commands in order, in one folder.
 
-    Args:
-        name: of the test.
-        steps: the commands.
-        files: what is in the folder before, by name.
+    Args: name: of the test. steps: the commands. files: initial files of the folder, by name.
     """
 
     name: str

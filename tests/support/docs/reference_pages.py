@@ -1,7 +1,7 @@
-"""Pages of ``docs/reference`` that show what the front door and the command line offer, and the fields of recorded values.
+"""Generated parts of ``docs/reference``: public names, commands, and fields of recorded values.
 
-A block is between ``<!-- generated: NAME -->`` and ``<!-- end -->``, as in the pages of keys (`cosim.reference.markdown`): that
-module lies below the command line and the front door, and therefore cannot write these.
+A block is between ``<!-- generated: NAME -->`` and ``<!-- end -->``, as in the pages of keys (`cosim.reference.markdown`):
+that module lies below the command line and the front door, and therefore cannot write these.
 """
 
 import ast
@@ -91,7 +91,7 @@ def markdown(text: str) -> str:
 
 
 def parts_of(target: object) -> tuple[str, str]:
-    """The paragraphs of a docstring in front of its sections, and the sections."""
+    """The paragraphs of a docstring before its sections, and the sections."""
     text = inspect.getdoc(target) or ""
     head = re.split(r"^(?:Args|Attributes|Returns|Raises):\n", text, maxsplit=1, flags=re.MULTILINE)[0]
     kept = [markdown(each) for each in head.split("\n\n") if each.strip() and "::" not in each and not each.startswith("    ")]
@@ -155,7 +155,7 @@ def arguments(docstring: str) -> list[tuple[str, str]]:
 
 
 def entry(name: str) -> Iterator[str]:
-    """What the page says of a name."""
+    """The page's text on a name."""
     target = getattr(testing if name.startswith("check_") else vcmvsp, name)
     yield f"### `{name}`"
     if inspect.isfunction(target):
@@ -266,8 +266,8 @@ BLOCKS: Mapping[str, Mapping[str, Callable[[], str]]] = {
 """By page and name of the block."""
 
 
-def written(name: str, page: str) -> str:
-    """The page of this name, with its blocks as the code has them."""
+def page_with_blocks(name: str, page: str) -> str:
+    """The page of this name, with blocks generated from the code."""
     for block, write in BLOCKS[name].items():
         before, begin, rest = page.partition(f"<!-- generated: {block} -->\n")
         _, end, after = rest.partition("<!-- end -->\n")
@@ -283,7 +283,7 @@ def main() -> None:
         sys.exit(f"usage: {COMMAND}")
     for name in BLOCKS:
         path: Path = FOLDER / name
-        path.write_text(written(name, path.read_text("utf-8")), "utf-8")
+        path.write_text(page_with_blocks(name, path.read_text("utf-8")), "utf-8")
 
 
 if __name__ == "__main__":

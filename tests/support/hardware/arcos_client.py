@@ -1,4 +1,4 @@
-"""A client of an emulated robot, without a line between them and without a clock."""
+"""Client of an emulated robot, without a serial line and without a clock."""
 
 from vcmvsp.cosim.types import Vec3
 from vcmvsp.hardware.drivers.arcos.protocol import Command, PacketReader, Sip, command, decode_sip, is_sip
@@ -29,7 +29,7 @@ class Client:
         return self
 
     def drive(self, *commands: tuple[Command, int], seconds: float) -> Vec3:
-        """Enable, command, and go on for a time with a pulse every half second; where it is then."""
+        """Enable, command, and continue for a time with a pulse every half second; returns the position then."""
         self.say(Command.ENABLE, 1)
         for number, value in commands:
             self.say(number, value)

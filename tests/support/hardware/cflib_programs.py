@@ -1,6 +1,6 @@
-"""Programs of cflib, as a user of Crazyflies writes them; run as one, ``PROGRAM URI...``, so that its licence stays apart.
+"""Programs of Crazyflie users, by cflib; run as ``PROGRAM URI...``, so that its licence stays apart.
 
-Each prints a line of JSON: mostly the logged places (x, y, z in m) of each aircraft, by time.
+Each prints a line of JSON: mostly the logged positions (x, y, z in m) of each aircraft, by time.
 """
 
 import json
@@ -23,7 +23,7 @@ SIDE_M, POLY4D_BYTES = 0.5, 132
 
 
 class Log:
-    """Newest place, m, and its time, s, by the aircraft's own clock: a simulation may be slower than the wall clock."""
+    """Newest position, m, and its time, s, by the aircraft's own clock: a simulation may be slower than the wall clock."""
 
     def __init__(self, scf: SyncCrazyflie) -> None:
         self.time_s, self.place = -math.inf, list[float]()
@@ -42,7 +42,7 @@ class Log:
             self._news.notify()
 
     def place_after(self, seconds: float) -> list[float]:
-        """Place after some time."""
+        """Position after some time."""
         with self._news:
             end_s = self.time_s + seconds
             if not self._news.wait_for(lambda: self.time_s >= max(end_s, 0.0), timeout=60.0):
@@ -51,7 +51,7 @@ class Log:
 
 
 def square(scf: SyncCrazyflie) -> list[tuple[float, list[float]]]:
-    """Places at the corners of a square, flown by velocities, and for how long each side was flown, s."""
+    """Positions at the corners of a square, flown by velocities, and the duration of each side, s."""
     log = Log(scf)
     with MotionCommander(scf, default_height=0.5) as motion:
         corners = [(0.0, log.place_after(1.0))]
@@ -64,7 +64,7 @@ def square(scf: SyncCrazyflie) -> list[tuple[float, list[float]]]:
 
 
 def go_to(scf: SyncCrazyflie) -> list[list[float]]:
-    """Places after take-off, after a way by the high-level commander, and after landing."""
+    """Positions after take-off, after a flight by the high-level commander, and after landing."""
     log = Log(scf)
     x, y, _ = log.place
     commander, places = scf.cf.high_level_commander, []
@@ -79,7 +79,7 @@ def go_to(scf: SyncCrazyflie) -> list[list[float]]:
 
 
 def trajectories(scf: SyncCrazyflie) -> list[list[float]]:
-    """Places before and after an uploaded trajectory, and after a compressed one behind it in the memory."""
+    """Positions before and after an uploaded trajectory, and after a compressed one behind it in the memory."""
     (memory,) = scf.cf.mem.get_mems(MemoryElement.TYPE_TRAJ)
     log, commander = Log(scf), scf.cf.high_level_commander
     memory.trajectory = [Poly4D(2.0, y=Poly4D.Poly([0.0, 0.0, 0.3, -0.1, 0.0, 0.0, 0.0, 0.0]))]  # 0.4 m, from rest to rest
@@ -99,7 +99,7 @@ def trajectories(scf: SyncCrazyflie) -> list[list[float]]:
 
 
 def tables(scf: SyncCrazyflie) -> dict[str, Any]:
-    """What a connection brings: variables, parameters, and a changed one."""
+    """Tables of contents of a connection: variables, parameters, and a changed one."""
     scf.wait_for_params()
     param = scf.cf.param
     param.set_value("kalman.initialX", 1.5)

@@ -1,4 +1,4 @@
-"""A driver of tests, open and commanded at the pace of the wall clock."""
+"""A driver under test, open and commanded at wall-clock pace."""
 
 import threading
 import time
@@ -12,12 +12,12 @@ from vcmvsp.hardware.drivers.base import Driver, Sample
 
 D = TypeVar("D", bound=Driver)
 
-PATIENCE_S = 20.0  # for what takes milliseconds on a machine that is not loaded
+PATIENCE_S = 20.0  # for work of milliseconds on an idle machine
 
 
 @contextmanager
-def connected(driver: D, start: Vec3 = ORIGIN) -> Iterator[D]:
-    """Open; closed twice at the end, which is allowed."""
+def open_driver(driver: D, start: Vec3 = ORIGIN) -> Iterator[D]:
+    """Open driver; closed twice at the end, which is allowed."""
     driver.open(start)
     try:
         yield driver
@@ -27,12 +27,12 @@ def connected(driver: D, start: Vec3 = ORIGIN) -> Iterator[D]:
 
 
 def drive(driver: Driver, seconds: float, v: float = 0.0, w: float = 0.0) -> list[Sample]:
-    """Command this on the ground; what was heard meanwhile."""
+    """Command a speed on the ground; returns the readings meanwhile."""
     return fly(driver, seconds, v, 0.0, 0.0, yaw_rate=w)
 
 
 def fly(driver: Driver, seconds: float, *linear: float, yaw_rate: float = 0.0) -> list[Sample]:
-    """Command this every 20 ms, for so long and until something was heard; what was heard meanwhile, which is never nothing."""
+    """Command every 20 ms, for a time and until there is a reading; returns the readings, at least one."""
     samples: list[Sample] = []
     end = time.monotonic() + seconds
     last = end + PATIENCE_S
@@ -46,24 +46,24 @@ def fly(driver: Driver, seconds: float, *linear: float, yaw_rate: float = 0.0) -
 
 
 def eventually(what: Callable[[], object], seconds: float = PATIENCE_S) -> None:
-    """Wait until it is true."""
+    """Wait until a condition holds."""
     end = time.monotonic() + seconds
     while not what():
         assert time.monotonic() < end, "it did not happen"
         time.sleep(0.01)
 
 
-def held() -> set[str]:
-    """What this process holds: open files, and threads."""
+def open_resources() -> set[str]:
+    """Open files and threads of this process."""
     files = set()
     for number in Path("/proc/self/fd").iterdir():
-        with suppress(OSError):  # that of this list
+        with suppress(OSError):  # the file of this listing
             files.add(f"{number.name} {number.readlink()}")
     return files | {f"{each.name} {each.ident}" for each in threading.enumerate()}
 
 
 def rest(seconds: float) -> None:
-    """Wait for so long by the clock that driver and robot have, which may leave out what this process is held up."""
+    """Wait by the clock shared by driver and robot, which may omit time in which the process does not run."""
     end, tick = time.monotonic() + seconds, threading.Event()
     while time.monotonic() < end:
         tick.wait(0.01)

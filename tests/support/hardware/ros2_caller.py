@@ -1,8 +1,8 @@
 """Calls the services of a run with zenoh-ros2-sdk, while a `ros2_node.Driver` of the same process answers its observations.
 
-Definitions of the package ``simulation_interfaces`` 2.1.0, without comments and constants. As a program,
-``PORT``: it pauses the run before its first instant, makes the calls of `script`, lets the run end, and prints a JSON list of
-the responses: the name of each call, and its fields.
+Definitions of the package ``simulation_interfaces`` 2.1.0, without comments and constants. As a program, ``PORT``: it pauses
+the run before its first instant, makes the calls of `script`, lets the run end, and prints a JSON list of the responses: the
+name of each call, and its fields.
 """
 
 import json
@@ -49,7 +49,7 @@ SERVICES = {
 PATIENCE_S = 60.0
 
 
-def qualified(definition: str) -> str:
+def with_packages(definition: str) -> str:
     """The definition with the package of each type."""
     for name in MESSAGES:
         definition = "".join(
@@ -60,23 +60,23 @@ def qualified(definition: str) -> str:
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 for message, text in MESSAGES.items():
-    STORE.register(get_types_from_msg(qualified(text), f"{OWN}msg/{message}"))
+    STORE.register(get_types_from_msg(with_packages(text), f"{OWN}msg/{message}"))
 
 
 def dependencies() -> dict[str, str]:
-    """Text of every type that these have inside."""
+    """Text of all nested types."""
     common = [
         "builtin_interfaces/msg/Time",
         *(f"geometry_msgs/msg/{name}" for name in ("Pose", "Point", "Quaternion", "Twist", "Accel", "Vector3")),
     ]
     texts = {name: STORE.generate_msgdef(name)[0].partition("=" * 10)[0] for name in common}
     texts["std_msgs/msg/Header"] = "builtin_interfaces/Time stamp\nstring frame_id\n"  # rosbags writes that of ROS 1
-    return texts | {f"{OWN}msg/{name}": qualified(text) for name, text in MESSAGES.items()}
+    return texts | {f"{OWN}msg/{name}": with_packages(text) for name, text in MESSAGES.items()}
 
 
 def hash_of(kind: str) -> str:
     """Hash of a service's type, by the SDK."""
-    request, response = map(qualified, SERVICES[kind])
+    request, response = map(with_packages, SERVICES[kind])
     return compute_service_type_hash(f"{OWN}srv/{kind}", request, response, dependencies())
 
 
@@ -106,8 +106,8 @@ class Caller:
         return ROS2ServiceClient(
             f"/{snake(kind)}",
             f"{OWN}srv/{kind}",
-            request_definition=qualified(request),
-            response_definition=qualified(response),
+            request_definition=with_packages(request),
+            response_definition=with_packages(response),
             router_port=port,
             type_hash=hash_of(kind),
             timeout=PATIENCE_S,
@@ -141,7 +141,7 @@ def plain(value: Any) -> Any:
 
 
 def script(caller: Caller) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Calls, of a run that is paused."""
+    """Calls to a paused run."""
 
     def state(number: int) -> dict[str, Any]:
         return {"state": caller.make(f"{OWN}msg/SimulationState", state=number)}
@@ -180,7 +180,7 @@ def script(caller: Caller) -> Iterator[tuple[str, dict[str, Any]]]:
     yield "GetSimulatorFeatures", {}
     yield "GetSimulationState", {}
     yield "SetSimulationState", state(2)  # it is paused already
-    yield "SetSimulationState", state(0)  # no run can be stopped and started again
+    yield "SetSimulationState", state(0)  # a run cannot be restarted
     yield "ResetSimulation", {"scope": 0}
     for each in (filters(""), filters("car."), filters("("), filters("", categories=(1,)), filters("", bounds=3)):
         yield "GetEntities", each
@@ -192,7 +192,7 @@ def script(caller: Caller) -> Iterator[tuple[str, dict[str, Any]]]:
     yield "GetEntityState", {"entity": "car1"}
     yield "StepSimulation", {"steps": 0}
     yield "SetEntityState", put("crate", 4.0, 2.0, (0.0, 0.0, 0.0, 1.0))
-    yield "StepSimulation", {"steps": 2}  # at the next instant it is put there, at the one after it is seen there
+    yield "StepSimulation", {"steps": 2}  # it is moved at the next instant, and observed there at the one after it
     yield "GetEntitiesStates", filters("c.*")
     yield "SetEntityState", put("car1", 4.0, 2.0)
     yield "SetEntityState", put("car9", 4.0, 2.0)
@@ -212,7 +212,7 @@ def main(port: int) -> None:
     caller.await_service("SetSimulationState")
     asked = {"state": caller.make(f"{OWN}msg/SimulationState", state=2)}
     caller.clients["SetSimulationState"].call_async(paused.put, **asked)
-    driver = Driver(port, "car1", 2.0, 1.0)  # the run begins, with a call that waits
+    driver = Driver(port, "car1", 2.0, 1.0)  # the run begins with a call that waits
     said = [("SetSimulationState", plain(paused.get(timeout=PATIENCE_S)))]
     call: Callable[..., Any]
     for kind, fields in script(caller):
@@ -222,7 +222,7 @@ def main(port: int) -> None:
     sys.stdout.flush()
     sys.stdin.read()
     del driver
-    os._exit(0)  # the session of the SDK has no end
+    os._exit(0)  # the SDK's session does not end
 
 
 if __name__ == "__main__":

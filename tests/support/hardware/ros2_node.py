@@ -1,7 +1,7 @@
-"""A node of zenoh-ros2-sdk, which shares nothing with this project but Zenoh; definitions of messages are those of rosbags.
+"""A node of zenoh-ros2-sdk; it shares only Zenoh with this project, and its message definitions are those of rosbags.
 
-It drives one vehicle to a place by ``odom`` and ``scan``, answers each ``odom`` with one command, and sends a counter by radio.
-As a program, ``PORT VEHICLE X Y [OPTIONS]``: it prints what it hears by radio, a line each, and ends with its input.
+It drives one vehicle to a place by ``odom`` and ``scan``, answers each ``odom`` with one command, and sends a counter by
+radio. As a program, ``PORT VEHICLE X Y [OPTIONS]``: it prints each radio reception on a line, and ends with its input.
 """
 
 import argparse
@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from zenoh_ros2_sdk import ROS2Publisher, ROS2Subscriber
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
-OWN = {  # as the page for users gives them
+OWN = {  # as on the user's page
     "vcmvsp_msgs/msg/RadioSend": "string to\nbool msgpack\nuint8[] data\n",
     "vcmvsp_msgs/msg/RadioReceived": "std_msgs/Header header\nstring sender\nfloat64 rssi_dbm\n"
     "builtin_interfaces/Duration age\nbool msgpack\nuint8[] data\n",
@@ -31,7 +31,7 @@ def definition(kind: str) -> dict[str, str]:
 
 
 class Driver:
-    """Drives to (x, y); ``silent_after``: it answers only so many observations; ``report``: it sends reports to followers."""
+    """Drives to (x, y); ``silent_after``: number of observations that it answers; ``report``: it sends reports to followers."""
 
     def __init__(
         self,
@@ -105,4 +105,4 @@ if __name__ == "__main__":
     asked = parser.parse_args()
     driver = Driver(**vars(asked))
     sys.stdin.read()
-    os._exit(0)  # the session of the SDK has no end
+    os._exit(0)  # the SDK's session does not end

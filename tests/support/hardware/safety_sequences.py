@@ -1,9 +1,9 @@
-"""Rehearsals of the supervisors: a robot on the ground or in the air is driven through commands and faults, and watched.
+"""Rehearsals of the supervisors: a robot on the ground or in the air is driven through commands and faults, and checked.
 
-Each fault lasts for a stretch of periods. What is watched is written anew here, and shorter than in the product: how fast and
-how suddenly it is told to move; whether it is told to stop exactly when somebody was not heard, for these causes and no others,
-and then brakes at once; where it truly is, beside fence, floor, ceiling and standing others. While the pose that is told is
-false nobody can promise the latter: it counts again from when the robot stands and its pose is true.
+Each fault lasts for some periods. The checks are written anew here, and shorter than in the product: limits on speed and
+acceleration of commands; stops exactly for silent sources, for these causes and no others, with immediate braking; true
+position within fence, floor and ceiling and clear of others at rest. A false pose makes the last of these impossible: it is
+checked again once the robot is at rest and its pose is true.
 """
 
 import math
@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tests.hardware.safety.test_ground_laws import FENCES, RADIUS, STARTS, ideal, ramping, room
-from tests.support.hardware.supervised_flight import flown, safety_of
+from tests.support.hardware.supervised_flight import flight_of, safety_of
 from vcmvsp.cosim.types import Velocity
 from vcmvsp.hardware.safety.aerial_supervisor import AerialSupervisor
 from vcmvsp.hardware.safety.obstacles import RETURN_MPS, Others
@@ -44,9 +44,9 @@ ROUNDING = 1e-6  # m
 
 
 class Stretch(NamedTuple):
-    """Some periods with one command and one fault; ``where`` is a displacement, for the faults that need one.
+    """Some periods with one command and one fault; ``where`` is a displacement, for faults that need one.
 
-    ``anew``: another run begins before it, if the robot stands.
+    ``anew``: another run begins before it, if the robot is at rest.
     """
 
     command: tuple[float, float, float, float]
@@ -59,14 +59,9 @@ class Stretch(NamedTuple):
 class Rehearsal:
     """One sequence; `run` asserts the laws at every period.
 
-    Args:
-        flies: in the air, else on the ground.
-        fence: name of it.
-        keep: limits.
-        exact: the robot has the speed that it is told at once; else it ramps.
-        others: places (x, y, z) of standing others, from the start.
-        margin: between body and fence, m.
-        climb: greatest vertical speed, m/s.
+    Args: flies: in the air, else on the ground. fence: name of it. keep: limits. exact: the robot follows commanded speeds at
+    once; else it ramps. others: places (x, y, z) of others at rest, from the start. margin: between body and fence, m. climb:
+    greatest vertical speed, m/s.
     """
 
     def __init__(
@@ -90,15 +85,15 @@ class Rehearsal:
         rows = np.array(list(others), float).reshape(-1, 3) + np.array((*start, 1.5))
         gaps = self.gaps(rows)
         self.rows = rows[gaps > 0.0]
-        self.now = self.real = 10 * SECOND  # by the clock of the steps, and truly
+        self.now = self.real = 10 * SECOND  # by the clock of the steps, and true
         self.heard: dict[str, int | None] = dict.fromkeys(SOURCES, self.now)
         self.last = Velocity()
         self._begin()
-        self.trusted, self.apart, self.worst = True, True, 0.0  # worst: how far beyond the fence it was put
+        self.trusted, self.apart, self.worst = True, True, 0.0  # worst distance beyond the fence at which it was placed
         self.stops = self.periods = 0
 
     def _begin(self) -> None:
-        """The first run, or another one: nothing is latched, and no step has been."""
+        """The first run, or another one: nothing is latched, and there was no step yet."""
         self.supervisor: Any
         if self.flies:
             parameters = safety_of(**self.common, max_climb=self.climb, floor_m=FLOOR, ceiling_m=CEILING)
@@ -144,7 +139,7 @@ class Rehearsal:
         self._check_command(decision)
         if not self.trusted and fault != "pose false" and self._stands():
             self.trusted, self.worst = True, min(0.0, self.inside())
-            self.apart = self.apart and self.gap() >= 0.0  # who was put into another may leave it on any axis
+            self.apart = self.apart and self.gap() >= 0.0  # a robot placed inside another may leave it along any axis
         self._move(decision.command)
         self.last, self.causes = decision.command, decision.causes
         self.now += PERIOD_NS
@@ -182,7 +177,7 @@ class Rehearsal:
         return Others(rows, np.zeros_like(rows), np.full(len(rows), OTHER))
 
     def _problems(self, command: Velocity | None, pose: Any, others: Others | None, ears: dict[str, int | None]) -> set[str]:
-        """Why it must stop, by a plain reading of the rules."""
+        """Reasons to stop, by a plain reading of the rules."""
         late = {name for name in SOURCES if (at := ears[name]) is not None and self.now - at > LIMITS_NS[name]}
         if self.elapsed is not None and not 0 <= self.elapsed <= LIMITS_NS["clock"]:
             late.add("clock")
@@ -198,7 +193,7 @@ class Rehearsal:
         return late | self.latched | never | missing | ill
 
     def _sizes(self, command: Velocity) -> Any:
-        """Speeds that have limits: along the ground, upwards, and of turning."""
+        """Limited speeds: horizontal, vertical, and yaw rate."""
         x, y, z = command.linear
         return np.array([math.hypot(x, y), abs(z), abs(command.yaw_rate)])
 
@@ -208,11 +203,11 @@ class Rehearsal:
         assert np.isfinite(sizes).all()
         assert (sizes <= np.array([keep.max_speed, self.climb, keep.max_yaw_rate]) + 1e-9).all()
         turns_back = 2 if self.flies else 0
-        assert command.linear[turns_back] * last.linear[turns_back] >= 0.0  # it stands before that
+        assert command.linear[turns_back] * last.linear[turns_back] >= 0.0  # it is at rest before that
         dt = 0.0 if self.elapsed is None else 0.1 if self.elapsed < 0 else min(self.elapsed / SECOND, 0.1)
         gain = np.array([keep.accel, keep.accel, keep.yaw_accel]) * dt
         loss = np.array([keep.decel, keep.decel, keep.yaw_decel]) * dt
-        # a turn that slows down to zero within the period may be gained the other way in what is left of it
+        # a turn that slows down to zero within the period may be reversed in the rest of it
         assert (sizes <= before + gain + 1e-9).all()
         assert (sizes >= before - loss - 1e-9).all()
         assert not self.flies or math.dist(command.linear[:2], last.linear[:2]) <= loss[0] + 1e-9
@@ -224,7 +219,7 @@ class Rehearsal:
         pieces: Any
         if self.flies:
             told = (*command.linear, command.yaw_rate)
-            pieces = flown((x, y, z, yaw), self.speeds, told, 0.1, self.keep, ideal=self.exact)
+            pieces = flight_of((x, y, z, yaw), self.speeds, told, 0.1, self.keep, ideal=self.exact)
         else:
             robot = ideal if self.exact else ramping
             pieces = robot((x, y, yaw), self.speeds, (command.linear[0], command.yaw_rate), 0.1, self.keep)
@@ -238,20 +233,20 @@ class Rehearsal:
                 assert not self.apart or self.gap() >= -ROUNDING
 
     def _allowed(self) -> float:
-        """Who is outside a polygon finds back at a low speed, and at a corner one of two sides is the nearest."""
+        """A robot outside of a polygon returns at a low speed; at a corner either side may be the nearest."""
         return ROUNDING + (0.1 * RETURN_MPS if self.worst < 0.0 else 0.0)
 
     def inside(self) -> float:
-        """What is left to fence, floor and ceiling, m; below zero: it is beyond one."""
+        """Distance to fence, floor and ceiling, m; negative beyond one of them."""
         across = room(self.fence, *self.truth[:2]) - RADIUS - self.margin
         return min(across, self.truth[2] - FLOOR, CEILING - self.truth[2]) if self.flies else across
 
     def gap(self) -> float:
-        """What is left to the nearest other, m."""
+        """Distance to the nearest other, m."""
         return float(self.gaps(self.rows).min(initial=math.inf))
 
     def gaps(self, rows: Any) -> Any:
-        """How far it is from the cylinder, on the ground the circle, of each."""
+        """Distance to the cylinder, on the ground the circle, of each other."""
         apart = RADIUS + OTHER + SEPARATION
         beside = np.hypot(rows[:, 0] - self.truth[0], rows[:, 1] - self.truth[1]) - apart
         return np.maximum(beside, np.abs(rows[:, 2] - self.truth[2]) - apart) if self.flies else beside

@@ -1,8 +1,9 @@
-"""An autopilot of a quadrotor as an x, as a program of its own: nothing of ours, only pymavlink and the published protocols.
+"""Autopilot of a quadrotor in X configuration, as a separate program by pymavlink and the published protocols, without our
+code.
 
-It plays ArduPilot on the JSON interface or PX4 on the simulator interface, and flies by the true state that both give: PX4's by
-HIL_STATE_QUATERNION, as it asks for it. Without ``--commanded`` it flies a mission: take-off, way-points, landing. With it, it
-is also a MAVLink vehicle that follows a ground station: mode, arming, take-off, velocities.
+It imitates ArduPilot on the JSON interface or PX4 on the simulator interface, and flies by the true state that both give:
+PX4's by HIL_STATE_QUATERNION, which it requests. Without ``--commanded`` it flies a mission: take-off, way-points, landing.
+With it, it is also a MAVLink vehicle that follows a ground station: mode, arming, take-off, velocities.
 
 Control is geometric (T. Lee, M. Leok, N. H. McClamroch, Geometric tracking control of a quadrotor UAV on SE(3), CDC 2010), all
 in NED and FRD; the mixer is derived here from places and turning directions of the rotors in the firmware's own documents.
@@ -23,9 +24,9 @@ import numpy as np
 from pymavlink.dialects.v20 import common as mavlink  # type: ignore[import-untyped]
 
 MASS, ARM, MOST_N = 0.80, 0.165 * math.sqrt(0.5), 7.9e-6 * 838.0**2  # kg, m, N of one rotor
-YAW_M = 1.47e-7 / 7.9e-6  # N m of yaw for each N
+YAW_M = 1.47e-7 / 7.9e-6  # N m of yaw per N
 G = 9.81
-# Forward and right of each motor, and the sign of the yaw, clockwise seen from above, that its drag gives to the body.
+# Forward and right of each motor, m, and the sign of the yaw torque of its drag on the body, clockwise seen from above.
 MOTORS = np.array([(1, 1, 1), (-1, -1, 1), (1, -1, -1), (-1, 1, -1)], float)
 MIX = np.linalg.inv(np.array([np.ones(4), -ARM * MOTORS[:, 1], ARM * MOTORS[:, 0], YAW_M * MOTORS[:, 2]]))
 EARTH_M = 6378137.0
@@ -45,7 +46,7 @@ def rotation(q: Any) -> Any:
 
 
 class State:
-    """The true state: NED, body FRD."""
+    """True state: NED, body FRD."""
 
     time_s = 0.0
     position = np.zeros(3)
@@ -107,7 +108,7 @@ class Pilot:
 
 
 class Ground:
-    """The MAVLink side: a ground station at this UDP port."""
+    """MAVLink side: a ground station at this UDP port."""
 
     def __init__(self, pilot: Pilot, kind: str, port: int, home: tuple[float, float, float]) -> None:
         self.pilot, self.kind, self.to, self.home = pilot, kind, ("127.0.0.1", port), home
@@ -171,7 +172,7 @@ def ardupilot(port: int, pilot: Pilot, ground: Ground | None, stop_s: float) -> 
         try:
             line = link.recv(65536)
         except (TimeoutError, ConnectionRefusedError):
-            time.sleep(0.05)  # the run is not there yet
+            time.sleep(0.05)  # the run is not listening yet
             continue
         frame += 1
         assert line.startswith(b"\n"), line
@@ -196,14 +197,14 @@ def connected(port: int) -> socket.socket:
 
 
 class Truth:
-    """The state from HIL_STATE_QUATERNION; north and east from the first place."""
+    """State from HIL_STATE_QUATERNION; north and east from the first position."""
 
     def __init__(self) -> None:
         self.now = State()
         self.home: tuple[float, float, float] | None = None
 
     def take(self, message: Any) -> bool:
-        """Whether it was the sensors' message, which ends a step."""
+        """Process a message; True for the sensors' message, which ends a step."""
         now = self.now
         if message.get_type() == "HIL_SENSOR":
             now.time_s = 1e-6 * message.time_usec

@@ -1,7 +1,7 @@
-"""A stand-in for Betaflight's simulator target, as a program of its own: fixed ports, no flight control.
+"""Stand-in for Betaflight's simulator target, as a separate program: fixed ports, no flight control.
 
-Each packet gets an answer, but the first. Motor N of its own order turns at N tenths, if there is a remote control only while
-AUX 1 is on. ``--stop`` is the simulated time of its end, s.
+It answers every packet but the first. Motor N in its own order turns at N tenths, with a remote control only while AUX 1 is
+on. ``--stop`` is the simulated time of its end, s.
 """
 
 import argparse
@@ -23,7 +23,7 @@ def main() -> None:
     while True:
         ready, _, _ = select.select([state, sticks], [], [])
         if sticks in ready:
-            armed = struct.unpack("<d16H", sticks.recv(4096))[5] > 1700  # the time is the first
+            armed = struct.unpack("<d16H", sticks.recv(4096))[5] > 1700  # the time comes first
         if state in ready:
             time_s, *_ = struct.unpack("<18d", state.recv(4096))
             if time_s >= stop_s:

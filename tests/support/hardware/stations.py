@@ -1,4 +1,4 @@
-"""Stations of tests: missions, and a run that gives orders."""
+"""Ground stations under test: missions, and a run that gives orders."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -20,7 +20,7 @@ HELD_UP = ("stopped", "the station was delayed, or its clock jumped")
 
 
 def safety(**changed: Any) -> Safety:
-    """Limits of a small robot, with time-outs that a loaded machine keeps."""
+    """Limits of a small robot, with timeouts that a loaded machine meets."""
     usual: dict[str, Any] = {
         "max_speed": 0.5,
         "max_yaw_rate": 1.0,
@@ -37,7 +37,7 @@ def safety(**changed: Any) -> Safety:
 
 
 def mission(driver: PartSpec = BENCH, vehicle: str = "car1", *, rate_hz: float = 50.0, **changed: Any) -> StationMission:
-    """A robot on the ground; ``changed``: of its safety."""
+    """A robot on the ground; ``changed``: keys of its safety."""
     return StationMission(
         run="test",
         vehicle=vehicle,
@@ -54,7 +54,7 @@ def mission(driver: PartSpec = BENCH, vehicle: str = "car1", *, rate_hz: float =
 
 
 class FakeStation:
-    """Says what it is told to say, and keeps what it hears."""
+    """Sends scripted messages and stores what it receives."""
 
     def __init__(self) -> None:
         self.saying: list[StationReport] = []
@@ -73,7 +73,7 @@ class FakeStation:
 
 
 def real_vehicle(**changes: Any) -> RealVehicle:
-    """A robot in software on the ground, at the origin."""
+    """A software robot on the ground, at the origin."""
     given: dict[str, Any] = {
         "name": "car1",
         "folder": ".",
@@ -93,7 +93,7 @@ def real_vehicle(**changes: Any) -> RealVehicle:
 
 
 class Run:
-    """Gives orders to a station and keeps its reports."""
+    """Gives orders to a station and stores its reports."""
 
     def __init__(self, station: Station) -> None:
         self.station, self.said, self._number = station, list[StationReport](), 0
@@ -107,7 +107,7 @@ class Run:
         )
 
     def until(self, what: Callable[[StationReport], object], v: float | None = None, seconds: float = 30.0) -> StationReport:
-        """Drive like this (None: say nothing) until a report shows it."""
+        """Drive with this command (None: send none) until a report meets a condition."""
         end = time.monotonic() + seconds
         while True:
             if v is not None:
@@ -122,15 +122,15 @@ class Run:
 
     @property
     def notices(self) -> list[tuple[str, str]]:
-        """But for the one that a station gives which this machine held up."""
+        """Notices without the one that a station gives on a machine that delays it."""
         told = [(each.what, each.cause) for report in self.said for each in report.notices]
         late = max(each.late_s for each in self.said) > 0.4
         return [each for each in told if each != HELD_UP or not late]
 
 
 @contextmanager
-def driven(told: StationMission) -> Iterator[Run]:
-    """A station that is ready; it has left at the end."""
+def ready_station(told: StationMission) -> Iterator[Run]:
+    """A station that is ready; closed at the end."""
     station = Station.start(told)
     try:
         station.wait_ready()

@@ -1,4 +1,4 @@
-"""A vehicle in the air that is integrated exactly, behind the aerial supervisor, for the tests of its laws."""
+"""An aerial vehicle, integrated exactly, behind the aerial supervisor, for the tests of its laws."""
 
 import itertools
 import math
@@ -14,20 +14,20 @@ Flight = tuple[float, float, float, float]  # x, y, z m, yaw rad; or the speeds
 
 
 def safety_of(limits: Limits, **others: Any) -> Safety:
-    """These limits, in a fence, with time-outs for all sources."""
+    """These limits, in a fence, with timeouts for all sources."""
     fence: Polygon | None = others.pop("fence", None)
     corners = None if fence is None else tuple((x, y) for x, y in fence.a.tolist())
     usual = {"reaction_s": 0.1, "operator_s": 0.5}
     return Safety(**msgspec.structs.asdict(limits), fence=corners, **{**usual, **others})
 
 
-def flown(
+def flight_of(
     place: Flight, speeds: Flight, told: Flight, dt: float, limits: Limits, *, ideal: bool
 ) -> Iterator[tuple[Flight, Flight]]:
-    """Places and speeds after pieces of a period.
+    """Positions and speeds after parts of a period.
 
-    An ideal one has the velocity that it is told at once; the other goes straight there at the deceleration that it is sure
-    to have, horizontally and vertically each.
+    An ideal vehicle has the commanded velocity at once; the other goes straight there at its guaranteed deceleration,
+    horizontally and vertically each.
     """
     if ideal:
         for part in range(1, 5):

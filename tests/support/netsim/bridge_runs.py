@@ -1,4 +1,4 @@
-"""Runs with a bridge and no more than it needs: vehicles that stand, their radios, and whatever agents a test brings."""
+"""Minimal runs with a bridge: vehicles at rest, their radios, and the test's agents."""
 
 import contextlib
 import socket
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.support.netsim.channels import make_channel, standing
+from tests.support.netsim.channels import at_rest, make_channel
 from tests.support.netsim.gateway_context import PATIENCE_S, free_ports
 from vcmvsp.cosim.clock import SECOND_NS, Clock, WallClock
 from vcmvsp.cosim.federate import Event, Federate, RunInfo, Slot, Step
@@ -19,11 +19,11 @@ from vcmvsp.netsim.bridge.federate import Bridge
 from vcmvsp.netsim.bridge.messages import GatewaySpec
 from vcmvsp.netsim.federate import RadioFederate
 
-BROADCAST, RECEIVE = 0, 99  # of a vehicle's block of ports
+BROADCAST, RECEIVE = 0, 99  # per vehicle
 
 
-class Standing:
-    """Says at time 0 where everybody is, 10 m apart, and steps ten times a second."""
+class VehiclesAtRest:
+    """Publishes at time 0 positions 10 m apart, and steps ten times a second."""
 
     name, slot, wake_slot = "world", Slot.WORLD, Slot.APPLY
     reads: tuple[str, ...] = ()
@@ -35,7 +35,7 @@ class Standing:
         return 0
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
-        states = standing(self._names, [(10.0 * row, 0.0, 0.0) for row in range(len(self._names))])
+        states = at_rest(self._names, [(10.0 * row, 0.0, 0.0) for row in range(len(self._names))])
         events = [Event("world/states", 0, states)] if now_ns == 0 else []
         return Step(events, now_ns + SECOND_NS // 10 if now_ns < self._end_ns else None)
 
@@ -44,7 +44,7 @@ class Standing:
 
 
 class Air(RadioFederate):
-    """A radio whose levels are told by rows."""
+    """A radio whose levels are given by rows."""
 
     def levels_dbm(self, states: States) -> Array:
         n = len(self._vehicles)
@@ -52,9 +52,9 @@ class Air(RadioFederate):
 
 
 class BridgeRun:
-    """A run; its own thread goes through it (`go`, `stop`), and what it published is in `sent` and `reports` then.
+    """A run in a thread of its own (`go`, `stop`); afterwards, `sent` and `reports` hold its published values.
 
-    While it goes on, `left` counts its deliveries: what the bridge itself tells of them is for when the run is over.
+    During the run, `left` counts its deliveries; the bridge's own reports are complete after the end.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class BridgeRun:
         self.reports: list[FrameReport] = []
         self.carries: list[int] = []
         self.events: list[Event] = []
-        self.left = 0  # deliveries that are known to have left
+        self.left = 0  # deliveries that have left the bridge
         self.error: BaseException | None = None
         air = Air(make_channel(preset, vehicles=vehicles, **channel))
         clock = clock or WallClock()
@@ -99,14 +99,14 @@ class BridgeRun:
         self._delivered = self.bridge._late.delivered
         self.bridge._late.delivered = self._on_delivered  # type: ignore[method-assign]
         info = RunInfo(scenario="test", seed=1, duration_ns=round(seconds * SECOND_NS), vehicles=vehicles, paced=True)
-        self.kernel = Kernel(info, [Standing(), air, self.bridge, *agents], clock=clock)
+        self.kernel = Kernel(info, [VehiclesAtRest(), air, self.bridge, *agents], clock=clock)
 
     def log(self, key: str, time_ns: int, value: Any) -> None:
-        """Keep what a replay would need."""
+        """Store the inputs that a replay needs."""
         self.logged.append((key, time_ns, value))
 
     def go(self, before: Callable[[], object] = lambda: None) -> None:
-        """Open all gateways, do what is to be done ``before`` time 0, and begin."""
+        """Open all gateways, run ``before`` ahead of time 0, and begin."""
         try:
             self.kernel.start()
             before()
@@ -117,12 +117,12 @@ class BridgeRun:
         self._thread.start()
 
     def stop(self) -> None:
-        """End it, as by Ctrl-C."""
+        """End the run, as by Ctrl-C."""
         self.kernel.stop = True
         self._thread.join()
 
     def join(self) -> None:
-        """Wait for its end."""
+        """Wait for the end of the run."""
         self._thread.join()
 
     def _run(self) -> None:
@@ -149,11 +149,11 @@ class BridgeRun:
         self.left += len(row)
 
     def port(self, vehicle: int, offset: int) -> tuple[str, int]:
-        """Of a vehicle's block: 0 broadcast, 1 + j to vehicle j, 99 where it hears."""
+        """Port in a vehicle's block: 0 broadcast, 1 + j to vehicle j, 99 for receptions."""
         return "127.0.0.1", self.first_port + 100 * vehicle + offset
 
     def program(self, vehicle: int) -> socket.socket:
-        """A socket that hears what this vehicle's radio receives."""
+        """A socket that receives what this vehicle's radio receives."""
         opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 8 * 2**20)
         opened.bind(self.port(vehicle, RECEIVE))
@@ -162,8 +162,8 @@ class BridgeRun:
 
 
 @contextlib.contextmanager
-def running(run: BridgeRun) -> Iterator[BridgeRun]:
-    """The run, going on; stopped at the end, if it has not failed."""
+def background_run(run: BridgeRun) -> Iterator[BridgeRun]:
+    """The running run; stopped at the end, if it has not failed."""
     run.go()
     try:
         yield run
@@ -173,13 +173,13 @@ def running(run: BridgeRun) -> Iterator[BridgeRun]:
         raise run.error
 
 
-def all_of(heard: socket.socket, count: int) -> list[bytes]:
-    """So many datagrams."""
+def receive_all(heard: socket.socket, count: int) -> list[bytes]:
+    """Receive a number of datagrams."""
     return [heard.recv(65536) for _ in range(count)]
 
 
-def until_each_of(heard: socket.socket, wanted: Iterable[bytes]) -> list[bytes]:
-    """Datagrams, until each that is wanted is among them."""
+def receive_each_of(heard: socket.socket, wanted: Iterable[bytes]) -> list[bytes]:
+    """Receive datagrams until each expected one is among them."""
     missing, found = set(wanted), list[bytes]()
     while missing:
         found.append(heard.recv(65536))
@@ -187,8 +187,8 @@ def until_each_of(heard: socket.socket, wanted: Iterable[bytes]) -> list[bytes]:
     return found
 
 
-def what_is_there(heard: socket.socket) -> list[bytes]:
-    """All that has come."""
+def receive_available(heard: socket.socket) -> list[bytes]:
+    """Datagrams that have arrived."""
     heard.setblocking(False)
     found = []
     with contextlib.suppress(BlockingIOError):
@@ -198,7 +198,7 @@ def what_is_there(heard: socket.socket) -> list[bytes]:
 
 
 def wait_for(holds: Callable[[], bool], seconds: float = PATIENCE_S) -> None:
-    """Until something holds; fails if it does not in time."""
+    """Wait for a condition; fails after a timeout."""
     end = time.monotonic() + seconds
     while not holds():
         assert time.monotonic() < end, "not in time"

@@ -32,20 +32,20 @@ def make_channel(
 
 
 def send(channel: Channel, *distances: float, sent_ns: int = 0, size_bytes: int = 100, to: str | None = None) -> FrameReport:
-    """One frame of car0, which is at the origin, to car1, car2, ... at these distances along the x axis."""
+    """One frame of car0, at the origin, to car1, car2, ... at these distances along the x axis."""
     names = ("car0", *(f"car{i + 1}" for i in range(len(distances))))
     position = np.array([(0.0, 0.0, 0.0), *((d, 0.0, 0.0) for d in distances)])
     message = Message(sender="car0", body={}, size_bytes=size_bytes, to=to)
-    return one(channel.send(sent_ns, message, names, position))
+    return only_report(channel.send(sent_ns, message, names, position))
 
 
-def one(reports: list[FrameReport]) -> FrameReport:
-    """The only report of a frame whose fate was known at once."""
+def only_report(reports: list[FrameReport]) -> FrameReport:
+    """The only report of a frame that was decided at once."""
     (report,) = reports
     return report
 
 
-def standing(names: Sequence[str], position: Sequence[Sequence[float]] | Floats) -> States:
+def at_rest(names: Sequence[str], position: Sequence[Sequence[float]] | Floats) -> States:
     """Vehicles at these places, level and at rest."""
     zero, attitude = np.zeros((len(names), 3)), np.tile([1.0, 0.0, 0.0, 0.0], (len(names), 1))
     places = np.array(position, np.float64)
@@ -53,7 +53,7 @@ def standing(names: Sequence[str], position: Sequence[Sequence[float]] | Floats)
 
 
 def make_frame(*shape: int) -> Frame:
-    """A frame with a level array of the given shape, for asking a layer directly."""
+    """A frame with a level array of the given shape, for calling a layer directly."""
     nowhere: NDArray[np.float64] = np.zeros((1, 3))
     return Frame(0, 0, 1_000_000, 100, Paths.between(nowhere[0], nowhere), np.zeros(shape), SenderLinks(1, "car0", ("car1",)))
 
@@ -73,7 +73,7 @@ def linked_frame(sender: str, *receivers: str, at_s: float = 0.0, seed: int = 1,
 
 
 def many_frame(count: int, at_ns: int = 0, seed: int = 1) -> Frame:
-    """A frame with as many receivers, whose keys are merely different."""
+    """A frame with this many receivers, whose keys only have to differ."""
     links = SenderLinks(seed, "a", ("b",) * count)
     vars(links).update(keys=many_keys(count, seed), pair_keys=many_keys(count, seed))
     return _frame(links, at_ns, at_ns + 1)
@@ -84,7 +84,7 @@ def many_keys(count: int, seed: int = 1) -> Keys:
 
 
 def even_uniforms(count: int) -> NDArray[np.float64]:
-    """Uniforms (count, 2): the first evenly spaced, the second in an order that has nothing to do with it."""
+    """Uniforms (count, 2): the first evenly spaced, the second in an unrelated order."""
     first = (np.arange(count) + 0.5) / count
     return np.stack([first, np.random.default_rng(5).permutation(first)], axis=-1)
 

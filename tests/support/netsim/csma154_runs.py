@@ -14,7 +14,7 @@ from vcmvsp.netsim.phy.ieee802154 import Ieee802154
 US, MS = 1_000, 1_000_000  # ns
 PHY = Ieee802154()
 NOISE_DBM = PHY.noise_dbm
-LOUD, SILENT = -40.0, -300.0  # dBm: received for sure, not even noticed
+LOUD, SILENT = -40.0, -300.0  # dBm: received for sure, not detected
 
 
 def keys(count: int, seed: int = 1) -> Any:
@@ -22,7 +22,7 @@ def keys(count: int, seed: int = 1) -> Any:
 
 
 def backoffs(count: int, row: int) -> list[float]:
-    """The uniforms behind the first backoff of each contention of a radio, by the definition: each contention has five."""
+    """Uniforms behind the first backoff of each contention of a radio, by the definition: each contention has five."""
     return draws(5 * count, row)[::5]
 
 
@@ -31,7 +31,7 @@ def draws(count: int, row: int, seed: int = 1) -> list[float]:
 
 
 def levels(count: int, dbm: float = LOUD) -> Floats:
-    """All hear all at the same level."""
+    """Equal levels on all links."""
     return np.full((count, count), dbm)
 
 
@@ -70,7 +70,7 @@ class World:
 
 
 def assessments(row: int, busy: int, from_ns: int = 0) -> list[int]:
-    """Ends of a radio's first assessments, all but the last of which find the air busy."""
+    """Ends of a radio's first channel assessments; all but the last find the air busy."""
     ends = []
     for exponent, uniform in zip((3, 4, 5, 5, 5), draws(busy + 1, row), strict=False):
         from_ns += int(uniform * 2**exponent) * 320 * US + 128 * US
@@ -79,7 +79,7 @@ def assessments(row: int, busy: int, from_ns: int = 0) -> list[int]:
 
 
 def line(left_dbm: float, right_dbm: float) -> Floats:
-    """0 and 2 do not hear each other, 1 hears both."""
+    """0 and 2 are hidden from each other, 1 is in range of both."""
     dbm = np.full((3, 3), SILENT)
     dbm[0, 1] = dbm[1, 0] = left_dbm
     dbm[2, 1] = dbm[1, 2] = right_dbm
@@ -87,5 +87,5 @@ def line(left_dbm: float, right_dbm: float) -> Floats:
 
 
 def at(start_ns: int, row: int) -> int:
-    """When to hand over a radio's first frame, for it to begin then if the air is free."""
+    """Time at which to offer a radio's first frame, for it to begin at a given time if the air is free."""
     return start_ns - assessments(row, 0)[0] - 192 * US

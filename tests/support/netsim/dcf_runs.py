@@ -43,13 +43,13 @@ def frame(
     priority: int = 0,
     patience: Floats | float = np.inf,
 ) -> Offered:
-    """A frame whose every attempt has these levels; by default only interference can spoil it where it is detected."""
+    """A frame with these levels at every attempt; by default only interference can spoil it where it is detected."""
     patience = np.broadcast_to(np.asarray(patience, np.float64), power_mw.shape)
     return Offered(number, time_ns, sender, to, size, priority, power_mw, patience, lambda attempt, start: (power_mw, patience))
 
 
 def all_equal(count: int, power_mw: float = STRONG) -> Floats:
-    """Everybody hears everybody alike: (n,) levels."""
+    """Equal levels on all links: (n,) levels."""
     return np.full(count, power_mw)
 
 
@@ -59,8 +59,8 @@ def run(medium: DcfMedium, frames: Sequence[Offered], until_ns: int) -> list[Dec
     return list(medium.advance(until_ns))
 
 
-def saturated(levels: Floats, phy: Dsss | Ofdm, mac: Dcf, to: Sequence[int], size: int, duration_s: int) -> int:
-    """Frames that are received of radios that always have one to their destinations ``to``; -1: it does not send."""
+def saturated_receptions(levels: Floats, phy: Dsss | Ofdm, mac: Dcf, to: Sequence[int], size: int, duration_s: int) -> int:
+    """Received frames of saturated radios with destinations ``to``; -1: a silent radio."""
     senders = [i for i, other in enumerate(to) if other >= 0]
     medium, offered = open_air(len(levels), phy, mac), itertools.count()
     medium.levels[:] = levels
@@ -81,7 +81,7 @@ def saturated(levels: Floats, phy: Dsss | Ofdm, mac: Dcf, to: Sequence[int], siz
     return received
 
 
-def square(count: int, side_m: float, exponent: float, seed: int) -> Floats:
+def square_levels(count: int, side_m: float, exponent: float, seed: int) -> Floats:
     """Levels (n, n) mW in a square: 40 mW, 40.052 dB at 1 m."""
     place = np.random.default_rng(seed).uniform(0.0, side_m, (count, 2))
     distance = np.linalg.norm(place[:, None] - place, axis=-1) + np.eye(count)
@@ -99,7 +99,7 @@ def periodic(levels: Floats, hz: float, until_ns: int, *, size: int = 100, seed:
 
 
 def delivery(decided: Sequence[Decided], frames: Sequence[Offered]) -> tuple[float, Floats]:
-    """Share of receptions, and delay of each of them, ms."""
+    """Share of receptions, and the delay of each, ms."""
     fates = np.array([each.fate for each in decided])
     count = fates.shape[1]
     sent = np.array([frames[each.number].time_ns for each in decided])
@@ -115,10 +115,10 @@ def bytes_of(decided: Sequence[Decided]) -> list[tuple[object, ...]]:
     ]
 
 
-def mixed(seed: int, *, count: int = 6, frames: int = 60) -> list[Offered]:
+def mixed_traffic(seed: int, *, count: int = 6, frames: int = 60) -> list[Offered]:
     """Broadcast and unicast of all sizes and priorities, with hidden nodes, in bursts."""
     rng = np.random.default_rng(seed)
-    levels = square(count, 200.0, 3.0, seed)
+    levels = square_levels(count, 200.0, 3.0, seed)
     times = np.sort(rng.integers(0, 60 * MS, frames)).tolist()
     offered = []
     for k, time in enumerate(times):
@@ -134,7 +134,7 @@ def mixed(seed: int, *, count: int = 6, frames: int = 60) -> list[Offered]:
 
 
 def fading(number: int, time: int, sender: int, to: int, size: int, priority: int, level: Floats) -> Offered:
-    """Levels and patience that are another for every attempt, and not known before."""
+    """Levels and patience that change with every attempt, and are unknown beforehand."""
 
     def renew(attempt: int, start_ns: int) -> tuple[Floats, Floats]:
         rng = np.random.default_rng((number, attempt, start_ns))

@@ -11,12 +11,12 @@ from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 
 from vcmvsp.netsim.bridge.gateways.base import BROADCAST, LARGEST, Gateway
 
-PATIENCE_S = 60.0  # for what must happen, on a machine that may be held up
+PATIENCE_S = 60.0  # timeout on a machine that may be held up
 
 
 @dataclasses.dataclass(frozen=True)
-class Offered:
-    """What a gateway handed over."""
+class OfferedPacket:
+    """A packet that a gateway offered."""
 
     sender: int
     to: int
@@ -26,21 +26,14 @@ class Offered:
     radio: str = ""
 
 
-class TestHall:
-    """A `netsim.bridge.gateways.base.GatewayContext` without a run; to be made on the running loop.
+class RunlessContext:
+    """A `netsim.bridge.gateways.base.GatewayContext` without a run; create it on the running loop.
 
-    Args:
-        vehicles: names of the run's vehicles.
-        delay_s: from the offer to the delivery.
-        radios: rows of the vehicles with each of several radios.
-        hears: whether ``receiver`` gets what ``sender`` sent, by rows and by the place of the datagram in `offered`.
+    Args: vehicles: names of the run's vehicles. delay_s: from the offer to the delivery. radios: rows of the vehicles with
+    each of several radios. hears: whether ``receiver`` gets a datagram of ``sender``, by rows and by its index in `offered`.
 
-    Attributes:
-        offered: everything taken, in order.
-        room: set it to False to have `offer` refuse.
-        counts: vehicle -> words -> how many.
-        levels: (sender, receiver) -> dBm.
-        lines: what the gateway said to the user, where it was `opened`.
+    Attributes: offered: all accepted packets, in order. room: False makes `offer` refuse. counts: vehicle -> words -> count.
+    levels: (sender, receiver) -> dBm. lines: the gateway's lines for the user, if it was `open_gateway`.
     """
 
     __test__ = False
@@ -56,14 +49,14 @@ class TestHall:
     ) -> None:
         self.vehicles, self.run, self.loop = tuple(vehicles), run, asyncio.get_running_loop()
         self.radios: Mapping[str, tuple[int, ...]] = radios or {}
-        self.offered: list[Offered] = []
+        self.offered: list[OfferedPacket] = []
         self.room = True
         self.counts: dict[str, dict[str, int]] = {}
         self.levels: dict[tuple[int, int], float] = {}
         self.lines: list[str] = []
         self._delay_s, self._hears = delay_s, hears
         self._thread = threading.get_ident()
-        self.is_closed = False  # then the run delivers nothing more
+        self.is_closed = False  # then the run makes no further deliveries
 
     def offer(
         self,
@@ -86,7 +79,9 @@ class TestHall:
             return False
         place = len(self.offered)
         at_ns = time.monotonic_ns() if came_ns is None else came_ns
-        self.offered.append(Offered(sender, to, payload, at_ns, len(payload) if size_bytes is None else size_bytes, radio))
+        self.offered.append(
+            OfferedPacket(sender, to, payload, at_ns, len(payload) if size_bytes is None else size_bytes, radio)
+        )
         members = self.radios.get(radio, rows)
         for receiver in [row for row in members if row != sender] if to == BROADCAST else [to]:
             if self._hears(sender, receiver, place):
@@ -115,8 +110,8 @@ class TestHall:
 
 
 @contextlib.asynccontextmanager
-async def opened(gateway: Gateway, context: TestHall) -> AsyncIterator[TestHall]:
-    """The context of an open gateway, which is closed whatever happens; nothing may go wrong on the loop."""
+async def open_gateway(gateway: Gateway, context: RunlessContext) -> AsyncIterator[RunlessContext]:
+    """Context of an open gateway, which is always closed at the end; no error may occur on the loop."""
     trouble: list[object] = []
     context.loop.set_exception_handler(lambda _, what: trouble.append(what))  # would end the bridge
     gateway.check(context.vehicles)
@@ -126,12 +121,12 @@ async def opened(gateway: Gateway, context: TestHall) -> AsyncIterator[TestHall]
     finally:
         context.is_closed = True
         await gateway.close()
-        await asyncio.sleep(0)  # sockets are let go of in the next turn
+        await asyncio.sleep(0)  # sockets are closed in the next iteration
     assert not trouble
 
 
 async def until(holds: Callable[[], bool], seconds: float = PATIENCE_S) -> None:
-    """Let the loop turn until something holds; fails if it does not in time."""
+    """Run the loop until a condition holds; fails after a timeout."""
     end = time.monotonic() + seconds
     while not holds():
         assert time.monotonic() < end, "not in time"
@@ -139,12 +134,12 @@ async def until(holds: Callable[[], bool], seconds: float = PATIENCE_S) -> None:
 
 
 def free_ports(count: int, kind: int = socket.SOCK_DGRAM) -> int:
-    """The first of so many ports in a row of 127.0.0.1 that nobody holds, where no other worker of the tests looks.
+    """First of a number of consecutive free ports of 127.0.0.1, outside of the ranges of other test workers.
 
-    Each call looks behind the one before, so ports that are asked for but not yet taken are not given twice.
+    Each call continues behind the previous one, so that requested ports that are still free are not given twice.
     """
     workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
-    stretch = 12_000 // workers  # below those that the kernel gives to who asks for any
+    stretch = 12_000 // workers  # below the kernel's ephemeral ports
     begin = 20_000 + stretch * int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
     assert count <= stretch, f"{workers} workers leave {stretch} ports to each"
     for _ in range(stretch // count):
@@ -157,7 +152,7 @@ def free_ports(count: int, kind: int = socket.SOCK_DGRAM) -> int:
     raise AssertionError("no free ports")
 
 
-_next_port = [os.getpid() * 100 % 4_000]  # of this process's stretch; other runs of the tests begin elsewhere
+_next_port = [os.getpid() * 100 % 4_000]  # in this process's range; other runs of the tests begin elsewhere
 
 
 def _is_free(port: int, kind: int) -> bool:

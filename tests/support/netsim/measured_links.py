@@ -1,4 +1,4 @@
-"""Measured logs as they would be under a known radio, and how far an estimate is from it."""
+"""Simulated measurement logs of a known radio, and the error of an estimate."""
 
 import math
 
@@ -21,12 +21,12 @@ BOXES = (
 
 
 def points(rng: np.random.Generator, count: int, side_m: float = 100.0) -> Floats:
-    """All over a square, 1 m above the ground."""
+    """Positions in a square, 1 m above the ground."""
     return np.column_stack([rng.uniform(0.0, side_m, (count, 2)), np.ones(count)])
 
 
 def tour(count: int, side_m: float = 60.0) -> Floats:
-    """A way to and fro in lanes 10 m apart."""
+    """A path to and fro in lanes 10 m apart."""
     lane, along = np.divmod(np.linspace(0.0, 6.999, count), 1.0)
     x = side_m * np.where(lane % 2 == 0, along, 1.0 - along)
     return np.column_stack([x, 10.0 * lane, np.ones(count)])
@@ -45,7 +45,7 @@ def shadows(a: Floats, b: Floats, seed: int, layer: Shadowing) -> Floats:
 
 
 def normal_score(found: ParameterEstimate | None, truth: float) -> float:
-    """How many standard errors from the truth; of what is positive, by its logarithm."""
+    """Error in standard errors; for positive quantities, by the logarithm."""
     assert found is not None
     if found.naive_error is None:
         return math.log(found.value / truth) / (found.standard_error / found.value)

@@ -1,10 +1,10 @@
-"""Runs of a radio with routing among vehicles that stand still."""
+"""Runs of a radio with routing among vehicles at rest."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from tests.support.cosim.receptions import receptions_in
-from tests.support.netsim.channels import make_channel, standing
+from tests.support.netsim.channels import at_rest, make_channel
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.types import FrameReport, Message, Reception, Receptions, Routed, Traffic
@@ -16,8 +16,8 @@ AIR_NS = 1_280_000  # of 100 B by wifi-b-1
 HOP_NS = AIR_NS + 64_000  # with the header
 
 
-class Heard(NamedTuple):
-    """Who heard whom, when."""
+class RoutedReception(NamedTuple):
+    """A reception: receiver, message and time."""
 
     receiver: str
     sender: str
@@ -26,13 +26,13 @@ class Heard(NamedTuple):
 
 
 class Run(NamedTuple):
-    """What came out."""
+    """Results of a run."""
 
     frames: list[FrameReport]
-    heard: list[Heard]
+    heard: list[RoutedReception]
     routed: list[Routed]
     traffic: list[Traffic]
-    traffic_ns: list[int]  # when that was told
+    traffic_ns: list[int]  # when it was reported
     receptions: list[Reception]
 
     @property
@@ -41,7 +41,7 @@ class Run(NamedTuple):
 
 
 class World:
-    """Publishes where everybody stands."""
+    """Publishes the vehicles' positions."""
 
     name, slot, wake_slot = "world", Slot.WORLD, Slot.APPLY
     reads: tuple[str, ...] = ()
@@ -56,15 +56,15 @@ class World:
         return 0
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
-        states = standing(self._names, [(*place, 0.0)[:3] for place in self._position])
+        states = at_rest(self._names, [(*place, 0.0)[:3] for place in self._position])
         return Step([Event("world/states", 0, states), *self._said])
 
     def close(self) -> None:
         pass
 
 
-def says(sender: str, at_ns: int, *, to: str | None = None, size_bytes: int = 100) -> Event:
-    """A message, which is its own time."""
+def message_at(sender: str, at_ns: int, *, to: str | None = None, size_bytes: int = 100) -> Event:
+    """A message with its time as content."""
     return Event(f"{sender}/send", at_ns, Message(sender=sender, body={"t": at_ns}, size_bytes=size_bytes, to=to))
 
 
@@ -74,7 +74,7 @@ def line(count: int, step_m: float = 60.0) -> list[tuple[float, float]]:
 
 
 def names(count: int) -> tuple[str, ...]:
-    """Of so many vehicles."""
+    """Names of a number of vehicles."""
     return tuple(f"car{i + 1}" for i in range(count))
 
 
@@ -87,7 +87,7 @@ def run(
     preset: str = "wifi-b-1",
     **layers: Any,
 ) -> Run:
-    """A run in which these messages are sent."""
+    """A run with these messages."""
     events: list[Event] = []
     info = RunInfo(scenario="test", seed=seed, duration_ns=round(seconds * 1e9), vehicles=names(len(position)))
     channel = make_channel(preset, vehicles=info.vehicles, **layers)
@@ -103,7 +103,7 @@ def run(
     assert router is None or told_ns == arrival_ns
     return Run(
         [each for each in values if isinstance(each, FrameReport)],
-        [Heard(name, each.message.sender, each.sent_ns, each.received_ns) for name, each in receptions],
+        [RoutedReception(name, each.message.sender, each.sent_ns, each.received_ns) for name, each in receptions],
         [each for each in values if isinstance(each, Routed)],
         [each for each in values if isinstance(each, Traffic)],
         [event.time_ns for event in events if isinstance(event.value, Traffic)],

@@ -1,4 +1,4 @@
-"""Runs with programs that keep their time: each a thread here, or raw bytes on a connection."""
+"""Runs with lock-step programs: threads of the test, or raw bytes on a connection."""
 
 import contextlib
 import socket
@@ -18,7 +18,7 @@ PATIENCE_S = 60.0
 
 
 def scenario(path: Path, *names: str, duration_s: float = 1.0, **tables: Any) -> dict[str, Any]:
-    """Vehicles that stand 10 m apart, with a program each; messages take 1 us and less, unless ``radio`` says otherwise."""
+    """Vehicles at rest, 10 m apart, with a program each; messages take 1 us and less, unless ``radio`` says otherwise."""
     return {
         "name": "programs",
         "duration_s": duration_s,
@@ -35,8 +35,8 @@ def scenario(path: Path, *names: str, duration_s: float = 1.0, **tables: Any) ->
     }
 
 
-def played(content: Mapping[str, Any], plays: Mapping[str, Play], **options: Any) -> Result:
-    """Run a scenario with these programs; what one of them raises is raised here."""
+def run_programs(content: Mapping[str, Any], plays: Mapping[str, Play], **options: Any) -> Result:
+    """Run a scenario with these programs; an exception of one of them is raised here."""
     endpoint, problems = content["sockets"]["listen"], list[BaseException]()
 
     def go(vehicle: str, play: Play) -> None:
@@ -59,8 +59,8 @@ def played(content: Mapping[str, Any], plays: Mapping[str, Play], **options: Any
 
 
 @contextlib.contextmanager
-def dialled(path: Path) -> Iterator[socket.socket]:
-    """A bare connection to a run, made as soon as it listens."""
+def open_connection(path: Path) -> Iterator[socket.socket]:
+    """A bare connection to a run, opened as soon as it listens."""
     until = time.monotonic() + PATIENCE_S
     with socket.socket(socket.AF_UNIX) as end:
         end.settimeout(PATIENCE_S)
@@ -78,23 +78,23 @@ def dialled(path: Path) -> Iterator[socket.socket]:
 @contextlib.contextmanager
 def by_hand(path: Path, vehicle: str) -> Iterator[socket.socket]:
     """A connection on which a program has its first turn."""
-    with dialled(path) as end:
+    with open_connection(path) as end:
         stream = Stream(end, MOST_DOWN)
         stream.send(Hello(VERSION, vehicle))
-        stream.receive()  # it is welcome
-        stream.receive()  # and may go on
+        stream.receive()  # it is accepted
+        stream.receive()  # and may continue
         with contextlib.suppress(ConnectionError):
             yield end
 
 
 def idle(end: Socket) -> None:
-    """A program that is there, and no more."""
+    """A program that only takes its turns."""
     for _ in end:
         pass
 
 
 def chat(end: Socket) -> None:
-    """A program that says something to all, ten times a second."""
+    """A program that broadcasts ten times a second."""
     while True:
         end.sendto(b"here")
         end.sleep(0.1)

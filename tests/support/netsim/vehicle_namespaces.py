@@ -1,4 +1,4 @@
-"""Namespaces of vehicles in tests: an open gateway on the loop, and sockets and commands inside."""
+"""Network namespaces of vehicles in tests: an open gateway on the loop, and sockets and commands inside."""
 
 import asyncio
 import os
@@ -24,14 +24,14 @@ def udp(vehicle: str, address: str, port: int = 0, run: str = RUN) -> socket.soc
     return made
 
 
-async def heard(listener: socket.socket, seconds: float = PATIENCE_S) -> tuple[bytes, str]:
-    """The next datagram, and the address that it came from."""
+async def next_datagram(listener: socket.socket, seconds: float = PATIENCE_S) -> tuple[bytes, str]:
+    """Next datagram, and its source address."""
     loop = asyncio.get_running_loop()
     data, sender = await asyncio.wait_for(loop.sock_recvfrom(listener, 65536), seconds)
     return data, sender[0]
 
 
-async def called(vehicle: str, *command: str, run: str = RUN) -> tuple[int, str]:
+async def run_command(vehicle: str, *command: str, run: str = RUN) -> tuple[int, str]:
     """Exit code and output of a command on a vehicle's machine."""
     inside = ("ip", "netns", "exec", space(vehicle, run), *command)
     process = await asyncio.create_subprocess_exec(*inside, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT)
@@ -40,7 +40,7 @@ async def called(vehicle: str, *command: str, run: str = RUN) -> tuple[int, str]
     return process.returncode, out.decode()
 
 
-def left_over(vehicles: Sequence[str], run: str = RUN) -> list[str]:
-    """What is still there of a run's network."""
+def remains_of_run(vehicles: Sequence[str], run: str = RUN) -> list[str]:
+    """Interfaces and namespaces of a run that still exist."""
     names = [space(each, run) for each in vehicles if (namespaces.NAMES / space(each, run)).exists()]
     return names + [str(each) for each in (run_networks.FOLDER / run,) if each.exists()]

@@ -1,4 +1,4 @@
-"""Engines with bodies, and one of them without a federate."""
+"""Engines with bodies, with and without a federate."""
 
 from collections.abc import Sequence
 from importlib.util import find_spec

@@ -14,7 +14,7 @@ Course = Callable[[float], VehicleState]
 
 
 class Courses:
-    """Each vehicle's state as a function of time, s; notes when it was asked."""
+    """State of each vehicle as a function of time, s; records the times of its calls."""
 
     def __init__(self, **courses: Course) -> None:
         self.names, self._courses = tuple(courses), courses
@@ -37,6 +37,6 @@ def spec(
 
 
 class Boat:
-    """A vehicle that derives from none of those that physics can move."""
+    """A vehicle class that no engine of physics can move."""
 
     radius_m, height_m, hull = 0.3, 0.3, Hull((0.6, 0.6, 0.3))

@@ -18,7 +18,7 @@ L_SHAPE = ((0.0, 0.0), (3.0, 0.0), (3.0, 1.0), (1.0, 1.0), (1.0, 2.5), (0.0, 2.5
 
 
 def solids(rng: np.random.Generator, *, size: float = 30.0, count: int = 40) -> tuple[AnySolid, ...]:
-    """Boxes, cylinders, prisms that are not convex, pyramids and loose triangles; they may touch and overlap."""
+    """Boxes, cylinders, non-convex prisms, pyramids and loose triangles; they may touch and overlap."""
     found: list[AnySolid] = []
     for number in range(count):
         x, y = rng.uniform(-0.5 * size, 0.5 * size, 2).tolist()
@@ -62,7 +62,7 @@ def scene(
     attitude: Floats | None = None,
     hulls: Sequence[Hull] | None = None,
 ) -> Scene:
-    """Vehicles that stand still, level and facing east unless said otherwise."""
+    """Vehicles at rest, level and facing east by default."""
     place = np.asarray(position, float)
     count = len(place)
     turned = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)) if attitude is None else attitude
@@ -82,7 +82,7 @@ def scene(
 
 
 def hulls(rng: np.random.Generator, count: int) -> tuple[Hull, ...]:
-    """Boxes and cylinders, not all of them centred on the reference point."""
+    """Boxes and cylinders, some of them off the reference point."""
     found = []
     for k in range(count):
         a, b, c = rng.uniform(0.2, 1.5, 3).tolist()
@@ -101,7 +101,7 @@ def beams(ahead: Floats, left: Floats, first: float, step: float, count: int) ->
 def cast_bodies(
     scene: Scene, origins: Floats, directions: Floats, reach_m: float, own: int | NDArray[np.int64] = -1
 ) -> Reached:
-    """How far beams get until they meet a body, beam by beam: 0 m inside of one; ``own``: rows that beams do not see."""
+    """Range of each beam until it meets a body; 0 m inside of one; ``own``: rows that beams pass through."""
     hulls = scene.placed_hulls
     beam, body = touching_spheres(origins, directions, reach_m, hulls.centre, hulls.radius)
     others = body != np.broadcast_to(own, len(origins))[beam]

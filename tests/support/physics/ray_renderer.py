@@ -1,4 +1,4 @@
-"""A slow second opinion on what a camera sees: one ray after another against planes, as a textbook has it."""
+"""A slow reference renderer: one ray at a time against planes, as in textbooks."""
 
 import math
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ class Triangles(NamedTuple):
     color: tuple[int, int, int]
 
 
-class Seen(NamedTuple):
+class HitSurface(NamedTuple):
     color: Array  # levels
     depth: float  # m, along the optical axis
 
@@ -57,7 +57,7 @@ def _hull(hull: Hull, position: Array, rotation: Array) -> Convex:
     if hull.kind == "box":
         local = np.concatenate([np.eye(3), -np.eye(3)])
         offsets = np.tile(0.5 * np.array(hull.size), 2)
-    else:  # a camera sees a regular polygon with its corners on the circle
+    else:  # the camera's polygon has its corners on the circle
         sides = Cylinder(center=(0, 0, 0), radius=0.4, height=1).uprights()[0].corners.shape[0]
         angles = math.tau * (np.arange(sides) + 0.5) / sides
         local = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(sides)])
@@ -67,11 +67,11 @@ def _hull(hull: Hull, position: Array, rotation: Array) -> Convex:
     return Convex(normals, offsets + normals @ (position + rotation @ np.array(hull.offset)), hull.color)
 
 
-def look(world: World, found: Sequence[Convex | Triangles], view: View, row: int, column: int) -> Seen:
-    """What is seen through the middle of a pixel."""
+def look(world: World, found: Sequence[Convex | Triangles], view: View, row: int, column: int) -> HitSurface:
+    """Surface at the middle of a pixel."""
     ray = view.rotation @ np.array(
         [(column + 0.5 - view.width / 2) / view.focal_px, (row + 0.5 - view.height / 2) / view.focal_px, 1.0]
-    )  # of length 1 along the optical axis: distances along it are depths
+    )  # length 1 along the optical axis: distances along it are depths
     best, color, normal = math.inf, np.array(SKY, float), None
     if ray[2] < 0.0:
         best = -view.eye[2] / ray[2]
@@ -83,7 +83,7 @@ def look(world: World, found: Sequence[Convex | Triangles], view: View, row: int
     if normal is not None:
         sun = np.array(world.light.direction) / np.linalg.norm(world.light.direction)
         color = color * (world.light.ambient + (1 - world.light.ambient) * max(0.0, float(normal @ sun)))
-    return Seen(color, best)
+    return HitSurface(color, best)
 
 
 def _enter(thing: Convex, eye: Array, ray: Array) -> tuple[float, Array] | None:
@@ -99,7 +99,7 @@ def _enter(thing: Convex, eye: Array, ray: Array) -> tuple[float, Array] | None:
 
 
 def _through(thing: Triangles, eye: Array, ray: Array) -> tuple[float, Array] | None:
-    """The first triangle that a ray meets, three linear equations each."""
+    """First triangle that a ray meets, three linear equations each."""
     a, b, c = thing.corners.swapaxes(0, 1)
     system = np.stack([b - a, c - a, np.broadcast_to(-ray, a.shape)], axis=2)
     flat = np.abs(np.linalg.det(system)) < 1e-12

@@ -1,4 +1,4 @@
-"""Runs of the physics alone, stepped as a kernel would."""
+"""Runs of physics alone, stepped as by a kernel."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
@@ -29,14 +29,14 @@ def run_info(physics: Physics, seconds: float, instants: Iterable[Instants] = TE
     )
 
 
-def stepped(
+def steps_of(
     physics: Physics,
     told: Iterable[Event | Command] = (),
     seconds: float = 2.0,
     instants: Iterable[Instants] = TENTH,
     **rest: Any,
 ) -> Iterator[list[Event]]:
-    """What each step of a whole run gives; what it is told is handed over at the first step at or after its time.
+    """Result of each step of a whole run; inputs are delivered at the first step at or after their time.
 
     ``rest``: of the `RunInfo`.
     """
@@ -55,13 +55,13 @@ def stepped(
 
 
 def play(*run: Any, **rest: Any) -> list[list[Event]]:
-    """The events of each step of a run, see `stepped`."""
-    return list(stepped(*run, **rest))
+    """The events of each step of a run, see `steps_of`."""
+    return list(steps_of(*run, **rest))
 
 
 def run(*run: Any, **rest: Any) -> list[Event]:
-    """All events of a run, see `stepped`."""
-    return [event for events in stepped(*run, **rest) for event in events]
+    """All events of a run, see `steps_of`."""
+    return [event for events in steps_of(*run, **rest) for event in events]
 
 
 def values(events: Sequence[Event], key: str) -> list[Any]:

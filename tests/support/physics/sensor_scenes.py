@@ -1,4 +1,4 @@
-"""Scenes made by hand, and what sensors say in them."""
+"""Scenes made by hand, and readings of sensors in them."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -27,7 +27,7 @@ def scene_of(
     hull: Hull = HULL,
     touching: Any = (),
 ) -> Scene:
-    """Vehicles car0, car1, ... at these places (default: one at the origin), all in the same state otherwise."""
+    """Vehicles car0, car1, ... at these places (default: one at the origin), with equal states otherwise."""
     position = np.array(places or [(0.0, 0.0, 0.0)], float)
     n = len(position)
 
@@ -50,11 +50,11 @@ def scene_of(
 
 
 def readings(sensor: Sensor, scenes: Sequence[Scene], name: str = "car0/sensor", row: int = 0) -> list[Any]:
-    """What one sensor says of scenes, one after the other."""
+    """Readings of one sensor in consecutive scenes."""
     rng = stream(1, name)
     return [sensor.measure(scene, row, rng) for scene in scenes]
 
 
 def still(count: int, *places: Sequence[float], hz: float = 10.0, **state: Any) -> list[Scene]:
-    """The same scene again and again."""
+    """The same scene at all times."""
     return [scene_of(*places, t=number / hz, **state) for number in range(count)]

@@ -24,7 +24,7 @@ fleet = partial(scenarios.fleet, seed=1)
 
 
 def lossy(probability: float = 0.0, delay_s: float = 0.0, jitter_s: float = 0.0) -> dict[str, Any]:
-    """A radio without range or bandwidth that loses and delays."""
+    """A radio without limits of range or bandwidth that loses and delays."""
     radio = scenarios.lossy(probability, delay_s)
     return {**radio, "delay": {**radio["delay"], "jitter_s": jitter_s}}
 
@@ -41,7 +41,7 @@ def poses(result: vcmvsp.Result) -> tuple[Floats, Floats]:
 def errors(result: vcmvsp.Result) -> tuple[Floats, Floats]:
     """Recorded times (m,) in s and z (m, followers, 2) in m, each in its follower's frame.
 
-    Computed here from true poses and the last place of each follower: not by the platform's own metrics.
+    Computed here from true poses and the last slot of each follower: not by the platform's own metrics.
     """
     times, moved = poses(result)
     follows = {placement.vehicle: placement.follows for placement in result._recorder.follows}

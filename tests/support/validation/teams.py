@@ -1,4 +1,4 @@
-"""Scenarios of teams built in code, and each member's error against the place that it kept at the time."""
+"""Scenarios of teams built in code, and each member's error against its slot at the time."""
 
 import math
 from collections.abc import Mapping
@@ -28,15 +28,9 @@ def team(
 ) -> dict[str, Any]:
     """A scenario: car1 leads, car2, car3, ... start in their slots.
 
-    Args:
-        count: how many, the leader among them.
-        duration_s: how long.
-        formation: of all.
-        leader: parameters of its trajectory; default: the circle.
-        kind: of the followers.
-        lead_kind: of the leader.
-        agents: further parameters of all.
-        tables: other tables of the scenario, such as ``radio``.
+    Args: count: of vehicles, the leader included. duration_s: of the run. formation: of all. leader: parameters of its
+    trajectory; default: the circle. kind: of the followers. lead_kind: of the leader. agents: further parameters of all.
+    tables: other tables of the scenario, such as ``radio``.
     """
     places = slots(formation["shape"], count, formation.get("spacing", 1.0))
     cars: list[dict[str, Any]] = [{"name": "car1", "kind": lead_kind, "agent": {"kind": "trajectory", **(leader or {})}}]
@@ -55,9 +49,9 @@ def team(
 
 
 def link_errors(result: vcmvsp.Result) -> tuple[Floats, dict[str, Floats]]:
-    """Recorded times (m,) in s and |z| (m,) in m of every follower against the parent it then had; NaN where it led.
+    """Recorded times (m,) in s and |z| (m,) in m of every follower against its parent at the time; NaN while it led.
 
-    Computed here from true poses and the recorded places: not by the platform's own metrics.
+    Computed here from true poses and the recorded slots: not by the platform's own metrics.
     """
     times, moved = poses(result)
     names = [f"car{number}" for number in range(1, moved.shape[1] + 1)]
@@ -80,7 +74,7 @@ def rms_of_links(result: vcmvsp.Result) -> list[float]:
 
 
 def parents_of(result: vcmvsp.Result) -> Mapping[str, list[tuple[float, str | None]]]:
-    """Whom each follower has followed, since when in s."""
+    """Parents of each follower, with the time, s, from which each applies."""
     followed: dict[str, list[tuple[float, str | None]]] = {}
     for placed in result.follows:
         followed.setdefault(placed.vehicle, []).append((placed.time_ns / 1e9, placed.follows.leader))
@@ -88,7 +82,7 @@ def parents_of(result: vcmvsp.Result) -> Mapping[str, list[tuple[float, str | No
 
 
 def neighbours_only(count: int, probability: float = 0.0) -> dict[str, Any]:
-    """A radio over which nobody hears more than the ones before and behind it, and those with losses."""
+    """A radio in which only neighbours in the column receive each other, with losses."""
     cut = [f"car{a}/car{b}" for a in range(1, count + 1) for b in range(1, count + 1) if abs(a - b) > 1]
     return {
         "preset": "ideal",
@@ -97,8 +91,8 @@ def neighbours_only(count: int, probability: float = 0.0) -> dict[str, Any]:
     }
 
 
-def swing(result: vcmvsp.Result, omega: float) -> Floats:
-    """Complex amplitudes (vehicles,) of the way along x at ``omega``, rad/s, m, over its last whole period."""
+def oscillation(result: vcmvsp.Result, omega: float) -> Floats:
+    """Complex amplitudes (vehicles,) of the motion along x at ``omega``, rad/s, m, over its last whole period."""
     times, moved = poses(result)
     last = times >= times[-1] - math.tau / omega
     t = times[last]

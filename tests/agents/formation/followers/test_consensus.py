@@ -1,4 +1,4 @@
-"""The consensus protocol in a loop of its own: spectra, the bound of stability under delay, and what is believed by radio."""
+"""The consensus protocol in its own loop: spectra, the stability bound under delay, and validity of received reports."""
 
 import itertools
 import math
@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.agents.agent_loop import Floats, info, observe, said
+from tests.support.agents.agent_loop import Floats, info, observe, reception_of_body
 from vcmvsp.agents.formation.followers.consensus import Consensus, Graph, neighbours_of
 from vcmvsp.agents.formation.followers.laws import axle_velocity, hand_point
 from vcmvsp.agents.formation.team.shape import Formation
@@ -21,7 +21,7 @@ from vcmvsp.cosim.types import Follows, Velocity
 pytestmark = pytest.mark.slow
 
 T_NS = 100_000_000
-Sides = tuple[tuple[int, ...], ...]  # the neighbours of each
+Sides = tuple[tuple[int, ...], ...]  # neighbours of each member
 
 
 def names(count: int) -> tuple[str, ...]:
@@ -56,7 +56,7 @@ def alone(vehicles: Sequence[str] = ("m0", "m1"), **params: Any) -> Consensus:
 
 def report(sender: str, tick: float, x: float, y: float = 0.0, **more: Any) -> Any:
     body = {"t_ns": round(tick * T_NS), "x": x, "y": y, **more}
-    return said(sender, body)
+    return reception_of_body(sender, body)
 
 
 def drive(
@@ -68,7 +68,7 @@ def drive(
     period_ns: int = T_NS,
     lost: Callable[[int, int], bool] = lambda tick, member: False,
 ) -> Floats:
-    """Points that move exactly as told and hear all reports ``age`` ticks late: where they were, (ticks + 1, members, 2)."""
+    """Positions, (ticks + 1, members, 2), of points without lag that receive all reports ``age`` ticks late."""
     everybody = names(len(agents))
     radios = [Radio(name, everybody) for name in everybody]
     on_air: list[list[Any]] = []
@@ -76,7 +76,7 @@ def drive(
     for tick in range(ticks):
         here, now_ns = way[-1], tick * period_ns
         bodies = [{"t_ns": now_ns, "x": x, "y": y} for x, y in here.tolist()]
-        on_air.append([said(n, b) for n, b in zip(everybody, bodies, strict=True)])
+        on_air.append([reception_of_body(n, b) for n, b in zip(everybody, bodies, strict=True)])
         heard = on_air[tick - age] if tick >= age else []
         speeds = np.empty_like(here)
         for i, (agent, radio) in enumerate(zip(agents, radios, strict=True)):
@@ -145,8 +145,8 @@ def test_both_points_delayed_any_connected_graph_is_stable_up_to_the_sampled_bou
 
 @settings(max_examples=25)
 @given(sides=connected(), age=st.integers(0, 40), loss=st.sampled_from([0.0, 0.5, 0.9]), seed=st.integers(0, 99))
-def test_with_the_own_point_fresh_nobody_leaves_the_hull_and_all_meet(sides: Sides, age: int, loss: float, seed: int) -> None:
-    """For kappa T degree < 1 each moves to a weighted mean of known points, whatever the age and the losses."""
+def test_with_the_own_point_fresh_all_stay_in_the_hull_and_meet(sides: Sides, age: int, loss: float, seed: int) -> None:
+    """For kappa T degree < 1 each point moves to a weighted mean of received points, for any age and losses."""
     draw = np.random.default_rng(seed)
     gain = 0.9 / (0.1 * max(map(len, sides)))
     start = draw.uniform(-1.0, 1.0, (len(sides), 2))
@@ -160,7 +160,7 @@ def test_with_the_own_point_fresh_nobody_leaves_the_hull_and_all_meet(sides: Sid
 
 @pytest.mark.parametrize("own", ["fresh", "delayed"])
 @pytest.mark.parametrize("age", [0, 1, 3])
-def test_a_common_velocity_only_carries_everything_along(own: str, age: int) -> None:
+def test_a_common_velocity_only_moves_the_frame(own: str, age: int) -> None:
     sides = sides_of("path", 4)
     start = np.random.default_rng(2).uniform(-1.0, 1.0, (4, 2))
     still = drive(team(sides, own=own), start, 80, age)
@@ -170,7 +170,7 @@ def test_a_common_velocity_only_carries_everything_along(own: str, age: int) -> 
 
 
 @pytest.mark.parametrize("graph", ["complete", "ring", "path", "star"])
-def test_they_come_to_stand_in_formation(graph: Graph) -> None:
+def test_the_points_converge_to_the_formation(graph: Graph) -> None:
     """Wedge of five, facing north: 2 m apart, the second right-behind the first, i.e. to the south-east."""
     agents = team(sides_of(graph, 5), formation=Formation(shape="wedge", spacing=2.0), heading=math.pi / 2)
     way = drive(agents, np.random.default_rng(3).uniform(-5.0, 5.0, (5, 2)), 800, 1)
@@ -192,7 +192,7 @@ def test_a_change_of_shape_comes_for_all_at_its_time() -> None:
 
 @pytest.mark.parametrize("graph", ["complete", "ring", "path", "star"])
 def test_errors_are_measured_along_a_tree(graph: Graph) -> None:
-    """Each against an earlier neighbour: nobody in a ring of errors, one alone without."""
+    """Each against an earlier neighbour: no cycle of errors, and one member without error."""
     for member in range(6):
         agent = Consensus(graph=graph, formation=Formation(shape="column"), heading=1.0)
         agent.start(info(f"m{member}", names(6)))
@@ -205,7 +205,7 @@ def test_errors_are_measured_along_a_tree(graph: Graph) -> None:
             assert agent.follows.slot == pytest.approx((leader - member, 0.0))
 
 
-def test_on_wheels_errors_are_measured_where_all_head_the_same_way() -> None:
+def test_on_wheels_errors_are_measured_with_a_common_heading() -> None:
     column = Formation(shape="column")
     asked = {"formation": column, "graph": "path", "handle": 0.3, "heading": math.pi / 2}
     standing, moving = Consensus(**asked), Consensus(**asked, velocity=(0.2, 0.0))  # type: ignore[arg-type]
@@ -213,12 +213,12 @@ def test_on_wheels_errors_are_measured_where_all_head_the_same_way() -> None:
     moving.start(info("m1", names(2)))
     assert standing.follows is None
     assert moving.follows is not None
-    assert moving.follows.slot == pytest.approx((0.0, -1.0))  # south of the first, which heads east
+    assert moving.follows.slot == pytest.approx((0.0, -1.0))  # south of the first member, which heads east
     assert moving.follows.handle_m == 0.3
 
 
 @given(yaw=st.floats(-7, 7), x=st.floats(-3, 3), y=st.floats(-3, 3), handle=st.floats(0.05, 1.0))
-def test_on_wheels_the_hand_point_moves_as_the_protocol_says(yaw: float, x: float, y: float, handle: float) -> None:
+def test_on_wheels_the_hand_point_moves_by_the_protocol(yaw: float, x: float, y: float, handle: float) -> None:
     agent = alone(handle=handle, gain=0.7, velocity=(0.1, 0.2))
     command = agent.act(observe((0.5, -0.5, yaw), 0, [report("m1", 0, x, y)]), Radio("m0", ("m0", "m1")))
     hand_x, hand_y = hand_point(0.5, -0.5, yaw, handle)
@@ -228,7 +228,7 @@ def test_on_wheels_the_hand_point_moves_as_the_protocol_says(yaw: float, x: floa
 
 def test_in_the_air_they_turn_to_the_heading_of_the_formation() -> None:
     command = alone(heading=math.pi, gain=0.5).act(observe((0.0, 0.0, -3.0), 0), Radio("m0", ("m0", "m1")))
-    assert command.yaw_rate == pytest.approx(0.5 * (3.0 - math.pi))  # the short way round
+    assert command.yaw_rate == pytest.approx(0.5 * (3.0 - math.pi))  # the shorter way round
 
 
 @given(x=st.floats(-1e3, 1e3), y=st.floats(-1e3, 1e3))
@@ -242,7 +242,7 @@ def test_a_limit_of_speed_keeps_the_direction(x: float, y: float) -> None:
     assert np.array(limited.linear) * max(speed, 1.5) == pytest.approx(np.array(free.linear) * 1.5, abs=1e-6)
 
 
-def test_who_hears_nobody_moves_at_the_common_velocity() -> None:
+def test_without_reception_it_has_the_common_velocity() -> None:
     agent = alone(velocity=(0.2, 0.1))
     assert agent.act(observe((5.0, 5.0, 0.0), 0), Radio("m0", ("m0", "m1"))) == Velocity(linear=(0.2, 0.1, 0.0))
     assert agent.drain_notes() == {"heard": 0.0}
@@ -276,7 +276,7 @@ def test_the_newest_report_wins_over_late_ones_copies_and_nonsense(
     ticks: list[int], garbage: list[Any], data: st.DataObject
 ) -> None:
     good = [report("m1", tick, float(tick), extra=1) for tick in ticks]
-    bad = [said("m1", body) for body in garbage]
+    bad = [reception_of_body("m1", body) for body in garbage]
     stranger = [report("somebody", 20, 99.0), report("m0", 20, 99.0)]
     agent = alone()
     mixed = data.draw(st.permutations(good + bad + stranger))
@@ -284,10 +284,10 @@ def test_the_newest_report_wins_over_late_ones_copies_and_nonsense(
     assert command.linear == (float(max(ticks)), 0.0, 0.0)
     assert agent.drain_notes().pop("refused", 0) == sum(
         not isinstance(body, bytes) for body in garbage
-    )  # bytes are a program's
+    )  # bytes are messages of other programs
 
 
-def test_a_clock_that_is_ahead_within_its_bound_is_believed_and_counts_as_age_zero() -> None:
+def test_a_clock_ahead_within_its_bound_is_accepted_with_age_zero() -> None:
     early = report("m1", 1.05, 1.0)
     for bound_s, heard in ((0.0, 0.0), (0.005, 1.0)):
         agent = alone(clock_bound_s=bound_s)
@@ -296,8 +296,8 @@ def test_a_clock_that_is_ahead_within_its_bound_is_believed_and_counts_as_age_ze
 
 
 @given(tick=st.floats(0.0, 30.0))
-def test_the_delayed_own_point_is_found_between_ticks_too(tick: float) -> None:
-    """Who has moved straight at constant speed sees no error to a neighbour that has been beside it all along."""
+def test_the_delayed_own_point_is_interpolated_between_ticks(tick: float) -> None:
+    """Straight motion at constant speed beside the neighbour: no error."""
     agent, radio = alone(own="delayed", timeout_s=4.0), Radio("m0", ("m0", "m1"))
     for i in range(31):
         heard = [report("m1", tick, 0.02 * tick, 0.01 * tick)] if i == 30 else []
@@ -305,7 +305,7 @@ def test_the_delayed_own_point_is_found_between_ticks_too(tick: float) -> None:
     assert agent.drain_notes()["disagreement"] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_only_as_much_of_the_own_past_is_kept_as_a_report_may_be_old() -> None:
+def test_the_own_past_is_kept_for_the_maximum_age_of_reports() -> None:
     agent, radio = alone(own="delayed", timeout_s=1.0), Radio("m0", ("m0", "m1"))
     for i in range(100):
         agent.act(observe((0.0, 0.0, 0.0), i * T_NS), radio)

@@ -76,7 +76,7 @@ def test_on_a_circle_the_followers_settle_on_circles_of_their_own(delay_ticks: i
 
 
 @pytest.mark.parametrize(("distance", "bearing"), [(0.8, 90.0), (0.8, -90.0), (0.8, 180.0), (1.0, 150.0)])
-def test_with_a_handle_any_slot_can_be_kept(distance: float, bearing: float) -> None:
+def test_with_a_handle_every_slot_can_be_kept(distance: float, bearing: float) -> None:
     """Abreast and ahead of the leader too: |z| -> 0 on the circle."""
     run = drive(Trajectory("circle"), [LeaderFollower("leader", distance, bearing, handle=0.4)], duration_s=60)
     assert run.error[-1, 0] < 1e-6
@@ -84,7 +84,7 @@ def test_with_a_handle_any_slot_can_be_kept(distance: float, bearing: float) -> 
 
 @pytest.mark.parametrize("delay_ticks", [0, 1, 5])
 def test_a_chain_of_followers_that_report_measured_speeds_settles_on_a_circle(delay_ticks: int) -> None:
-    """A column of four, each behind the one before it and told by it alone."""
+    """A column of four; each member receives reports of its predecessor only."""
     column = [LeaderFollower(parent, 0.8, handle=0.5, broadcast=True) for parent in ("leader", "f0", "f1")]
     starts = [(-0.8, 0.1, 0.0), (-1.6, -0.1, 0.2), (-2.4, 0.0, -0.2)]
     run = drive(Trajectory("circle"), column, poses=starts, duration_s=90, delay_ticks=delay_ticks)

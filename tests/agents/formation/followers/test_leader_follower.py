@@ -1,12 +1,12 @@
-"""A follower in a team: whom it follows, where, what it passes on, and what it does when those before it die."""
+"""A follower in a team: its parent, its slot, what it relays, and loss of its predecessors."""
 
 import math
 from typing import Any
 
 import pytest
 
-from tests.support.agents.agent_loop import received
-from tests.support.agents.formation_member import COLUMN, TICK_NS, Seat, member, says
+from tests.support.agents.agent_loop import reception_of
+from tests.support.agents.formation_member import COLUMN, TICK_NS, MemberRunner, member, report_of
 from vcmvsp.agents.formation.followers.leader_follower import Feed, LeaderFollower
 from vcmvsp.agents.formation.reports.report import heartbeat_for
 from vcmvsp.agents.formation.reports.sending import Sending
@@ -14,10 +14,10 @@ from vcmvsp.cosim.config.binding import call
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Message, Reception
 
-# --- its place ---
+# --- its slot ---
 
 
-def test_the_team_says_whom_to_follow_and_where() -> None:
+def test_the_team_sets_parent_and_slot() -> None:
     follower = member("car3")
     assert follower.follows is not None
     assert follower.follows.leader == "car2"
@@ -26,7 +26,7 @@ def test_the_team_says_whom_to_follow_and_where() -> None:
     assert member("car3", handle=0.6).place.handle == 0.6
 
 
-def test_a_slot_takes_the_place_of_distance_and_bearing() -> None:
+def test_a_slot_replaces_distance_and_bearing() -> None:
     by_slot = LeaderFollower("car1", slot=(-math.cos(math.pi / 6), -0.5))
     by_bearing = LeaderFollower("car1", 1.0, 30.0)
     assert by_slot.place == pytest.approx(by_bearing.place)
@@ -36,12 +36,12 @@ def test_a_slot_takes_the_place_of_distance_and_bearing() -> None:
 
 
 def test_parent_and_shape_are_noted_when_they_change() -> None:
-    seat = Seat("car3")
+    seat = MemberRunner("car3")
     _, notes, _ = seat.act()
     assert notes == {"status": "waiting", "parent": "car2", "shape": "column"}
-    _, notes, _ = seat.act(says("car2", 0))
+    _, notes, _ = seat.act(report_of("car2", 0))
     assert set(notes) == {"status", "age_s", "z1", "z2"}
-    _, notes, _ = seat.act(says("car1", 1, shape="line", sn=1, order=[0, 3, 2, 1]))
+    _, notes, _ = seat.act(report_of("car1", 1, shape="line", sn=1, order=[0, 3, 2, 1]))
     assert notes["shape"] == "line"
     assert notes["parent"] == "car4"
     assert seat.follower.follows is not None
@@ -50,13 +50,13 @@ def test_parent_and_shape_are_noted_when_they_change() -> None:
 
 
 def test_a_new_shape_is_passed_on() -> None:
-    seat = Seat("car3")
-    *_, sent = seat.act(says("car2", 0))
+    seat = MemberRunner("car3")
+    *_, sent = seat.act(report_of("car2", 0))
     assert not {"shape", "sn", "order"} & set(sent[0].body)
-    *_, sent = seat.act(says("car2", 1, shape="line", sn=4))
+    *_, sent = seat.act(report_of("car2", 1, shape="line", sn=4))
     assert isinstance(sent[0].body, dict)
     assert (sent[0].body["shape"], sent[0].body["sn"]) == ("line", 4)
-    *_, sent = seat.act(says("car2", 2))
+    *_, sent = seat.act(report_of("car2", 2))
     assert isinstance(sent[0].body, dict)
     assert (sent[0].body["shape"], sent[0].body["sn"]) == ("line", 4)
 
@@ -65,69 +65,69 @@ def test_a_new_shape_is_passed_on() -> None:
     ("name", "formation", "params", "reports"),
     [
         ("car3", COLUMN, {}, True),
-        ("car4", COLUMN, {}, False),  # nobody follows the last
+        ("car4", COLUMN, {}, False),  # the last member has no followers
         ("car4", COLUMN, {"heartbeat_s": 1.0}, True),  # it may have to lead
-        ("car4", {**COLUMN, "changes": ((9.0, "line"),)}, {}, True),  # who deals out places wants to know where it is
+        ("car4", {**COLUMN, "changes": ((9.0, "line"),)}, {}, True),  # the leader needs its position to assign slots
         ("car2", {"topology": "star"}, {}, False),
         ("car2", {"topology": "star"}, {"broadcast": True}, True),
         ("car3", COLUMN, {"broadcast": False}, False),
     ],
 )
-def test_those_report_who_must(name: str, formation: dict[str, Any], params: dict[str, Any], reports: bool) -> None:
-    *_, sent = Seat(name, formation, **params).act()
+def test_only_needed_reports_are_sent(name: str, formation: dict[str, Any], params: dict[str, Any], reports: bool) -> None:
+    *_, sent = MemberRunner(name, formation, **params).act()
     assert bool(sent) == reports
 
 
-def test_answers_to_own_reports_are_not_counted_as_nonsense() -> None:
-    seat = Seat("car2")
-    _, notes, _ = seat.act(received(Message(sender="car3", body={"ack": 3}, size_bytes=9, to="car2")))
+def test_answers_to_own_reports_are_not_counted_as_refused() -> None:
+    seat = MemberRunner("car2")
+    _, notes, _ = seat.act(reception_of(Message(sender="car3", body={"ack": 3}, size_bytes=9, to="car2")))
     assert "refused" not in notes
 
 
-def test_a_report_that_asks_for_an_answer_gets_one_from_those_who_follow() -> None:
-    asked = Seat("car3")
-    *_, sent = asked.act(says("car2", 0, ak=1))
+def test_followers_answer_a_report_that_requests_it() -> None:
+    asked = MemberRunner("car3")
+    *_, sent = asked.act(report_of("car2", 0, ak=1))
     assert [(each.body, each.to) for each in sent if each.to] == [({"ack": 0}, "car2")]
     assert not any(each.to for each in asked.act()[2])
-    *_, sent = Seat("car4").act(says("car2", 0, ak=1))
+    *_, sent = MemberRunner("car4").act(report_of("car2", 0, ak=1))
     assert not any(each.to for each in sent)
 
 
 def test_a_follower_sends_when_needed_too() -> None:
-    seat = Seat("car3", sending=Sending(when="needed", acknowledge=False, silence_s=1.0))
-    sent = [len(seat.act(says("car2", max(0, tick - 1)), v=0.0)[2]) for tick in range(30)]
-    assert sum(sent) == 3  # it stands where it said it stands
+    seat = MemberRunner("car3", sending=Sending(when="needed", acknowledge=False, silence_s=1.0))
+    sent = [len(seat.act(report_of("car2", max(0, tick - 1)), v=0.0)[2]) for tick in range(30)]
+    assert sum(sent) == 3  # at rest at the position reported
 
 
-# --- loss of those before it ---
+# --- loss of predecessors ---
 
 
-def run_silent(seat: Seat, last_heard: dict[str, int], ticks: int) -> list[dict[str, Any]]:
-    """Notes of a member that hears each of the others up to a tick, one tick after it was sent."""
+def notes_with_losses(seat: MemberRunner, last_heard: dict[str, int], ticks: int) -> list[dict[str, Any]]:
+    """Notes of a member that receives each of the others' reports up to a tick, one tick after they were sent."""
     notes = []
     for tick in range(ticks):
-        heard = [says(name, tick - 1) for name, last in last_heard.items() if 0 < tick <= last]
+        heard = [report_of(name, tick - 1) for name, last in last_heard.items() if 0 < tick <= last]
         notes.append(seat.act(*heard)[1])
     return notes
 
 
-def test_step_by_step_up_to_the_leader_and_back_when_they_are_heard_again() -> None:
-    seat = Seat("car4", heartbeat_s=0.5)
-    notes = run_silent(seat, {"car1": 99, "car2": 20, "car3": 10}, 30)
+def test_a_member_follows_the_nearest_living_ancestor() -> None:
+    seat = MemberRunner("car4", heartbeat_s=0.5)
+    notes = notes_with_losses(seat, {"car1": 99, "car2": 20, "car3": 10}, 30)
     assert {tick: note["parent"] for tick, note in enumerate(notes) if "parent" in note} == {0: "car3", 15: "car2", 25: "car1"}
     assert {note["status"] for note in notes[1:]} == {"following"}
     assert seat.follower.follows is not None
     assert seat.follower.follows.slot == pytest.approx((-2.4, 0.0))
-    assert seat.act(says("car2", 29))[1]["parent"] == "car2"
-    assert seat.act(says("car3", 30))[1]["parent"] == "car3"
+    assert seat.act(report_of("car2", 29))[1]["parent"] == "car2"
+    assert seat.act(report_of("car3", 30))[1]["parent"] == "car3"
 
 
-def test_the_lowest_living_member_leads_and_comes_to_a_stop() -> None:
-    seat = Seat("car2", heartbeat_s=1.0, fade_s=1.0)
+def test_the_lowest_living_member_leads_and_stops() -> None:
+    seat = MemberRunner("car2", heartbeat_s=1.0, fade_s=1.0)
     notes, commands = [], []
     for tick in range(60):
         command, note, _ = seat.act(
-            *([says("car1", tick - 1)] if 0 < tick <= 30 else []), says("car3", tick), x=0.03 * tick - 0.8
+            *([report_of("car1", tick - 1)] if 0 < tick <= 30 else []), report_of("car3", tick), x=0.03 * tick - 0.8
         )
         notes.append(note)
         commands.append(command.linear[0])
@@ -138,29 +138,30 @@ def test_the_lowest_living_member_leads_and_comes_to_a_stop() -> None:
     assert last > 0.2
     assert commands[40:50] == pytest.approx([last * (1 - 0.1 * k) for k in range(10)])
     assert commands[50:] == [0.0] * 10
-    assert seat.act(says("car1", 59))[1]["parent"] == "car1"
+    assert seat.act(report_of("car1", 59))[1]["parent"] == "car1"
 
 
-def test_one_who_has_slowed_down_for_a_lost_leader_does_not_start_again_to_lead() -> None:
-    seat = Seat("car2", heartbeat_s=5.0, timeout_s=3.0)
+def test_a_member_stopped_for_a_lost_leader_does_not_start_again_to_lead() -> None:
+    seat = MemberRunner("car2", heartbeat_s=5.0, timeout_s=3.0)
     commands = [
-        seat.act(*([says("car1", tick - 1)] if 0 < tick <= 10 else []), x=0.03 * tick - 0.8)[0].linear[0] for tick in range(80)
+        seat.act(*([report_of("car1", tick - 1)] if 0 < tick <= 10 else []), x=0.03 * tick - 0.8)[0].linear[0]
+        for tick in range(80)
     ]
     assert commands[60:] == [0.0] * 20
 
 
-def test_in_a_star_the_others_gather_round_the_lowest_living() -> None:
+def test_in_a_star_the_others_follow_the_lowest_living_member() -> None:
     star = {"shape": "wedge", "topology": "star", "spacing": 1.0}
-    seat = Seat("car4", star, heartbeat_s=1.0)
-    notes = run_silent(seat, {"car1": 20, "car3": 99}, 40)
+    seat = MemberRunner("car4", star, heartbeat_s=1.0)
+    notes = notes_with_losses(seat, {"car1": 20, "car3": 99}, 40)
     assert {tick: note["parent"] for tick, note in enumerate(notes) if "parent" in note} == {0: "car1", 30: "car3"}
     assert seat.follower.follows is not None
     half_way = math.sqrt(0.75)
-    assert seat.follower.follows.slot == pytest.approx((-half_way, -1.5))  # of car4's (-2 h, -1) from car3's (-h, 0.5)
+    assert seat.follower.follows.slot == pytest.approx((-half_way, -1.5))  # car4 (-2 h, -1) minus car3 (-h, 0.5)
 
 
-def test_without_a_heartbeat_nobody_is_left() -> None:
-    notes = run_silent(Seat("car4"), {"car1": 99, "car2": 99, "car3": 10}, 60)
+def test_without_heartbeat_the_parent_stays() -> None:
+    notes = notes_with_losses(MemberRunner("car4"), {"car1": 99, "car2": 99, "car3": 10}, 60)
     assert [tick for tick, note in enumerate(notes) if "parent" in note] == [0]
     assert notes[-1]["status"] == "leader lost"
 
@@ -175,21 +176,21 @@ def test_the_heartbeat_for_a_loss(loss: float, false_alarms_per_s: float, expect
 
 
 @pytest.mark.parametrize(("loss", "period_s", "rate"), [(1.0, 0.1, 1.0), (-0.1, 0.1, 1.0), (0.5, 0.0, 1.0), (0.5, 0.1, 0.0)])
-def test_a_heartbeat_cannot_be_told_from_nothing(loss: float, period_s: float, rate: float) -> None:
+def test_a_heartbeat_needs_valid_loss_period_and_rate(loss: float, period_s: float, rate: float) -> None:
     with pytest.raises(ValueError, match="must be"):
         heartbeat_for(loss, period_s, rate)
 
 
-# --- what does not fit ---
+# --- refusals ---
 
 
-def test_the_first_member_must_be_one_that_leads() -> None:
+def test_the_first_member_must_have_a_leader_agent() -> None:
     with pytest.raises(ValueError, match=r"car1 is the first member of the formation and leads it: give it"):
         member("car1")
 
 
 @pytest.mark.parametrize(
-    ("table", "says"),
+    ("table", "error"),
     [
         ({}, r"^agent.leader: is missing"),
         ({"leader": "car1", "formation": {}}, r"^agent: .* and formation both define the leader of this vehicle; leave one"),
@@ -209,79 +210,79 @@ def test_the_first_member_must_be_one_that_leads() -> None:
         ({"formation": {}, "feed": "father"}, r"^agent.feed: must be one of 'parent', 'leader', 'none'"),
     ],
 )
-def test_wrong_values_of_a_scenario_are_named(table: dict[str, Any], says: str) -> None:
-    with pytest.raises(ScenarioError, match=says):
+def test_wrong_values_of_a_scenario_are_named(table: dict[str, Any], error: str) -> None:
+    with pytest.raises(ScenarioError, match=error):
         call(LeaderFollower, table, key="agent")
 
 
-# --- whose speed, and whose acceleration, a follower feeds forward, and what it passes on for that ---
+# --- feed-forward of speed and acceleration, and the fields relayed for it ---
 
 
 def speed(feed: Feed, *heard: Reception, **params: Any) -> float:
-    """Commanded on a straight line, with no error of the place: what is fed forward alone."""
-    seat = Seat("car3", feed=feed, handle=0.8, max_speed=9.0, **params)
+    """Commanded speed on a straight line without error of the place: the feed-forward alone."""
+    seat = MemberRunner("car3", feed=feed, handle=0.8, max_speed=9.0, **params)
     for _ in range(2):
         seat.act()
     command, _, _ = seat.act(*heard, x=0.03 * 2 - 0.8)
     return command.linear[0]
 
 
-def test_the_parent_the_leader_or_nobody_feeds_its_speed_forward() -> None:
-    parent, leader = says("car2", 2, v=0.5), says("car1", 2, v=0.2)
+def test_the_speed_of_the_parent_the_leader_or_none_is_fed_forward() -> None:
+    parent, leader = report_of("car2", 2, v=0.5), report_of("car1", 2, v=0.2)
     assert speed("parent", parent, leader) == pytest.approx(0.5)
     assert speed("leader", parent, leader) == pytest.approx(0.2)
     assert speed("none", parent, leader) == pytest.approx(0.0)
 
 
 def test_the_speed_of_the_leader_may_be_relayed() -> None:
-    relayed = says("car2", 2, v=0.5, lead=[1 * TICK_NS, 0.0, 0.0, 0.0, 0.25, 0.0])
+    relayed = report_of("car2", 2, v=0.5, lead=[1 * TICK_NS, 0.0, 0.0, 0.0, 0.25, 0.0])
     assert speed("leader", relayed) == pytest.approx(0.25)
-    assert speed("leader", relayed, says("car1", 2, v=0.2)) == pytest.approx(0.2)  # heard itself, and newer
-    assert speed("leader", relayed, says("car1", 0, v=0.2)) == pytest.approx(0.25)  # heard itself, but older
-    assert speed("leader", says("car2", 2, v=0.5)) == pytest.approx(0.5)  # nothing known of it: the parent's
+    assert speed("leader", relayed, report_of("car1", 2, v=0.2)) == pytest.approx(0.2)  # own reception, newer
+    assert speed("leader", relayed, report_of("car1", 0, v=0.2)) == pytest.approx(0.25)  # own reception, older
+    assert speed("leader", report_of("car2", 2, v=0.5)) == pytest.approx(0.5)  # leader unknown: speed of the parent
 
 
 @pytest.mark.parametrize(
     "lead", [[], [0], None, "lead", [9 * TICK_NS, 0, 0, 0, 0.9, 0], [0, 0, 0, 0, math.nan, 0], [0.5, 0, 0, 0, 0.9, 0]]
 )
-def test_nonsense_about_the_leader_is_not_believed(lead: Any) -> None:
-    assert speed("leader", says("car2", 2, v=0.5, lead=lead)) == pytest.approx(0.5)
+def test_malformed_relays_of_the_leader_are_ignored(lead: Any) -> None:
+    assert speed("leader", report_of("car2", 2, v=0.5, lead=lead)) == pytest.approx(0.5)
 
 
-def test_a_leader_that_is_lost_feeds_nothing_forward() -> None:
-    seat = Seat("car3", feed="leader", handle=0.8, estimator="hold", timeout_s=1.0)
-    seat.act(says("car1", 0, v=0.9))
+def test_the_speed_of_a_lost_leader_is_not_fed_forward() -> None:
+    seat = MemberRunner("car3", feed="leader", handle=0.8, estimator="hold", timeout_s=1.0)
+    seat.act(report_of("car1", 0, v=0.9))
     for tick in range(1, 30):
-        command, _, _ = seat.act(says("car2", tick, v=0.0), x=0.03 * tick - 0.8)
+        command, _, _ = seat.act(report_of("car2", tick, v=0.0), x=0.03 * tick - 0.8)
         assert command.linear[0] == pytest.approx(0.9 if tick < 10 else 0.0)
 
 
-def test_those_who_need_the_leader_pass_on_what_they_know_of_it() -> None:
-    seat = Seat("car3", feed="leader")
+def test_followers_that_feed_the_leader_forward_relay_it() -> None:
+    seat = MemberRunner("car3", feed="leader")
     *_, sent = seat.act()
     assert "lead" not in sent[0].body
-    *_, sent = seat.act(says("car2", 0, lead=[0, 1.0, 2.0, 0.5, 0.25, 0.1]))
+    *_, sent = seat.act(report_of("car2", 0, lead=[0, 1.0, 2.0, 0.5, 0.25, 0.1]))
     assert isinstance(sent[0].body, dict)
     assert sent[0].body["lead"] == [0, 1.0, 2.0, 0.5, 0.25, 0.1]
 
 
-def test_outside_a_team_a_parent_that_relays_nobody_is_the_leader() -> None:
-    seat = Seat("car2")
+def test_outside_a_team_a_parent_without_relay_is_the_leader() -> None:
+    seat = MemberRunner("car2")
     seat.follower = LeaderFollower("car1", 0.8, feed="leader", broadcast=True)
-    *_, sent = seat.act(says("car1", 0, v=0.2))
+    *_, sent = seat.act(report_of("car1", 0, v=0.2))
     assert isinstance(sent[0].body, dict)
     assert sent[0].body["lead"] == [0, 0.0, 0.0, 0.0, 0.2, 0.0]
 
 
-def test_the_acceleration_of_the_parent_makes_up_for_the_own_lag() -> None:
-    report = says("car2", 2, v=0.5, a=0.4)
+def test_the_acceleration_of_the_parent_compensates_the_own_lag() -> None:
+    report = report_of("car2", 2, v=0.5, a=0.4)
     assert speed("parent", report, feed_forward_s=0.5) == pytest.approx(0.7)
     assert speed("parent", report) == pytest.approx(0.5)
-    assert speed("parent", says("car2", 2, v=0.5, a=math.nan), feed_forward_s=0.5) == pytest.approx(0.5)
+    assert speed("parent", report_of("car2", 2, v=0.5, a=math.nan), feed_forward_s=0.5) == pytest.approx(0.5)
 
 
-def test_who_needs_accelerations_also_tells_its_own() -> None:
-    seat = Seat("car3", feed_forward_s=0.5)
+def test_users_of_accelerations_report_their_own() -> None:
+    seat = MemberRunner("car3", feed_forward_s=0.5)
     assert [seat.act(v=v)[2][0].body["a"] for v in (0.1, 0.1, 0.15, 0.1)] == pytest.approx([0.0, 0.0, 0.5, -0.5])  # type: ignore[call-overload]
-    *_, sent = Seat("car3").act()
+    *_, sent = MemberRunner("car3").act()
     assert "a" not in sent[0].body

@@ -1,4 +1,4 @@
-"""A leader along a way: every point is reached, never faster than allowed, never far from the line."""
+"""A leader along a way: it reaches every point, within the speed limits and close to the line."""
 
 import math
 from collections.abc import Sequence
@@ -19,11 +19,11 @@ T = 0.1
 
 @dataclass
 class Tour:
-    """What happened, at every tick before its command."""
+    """Records of every tick, before its command."""
 
     poses: Floats  # (ticks, 3)
     commands: Floats  # (ticks, 2), v and w
-    points: list[int]  # the next one
+    points: list[int]  # number of the next point
     reports: list[dict[str, Any]]
     notes: list[dict[str, Any]]
 
@@ -48,8 +48,8 @@ def tour(agent: Route, duration_s: float, pose: Pose = (0.0, 0.0, 0.0), tau: tup
     return done
 
 
-def from_the_way(done: Tour, way: Sequence[Point]) -> Floats:
-    """How far the vehicle is from its present line, m, at every tick until it has arrived."""
+def distances_to_line(done: Tour, way: Sequence[Point]) -> Floats:
+    """Distance of the vehicle from its present line, m, at every tick until arrival."""
     corners = np.array([done.poses[0, :2], *way])
     apart = []
     for place, point in zip(done.poses[:, :2], done.points, strict=True):
@@ -77,7 +77,7 @@ def test_all_points_are_reached_within_the_limits(
 ) -> None:
     agent = Route(tuple(way), speed=speed, yaw_rate=1.0, arrive_m=arrive_m, lookahead_m=lookahead_m)
     length = sum(math.dist(a, b) for a, b in zip([(0.0, 0.0), *way], way, strict=False))
-    # Twice as long as at full speed, half a turn at each point, and the end: slower and slower down to its tolerance.
+    # Twice the time at full speed, half a turn at each point, and the end: ever slower down to its tolerance.
     done = tour(agent, 2.0 * length / speed + 5.0 * (len(way) + 1) + 5.0 * math.log(10.0 / arrive_m), (0.0, 0.0, yaw))
     for number, point in enumerate(way):
         nearest = min(math.dist(place, point) for place in done.poses[:, :2])
@@ -90,10 +90,10 @@ def test_all_points_are_reached_within_the_limits(
     assert v.min() >= 0.0
     assert v.max() <= speed
     assert np.abs(w).max() <= 1.0
-    # A line is begun from within arrive_m of its start. From a heading error th0 <= 0.8 rad pure pursuit, linearised, goes
-    # aside by y = th0 l e^(-s/l) sin(s/l) after s metres, most at s = l pi / 4; one period's way is the sampling's share.
+    # A line begins within arrive_m of its start. From a heading error th0 <= 0.8 rad the lateral offset of linearised pure
+    # pursuit is y = th0 l e^(-s/l) sin(s/l) after s metres, greatest at s = l pi / 4; sampling adds the way of one period.
     aside = 0.8 * lookahead_m * math.exp(-math.pi / 4) * math.sin(math.pi / 4)
-    assert from_the_way(done, way).max(initial=0.0) <= arrive_m + aside + speed * T
+    assert distances_to_line(done, way).max(initial=0.0) <= arrive_m + aside + speed * T
 
 
 def test_on_a_straight_line_it_drives_at_its_speed_and_slows_down_evenly_at_the_end() -> None:
@@ -107,8 +107,8 @@ def test_on_a_straight_line_it_drives_at_its_speed_and_slows_down_evenly_at_the_
     assert 4.98 <= x[-1] <= 5.0
 
 
-def test_beside_the_line_it_comes_back_to_it() -> None:
-    """From a corner cut by less than arrive_m, and with a servo that lags."""
+def test_it_returns_to_the_line() -> None:
+    """After a corner cut by less than arrive_m, with a servo lag."""
     done = tour(Route(((3.0, 0.0), (3.0, 6.0)), arrive_m=0.25), 45.0, tau=(0.5, 0.3))
     on_second = np.array([n == 1 for n in done.points])
     apart = np.abs(done.poses[on_second, 0] - 3.0)
@@ -116,7 +116,7 @@ def test_beside_the_line_it_comes_back_to_it() -> None:
     assert apart[-50:].max() < 0.01
 
 
-def test_a_point_behind_is_turned_to_on_the_spot() -> None:
+def test_it_turns_on_the_spot_to_a_point_behind() -> None:
     done = tour(Route(((-2.0, 0.1),)), 15.0)
     turning = done.commands[:, 0] == 0.0
     first = int(np.argmin(turning))
@@ -140,7 +140,7 @@ def test_points_on_one_spot_do_not_hang() -> None:
     assert np.hypot(*(done.poses[-1, :2] - (1.0, 0.0))) < 0.2
 
 
-def test_where_it_is_on_its_way_is_noted() -> None:
+def test_its_next_point_is_noted() -> None:
     notes = tour(Route(((0.5, 0.0), (1.0, 0.0))), 8.0).notes
     assert notes[0] == {"point": 0.0}
     assert [note["point"] for note in notes if "point" in note] == [0.0, 1.0, 2.0]
@@ -152,8 +152,8 @@ def test_where_it_is_on_its_way_is_noted() -> None:
 
 @given(way=st.lists(POINTS, min_size=1, max_size=3), yaw=st.floats(-3, 3))
 @settings(max_examples=15)
-def test_what_it_plans_it_does(way: list[Point], yaw: float) -> None:
-    """It knows its own controller: without noise and lag the plan of a report is what is commanded afterwards."""
+def test_plans_are_carried_out(way: list[Point], yaw: float) -> None:
+    """Without noise and lag the plan of a report equals the later commands."""
     assume(math.dist(way[0], (0.0, 0.0)) > 0.2)
     done = tour(Route(tuple(way), estimator="plan"), 12.0, (0.0, 0.0, yaw))
     for tick in range(0, len(done.reports) - 21, 7):
@@ -161,6 +161,6 @@ def test_what_it_plans_it_does(way: list[Point], yaw: float) -> None:
         np.testing.assert_allclose(plan, done.commands[tick + 1 : tick + 21], atol=1e-9)
 
 
-def test_a_way_has_a_point() -> None:
+def test_an_empty_way_is_refused() -> None:
     with pytest.raises(ValueError, match="way needs at least one point"):
         Route(())

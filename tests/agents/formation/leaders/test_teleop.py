@@ -1,4 +1,4 @@
-"""A leader driven by hand: keys through a pseudo-terminal, a joystick's events through a pipe, a table."""
+"""A leader driven by hand: keys through a pseudo-terminal, joystick events through a pipe, a table."""
 
 import contextlib
 import os
@@ -20,7 +20,7 @@ from vcmvsp.cosim.agent import Radio
 pytestmark = pytest.mark.processes
 
 INFO = info("car1", ("car1", "car2"))
-FAST: dict[str, Any] = {"acceleration": 1e3, "yaw_acceleration": 1e3, "max_reverse": 1.0}  # no ramp to be seen
+FAST: dict[str, Any] = {"acceleration": 1e3, "yaw_acceleration": 1e3, "max_reverse": 1.0}  # no visible ramp
 UP, DOWN, RIGHT, LEFT = b"\x1b[A", b"\x1b[B", b"\x1b[C", b"\x1b[D"
 
 
@@ -41,7 +41,7 @@ class Hand:
 
 @pytest.fixture
 def terminal() -> Iterator[tuple[int, str]]:
-    """The end of a pseudo-terminal that a person types into, and the path of the other one."""
+    """The user's end of a pseudo-terminal, and the path of the other end."""
     person, other = os.openpty()
     yield person, os.ttyname(other)
     for end in (person, other):
@@ -70,11 +70,11 @@ def test_each_press_is_a_quarter_of_the_limit_and_space_stops(terminal: tuple[in
     hand = Hand(Teleop(path, speed=0.8, yaw_rate=2.0, **FAST))
     os.write(person, keys)
     assert hand() == pytest.approx((0.8 * v / 4, 2.0 * w / 4))
-    assert hand() == pytest.approx((0.8 * v / 4, 2.0 * w / 4))  # it stays
+    assert hand() == pytest.approx((0.8 * v / 4, 2.0 * w / 4))  # the speed stays
     hand.agent.close()
 
 
-def test_an_arrow_whose_bytes_come_one_by_one_is_one_press(terminal: tuple[int, str]) -> None:
+def test_an_arrow_in_single_bytes_is_one_press(terminal: tuple[int, str]) -> None:
     person, path = terminal
     hand = Hand(Teleop(path, speed=0.8, **FAST))
     speeds = []
@@ -86,19 +86,19 @@ def test_an_arrow_whose_bytes_come_one_by_one_is_one_press(terminal: tuple[int, 
     hand.agent.close()
 
 
-def test_the_terminal_is_set_back(terminal: tuple[int, str]) -> None:
+def test_the_terminal_is_restored(terminal: tuple[int, str]) -> None:
     person, path = terminal
     before = termios.tcgetattr(person)
     hand = Hand(Teleop(path))
     during = termios.tcgetattr(person)
-    assert not during[3] & (termios.ICANON | termios.ECHO)  # keys come at once and unseen
-    assert during[3] & termios.ISIG  # and Ctrl-C still ends the run
+    assert not during[3] & (termios.ICANON | termios.ECHO)  # keys arrive at once and without echo
+    assert during[3] & termios.ISIG  # Ctrl-C still ends the run
     hand.agent.close()
     hand.agent.close()
     assert termios.tcgetattr(person) == before
 
 
-def test_the_terminal_is_set_back_when_the_process_fails(terminal: tuple[int, str]) -> None:
+def test_the_terminal_is_restored_when_the_process_fails(terminal: tuple[int, str]) -> None:
     person, path = terminal
     before = termios.tcgetattr(person)
     code = (
@@ -115,7 +115,7 @@ def test_the_terminal_is_set_back_when_the_process_fails(terminal: tuple[int, st
 
 
 def test_without_a_terminal_the_keyboard_is_refused() -> None:
-    """In a session of its own a process has none."""
+    """A process in a session of its own has no terminal."""
     code = (
         "from vcmvsp.agents.formation.leaders.teleop import Teleop; from vcmvsp.cosim.agent import VehicleInfo\n"
         "Teleop().start(VehicleInfo(name='a', vehicles=('a',), period_s=0.1, latency_s=0.0, seed=1))"
@@ -130,7 +130,7 @@ def event(kind: int, number: int, value: int) -> bytes:
 
 @pytest.fixture
 def pipe(tmp_path: Path) -> Iterator[tuple[int, str]]:
-    """The end of a pipe where a joystick would be, and its path."""
+    """The write end of a pipe that replaces a joystick, and its path."""
     path = tmp_path / "js0"
     os.mkfifo(path)
     writer = os.open(path, os.O_RDWR)
@@ -148,8 +148,8 @@ def pipe(tmp_path: Path) -> Iterator[tuple[int, str]]:
         (event(2, 0, 32767), 0.0, -2.0),
         (event(2, 1, -32768), 0.8, 0.0),
         (event(2, 1, 3276) + event(2, 0, -3276), 0.0, 0.0),  # inside the dead band
-        (event(2, 1, -round(0.55 * 32767)), 0.4, 0.0),  # half of what is left of it
-        (event(2, 1, -32767) + event(2, 1, 0), 0.0, 0.0),  # the last one counts
+        (event(2, 1, -round(0.55 * 32767)), 0.4, 0.0),  # half of the range beyond the dead band
+        (event(2, 1, -32767) + event(2, 1, 0), 0.0, 0.0),  # the last event counts
         (event(1, 1, 1) + event(2, 5, -32767), 0.0, 0.0),  # a button, another axis
     ],
 )
@@ -161,7 +161,7 @@ def test_a_joysticks_axes_are_shares_of_the_limits(pipe: tuple[int, str], events
     hand.agent.close()
 
 
-def test_events_may_come_in_pieces_and_axes_may_be_others(pipe: tuple[int, str]) -> None:
+def test_events_may_arrive_in_pieces_and_axes_can_be_chosen(pipe: tuple[int, str]) -> None:
     writer, path = pipe
     hand = Hand(Teleop(path, speed=0.8, axes=(4, 3), **FAST))
     both = event(2, 4, -32767) + event(2, 3, -32767)
@@ -172,7 +172,7 @@ def test_events_may_come_in_pieces_and_axes_may_be_others(pipe: tuple[int, str])
     assert speeds == [(0.0, 0.0), (0.8, 0.0), (0.8, 0.5)]
 
 
-def test_a_joystick_that_is_taken_away_stops_the_vehicle_by_its_ramp(pipe: tuple[int, str]) -> None:
+def test_without_its_joystick_the_vehicle_stops_by_its_ramp(pipe: tuple[int, str]) -> None:
     writer, path = pipe
     hand = Hand(Teleop(path, speed=0.8, acceleration=2.0, yaw_acceleration=10.0))
     os.write(writer, event(2, 1, -32767) + event(2, 0, -32767))
@@ -186,13 +186,13 @@ def test_a_joystick_that_is_taken_away_stops_the_vehicle_by_its_ramp(pipe: tuple
 
 
 def test_a_silent_device_never_blocks_a_tick(pipe: tuple[int, str]) -> None:
-    """With nothing to read, a hundred ticks pass; a read that waited would never return."""
+    """A hundred ticks without input; a blocking read would never return."""
     _, path = pipe
     hand = Hand(Teleop(path))
     assert {hand() for _ in range(100)} == {(0.0, 0.0)}
 
 
-def test_a_table_drives_as_it_says_and_what_was_asked_for_is_such_a_table(tmp_path: Path) -> None:
+def test_a_table_is_followed_and_the_noted_requests_form_an_equal_table(tmp_path: Path) -> None:
     first = tmp_path / "commands.csv"
     first.write_text("t_s,v,w\n0.2,0.25,0.1\n\n0.45,0.4,-9\n0.6,-1,0\n")
     hand, driven, asked = Hand(Teleop(str(first), speed=0.3, yaw_rate=0.5)), [], ["t_s,v,w"]
@@ -211,7 +211,7 @@ def test_a_table_drives_as_it_says_and_what_was_asked_for_is_such_a_table(tmp_pa
     assert [hand() for _ in range(12)] == driven  # to the last bit
 
 
-def test_what_it_drives_is_what_it_reports(tmp_path: Path) -> None:
+def test_reports_contain_the_commands(tmp_path: Path) -> None:
     table = tmp_path / "commands.csv"
     table.write_text("0,0.3,0.2\n")
     hand = Hand(Teleop(str(table)))
@@ -231,7 +231,7 @@ def test_what_it_drives_is_what_it_reports(tmp_path: Path) -> None:
         ("1,0,0\n0.5,0,0\n", "row 2: .* with increasing times"),
     ],
 )
-def test_a_table_that_makes_no_sense_is_refused_by_its_row(tmp_path: Path, rows: str, says: str) -> None:
+def test_a_malformed_table_is_refused_with_its_row(tmp_path: Path, rows: str, says: str) -> None:
     table = tmp_path / "commands.csv"
     table.write_text(rows)
     with pytest.raises(ValueError, match=says):
@@ -247,11 +247,11 @@ def test_a_table_that_makes_no_sense_is_refused_by_its_row(tmp_path: Path, rows:
         (__file__, "is neither a device nor a table"),
     ],
 )
-def test_a_device_that_is_none_is_refused(name: str, says: str) -> None:
+def test_an_invalid_device_is_refused(name: str, says: str) -> None:
     with pytest.raises(ValueError, match=says):
         Teleop(name).start(INFO)
 
 
-def test_a_dead_band_leaves_something() -> None:
+def test_a_full_dead_band_is_refused() -> None:
     with pytest.raises(ValueError, match="deadband = 1 disables the axis"):
         Teleop(deadband=1.0)

@@ -5,7 +5,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from tests.support.agents.agent_loop import Floats, Pose, info, observe, said
+from tests.support.agents.agent_loop import Floats, Pose, info, observe, reception_of_body
 from tests.support.docs.readme_pages import block
 from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.agents.formation.leaders.leader import Leader
@@ -52,7 +52,7 @@ def test_the_standard_paths_are_their_formulas(path: Any, yaw_rate: float, v: An
 
 
 def test_the_random_path_is_the_documented_sequence() -> None:
-    """Written again from its description, for 0.3 m/s at 10 Hz: v* in 0.1 .. 0.45, w* in -0.35 .. 0.35."""
+    """Implemented again from its description, for 0.3 m/s at 10 Hz: v* in 0.1 .. 0.45, w* in -0.35 .. 0.35."""
     draws, v, w = np.random.default_rng(7), 0.3, 0.0
     for tick, (_, got_v, got_w) in enumerate(commands(Trajectory("random"), 60.0)):
         if tick % 20 == 0:
@@ -68,7 +68,7 @@ def test_a_random_path_depends_on_its_seed_alone() -> None:
     assert not np.allclose(once, other)
 
 
-def test_speed_and_yaw_rate_bound_a_random_path_and_its_accelerations_stay() -> None:
+def test_speed_and_yaw_rate_bound_a_random_path_and_not_its_accelerations() -> None:
     _, v, w = commands(Trajectory("random", 1.0, 0.7), 200.0, period_s=0.5).T
     assert 1 / 3 <= v.min() < 0.6 < 1.2 < v.max() <= 1.5
     assert -0.7 <= w.min() < -0.4 < 0.4 < w.max() <= 0.7
@@ -83,7 +83,7 @@ def test_the_period_of_stop_and_go_can_be_set_and_it_can_go_straight() -> None:
 
 
 def reports(agent: Leader, duration_s: float, period_s: float = 0.1) -> list[dict[str, Any]]:
-    """What a leader tells."""
+    """Bodies of a leader's reports."""
     agent.start(info("car1", ("car1", "car2"), period_s=period_s))
     radio = Radio("car1", ("car1", "car2"))
     for tick in range(round(duration_s / period_s)):
@@ -93,7 +93,7 @@ def reports(agent: Leader, duration_s: float, period_s: float = 0.1) -> list[dic
 
 @pytest.mark.parametrize("path", ["straight", "circle", "slalom", "stopgo", "random"])
 @pytest.mark.parametrize(("period_s", "ticks"), [(0.1, 20), (0.5, 20), (0.03, 20), (0.1, 1), (0.1, 60)])
-def test_a_plan_is_what_comes_in_so_many_ticks_and_changes_nothing(path: Any, period_s: float, ticks: int) -> None:
+def test_a_plan_equals_the_next_commands_and_does_not_change_them(path: Any, period_s: float, ticks: int) -> None:
     plain = commands(Trajectory(path), 30.0, period_s)[:, 1:]
     set_to = {} if ticks == 20 else {"plan_ticks": ticks}
     told = reports(Trajectory(path, estimator="plan", **set_to), 30.0, period_s)
@@ -106,13 +106,13 @@ def test_a_plan_is_what_comes_in_so_many_ticks_and_changes_nothing(path: Any, pe
 def test_accelerations_are_differences_of_commands() -> None:
     t, v, w = commands(Trajectory("random"), 30.0).T
     told = reports(Trajectory("random", estimator="acc"), 30.0)
-    assert (told[0]["a"], told[0]["al"]) == (0.0, 0.0)  # nothing came before
+    assert (told[0]["a"], told[0]["al"]) == (0.0, 0.0)  # no previous command
     np.testing.assert_allclose([each["a"] for each in told[1:]], np.diff(v) / np.diff(t), atol=1e-6)
     np.testing.assert_allclose([each["al"] for each in told[1:]], np.diff(w) / np.diff(t), atol=1e-6)
 
 
-class Wants(DeadReckoning):
-    """An estimator of one's own that needs both."""
+class NeedsBoth(DeadReckoning):
+    """A custom estimator that needs both."""
 
     needs = ("a", "plan")
 
@@ -125,11 +125,11 @@ class Wants(DeadReckoning):
         ({"estimator": "acc"}, ["a", "al"]),
         ({"estimator": "plan"}, ["plan", "dt"]),
         ({"tell": ["a"], "estimator": "plan"}, ["a", "al", "plan", "dt"]),
-        ({"estimator": f"{__name__}:Wants"}, ["a", "al", "plan", "dt"]),
-        ({"estimator": Wants()}, ["a", "al", "plan", "dt"]),
+        ({"estimator": f"{__name__}:NeedsBoth"}, ["a", "al", "plan", "dt"]),
+        ({"estimator": NeedsBoth()}, ["a", "al", "plan", "dt"]),
     ],
 )
-def test_a_leader_tells_what_the_estimator_of_its_followers_needs(params: dict[str, Any], more: list[str]) -> None:
+def test_reports_contain_the_fields_that_the_estimator_needs(params: dict[str, Any], more: list[str]) -> None:
     leader = call(Trajectory, {"path": "slalom", **params})
     body = reports(leader, 0.2)[-1]
     assert list(body) == ["seq", "t_ns", "x", "y", "th", "v", "w", *more]
@@ -143,13 +143,13 @@ def test_unknown_contents_of_reports_are_refused() -> None:
 
 
 class Waltz(Leader):
-    """A leader of one's own, which makes no plans."""
+    """A custom leader without plans."""
 
     def speeds(self, obs: Observation) -> tuple[float, float]:
         return 0.3, 0.5 * math.sin(obs.time_s)
 
 
-def test_a_leader_of_ones_own_says_how_it_moves_and_no_more() -> None:
+def test_a_custom_leader_reports_its_motion_without_a_plan() -> None:
     told = reports(call(Waltz, {"estimator": "plan", "tell": ["a"]}), 5.0)
     assert [each["w"] for each in told] == pytest.approx([0.5 * math.sin(tick / 10) for tick in range(50)])
     assert all(("a" in each, "plan" in each) == (True, False) for each in told)
@@ -165,37 +165,37 @@ def test_the_leader_of_the_readme_works() -> None:
 LINE = Formation(shape="line", spacing=1.0, changes=((0.5, "column"), (1.0, "line")))
 
 
-def told_of_shapes(*heard: tuple[int, dict[str, Any]], formation: Formation = LINE) -> list[tuple[Any, Any, Any]]:
-    """Shape, number and order in each report of a leader of five, of which some are heard, by ticks."""
+def reported_shapes(*heard: tuple[int, dict[str, Any]], formation: Formation = LINE) -> list[tuple[Any, Any, Any]]:
+    """Shape, number and order in each report of a leader of five; ``heard``: ticks and bodies of received reports."""
     names = tuple(f"car{number}" for number in range(1, 6))
     leader, radio = Trajectory("straight", formation=formation), Radio("car1", names)
     leader.start(info("car1", names))
     for tick in range(15):
-        came = [said(body["from"], body) for at, body in heard if at == tick]
+        came = [reception_of_body(body["from"], body) for at, body in heard if at == tick]
         leader.act(observe((1.0, 2.0, math.pi / 2), tick * 100_000_000, came), radio)
     return [(body.get("shape"), body.get("sn"), body.get("order")) for body in (each.body for each in radio.drain())]  # type: ignore[union-attr]
 
 
-def test_a_leader_changes_the_shape_at_its_times_and_says_so() -> None:
-    told = told_of_shapes()
+def test_a_leader_changes_the_shape_at_its_times_and_reports_it() -> None:
+    told = reported_shapes()
     assert told[:5] == [(None, None, None)] * 5
     assert [each[:2] for each in told[5:10]] == [("column", 1)] * 5
     assert [each[:2] for each in told[10:]] == [("line", 2)] * 5
 
 
-def test_places_are_dealt_out_by_where_members_were_heard_to_be() -> None:
-    """Members that report themselves along a column, in another order: each gets the place where it stands."""
-    behind = {"car2": 3.0, "car3": 1.0, "car4": 4.0, "car5": 2.0}  # m; the leader is at (1, 2) and looks north
+def test_slots_are_assigned_by_the_reported_positions() -> None:
+    """Members report positions along a column in another order: each gets the slot where it is."""
+    behind = {"car2": 3.0, "car3": 1.0, "car4": 4.0, "car5": 2.0}  # m; the leader is at (1, 2), heading north
     heard = [
         (3, {"from": name, "t_ns": 200_000_000, "x": 1.0, "y": 2.0 - away, "th": 1.57, "v": 0.0, "w": 0.0})
         for name, away in behind.items()
     ]
-    shape, number, order = told_of_shapes(*heard)[6]
+    shape, number, order = reported_shapes(*heard)[6]
     assert (shape, number) == ("column", 1)
-    assert order == [0, 2, 4, 1, 3]  # by place: car1, car3, car5, car2, car4
+    assert order == [0, 2, 4, 1, 3]  # in order of slots: car1, car3, car5, car2, car4
 
 
-def test_only_the_first_of_a_formation_leads_it() -> None:
+def test_only_the_first_member_leads() -> None:
     leader = Trajectory(formation=Formation(members=("car2", "car1")))
     with pytest.raises(ValueError, match="formation: car1 does not lead this team, car2 does; put it first in members"):
         leader.start(info("car1", ("car1", "car2")))

@@ -32,14 +32,14 @@ def report(state: LeaderState) -> Report:
 
 
 @given(state=STATES, age=st.floats(0.0, 2.0))
-def test_dead_reckoning_goes_on_at_both_speeds_up_to_its_horizon(state: LeaderState, age: float) -> None:
+def test_dead_reckoning_continues_at_both_speeds_up_to_its_horizon(state: LeaderState, age: float) -> None:
     then = DeadReckoning().predict(report(state), age)
     assert then == pytest.approx((*arc(state[:3], state.v, state.w, age), state.v, state.w), abs=1e-9)
 
 
 @pytest.mark.parametrize(("horizon_s", "fade_s"), [(2.0, 1.0), (0.0, 0.5), (1.0, 3.0)])
 def test_beyond_the_horizon_both_speeds_fade_linearly_to_zero(horizon_s: float, fade_s: float) -> None:
-    """Against a fine integration of the fading speeds."""
+    """Against a fine numerical integration of the fading speeds."""
     start, h = LeaderState(1.0, -2.0, 0.4, 0.5, -0.7), 1e-4
     pose, ages = start[:3], np.arange(0.0, horizon_s + fade_s + 1.0, h)
     estimator = DeadReckoning(horizon_s, fade_s)
@@ -54,7 +54,7 @@ def test_beyond_the_horizon_both_speeds_fade_linearly_to_zero(horizon_s: float, 
 
 
 @given(state=STATES, age=st.floats(0.0, 100.0))
-def test_hold_takes_the_report_as_it_is(state: LeaderState, age: float) -> None:
+def test_hold_returns_the_reported_state(state: LeaderState, age: float) -> None:
     assert Hold().predict(report(state), age) == state
 
 
@@ -63,7 +63,7 @@ def accelerating(state: LeaderState, a: float, al: float) -> Report:
 
 
 @given(state=STATES, age=st.floats(0.0, 10.0))
-def test_without_accelerations_they_are_dead_reckoning(state: LeaderState, age: float) -> None:
+def test_without_accelerations_acc_and_plan_are_dead_reckoning(state: LeaderState, age: float) -> None:
     for estimator in (Acceleration(), PlanPrediction()):
         assert estimator.predict(report(state), age) == DeadReckoning().predict(report(state), age)
         assert estimator.predict(accelerating(state, 0.0, 0.0), age) == DeadReckoning().predict(report(state), age)
@@ -71,7 +71,7 @@ def test_without_accelerations_they_are_dead_reckoning(state: LeaderState, age: 
 
 @given(a=st.floats(-1.0, 1.0), al=st.floats(-1.0, 1.0), age=st.floats(0.0, 2.0), decay_s=st.floats(0.1, 100.0))
 def test_a_change_of_speed_fades(a: float, al: float, age: float, decay_s: float) -> None:
-    """v(t) solves v'' = -v'/tau: integrated here in steps; no limit in reach."""
+    """v(t) solves v'' = -v'/tau, integrated numerically; no limit in reach."""
     estimator = Acceleration(decay_s=decay_s, slowest=-9.0, fastest=9.0, fastest_turn=9.0)
     then = estimator.predict(accelerating(LeaderState(0.0, 0.0, 0.0, 0.3, 0.1), a, al), age)
     steps = 2000
@@ -89,9 +89,7 @@ def test_a_steady_acceleration_on_a_straight_line_is_exact(a: float, age: float)
 
 
 @given(v=st.floats(-2, 2), w=st.floats(-2, 2), a=st.floats(-1e3, 1e3), al=st.floats(-1e3, 1e3), age=st.floats(0.0, 100.0))
-def test_no_acceleration_takes_a_speed_beyond_its_limits_or_the_report(
-    v: float, w: float, a: float, al: float, age: float
-) -> None:
+def test_acceleration_keeps_speeds_within_the_limits_or_the_report(v: float, w: float, a: float, al: float, age: float) -> None:
     then = Acceleration().predict(accelerating(LeaderState(0.0, 0.0, 0.0, v, w), a, al), age)
     assert min(v, -0.1) - 1e-12 <= then.v <= max(v, 0.6) + 1e-12
     assert min(w, -0.8) - 1e-12 <= then.w <= max(w, 0.8) + 1e-12
@@ -108,10 +106,10 @@ def planning(first: tuple[float, float], speeds: list[tuple[float, float]], dt: 
 
 
 @given(first=st.tuples(st.floats(-1, 1), st.floats(-1, 1)), speeds=SPEEDS, dt=st.sampled_from([0.05, 0.1, 0.3]), data=st.data())
-def test_a_plan_that_is_kept_to_is_exact_at_every_tick_and_between(
+def test_a_plan_that_is_followed_is_exact_at_every_tick_and_between(
     first: tuple[float, float], speeds: list[tuple[float, float]], dt: float, data: st.DataObject
 ) -> None:
-    """As many ticks as the plan has speeds, those of now besides: 20 told at 10 Hz last for ages up to 2 s, and 0.1 s more."""
+    """The plan's speeds and the present one: 20 speeds at 10 Hz suffice for ages up to 2 s, and 0.1 s more."""
     told, estimator, pose = planning(first, speeds, dt), PlanPrediction(), (1.0, -2.0, 0.5)
     for tick, (v, w) in enumerate([first, *speeds]):
         then = estimator.predict(told, tick * dt)
@@ -122,9 +120,7 @@ def test_a_plan_that_is_kept_to_is_exact_at_every_tick_and_between(
 
 
 @given(speeds=SPEEDS, age=st.floats(0.0, 5.0))
-def test_after_the_plan_its_last_speeds_are_reckoned_with_for_another_horizon(
-    speeds: list[tuple[float, float]], age: float
-) -> None:
+def test_after_the_plan_its_last_speeds_hold_for_another_horizon(speeds: list[tuple[float, float]], age: float) -> None:
     told, estimator = planning((0.3, 0.1), speeds), PlanPrediction(1.5, 1.0)
     ends_s = 0.1 * (len(speeds) + 1)
     last = estimator.predict(told, ends_s)
@@ -134,10 +130,10 @@ def test_after_the_plan_its_last_speeds_are_reckoned_with_for_another_horizon(
 
 
 @given(speeds=SPEEDS, ages=st.lists(st.tuples(st.booleans(), st.floats(0.0, 4.0)), max_size=10))
-def test_what_was_predicted_before_changes_no_prediction(
+def test_earlier_predictions_do_not_change_a_prediction(
     speeds: list[tuple[float, float]], ages: list[tuple[bool, float]]
 ) -> None:
-    """The way along a plan is kept from one prediction to the next; reports may alternate."""
+    """The path along a plan is cached between predictions; reports may alternate."""
     estimator, one, other = PlanPrediction(), planning((0.3, 0.1), speeds), planning((-0.1, 0.4), speeds[::-1])
     for first, age in ages:
         told = one if first else other
@@ -157,7 +153,7 @@ NONSENSE = st.one_of(
 
 
 @given(plan=NONSENSE, dt=NONSENSE, a=NONSENSE, al=NONSENSE, age=st.floats(0.0, 10.0))
-def test_whatever_comes_by_radio_the_estimate_is_a_number(plan: Any, dt: Any, a: Any, al: Any, age: float) -> None:
+def test_estimates_from_malformed_reports_are_finite(plan: Any, dt: Any, a: Any, al: Any, age: float) -> None:
     told = Report(0, LeaderState(1.0, 2.0, 0.3, 0.3, 0.1), {"plan": plan, "dt": dt, "a": a, "al": al})
     for estimator in (Acceleration(), PlanPrediction()):
         assert all(math.isfinite(each) for each in estimator.predict(told, age))
@@ -183,7 +179,7 @@ def test_whatever_comes_by_radio_the_estimate_is_a_number(plan: Any, dt: Any, a:
         {"dt": None},
     ],
 )
-def test_a_bad_plan_counts_as_none(bad: dict[str, Any]) -> None:
+def test_a_malformed_plan_is_ignored(bad: dict[str, Any]) -> None:
     good = planning((0.3, 0.1), [(0.2, 0.2)], a=0.1, al=0.0)
     assert plan_of(good) == (0.1, [(0.3, 0.1), (0.2, 0.2)])
     told = good._replace(body={**good.body, **bad})
@@ -191,7 +187,7 @@ def test_a_bad_plan_counts_as_none(bad: dict[str, Any]) -> None:
     assert PlanPrediction().predict(told, 0.7) == Acceleration().predict(told, 0.7) != DeadReckoning().predict(told, 0.7)
 
 
-def test_accelerations_that_make_no_sense_count_as_none() -> None:
+def test_malformed_accelerations_count_as_zero() -> None:
     state = LeaderState(0.0, 0.0, 0.0, 0.3, 0.0)
     assert accelerations(accelerating(state, 0.1, -0.2)) == (0.1, -0.2)
     assert accelerations(Report(0, state, {"a": 0.1})) == (0.1, 0.0)
@@ -200,7 +196,7 @@ def test_accelerations_that_make_no_sense_count_as_none() -> None:
         assert accelerations(Report(0, state, {"a": 0.1, "al": bad})) == (0.0, 0.0)
 
 
-def test_a_relayed_report_is_believed_like_one_that_was_heard() -> None:
+def test_relayed_reports_are_checked_like_received_ones() -> None:
     state = LeaderState(0.0, 0.0, 0.0, 0.3, 0.0)
     lead = lead_of(Report(100, state, {"lead": [90, 1.0, 2.0, 0.5, 0.3, -0.1]}), 100)
     assert lead is not None
@@ -219,21 +215,21 @@ def test_a_relayed_report_is_believed_like_one_that_was_heard() -> None:
     assert lead_of(Report(100, state, {}), 100) is None
 
 
-class Elsewhere:
-    """An estimator of one's own: the leader is always at the origin."""
+class AtOrigin:
+    """A custom estimator: the leader is always at the origin."""
 
     def predict(self, report: Report, age_s: float) -> LeaderState:
         return LeaderState(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def test_an_estimator_of_ones_own_is_an_object_or_a_name() -> None:
-    own = Elsewhere()
+def test_a_custom_estimator_is_an_object_or_a_name() -> None:
+    own = AtOrigin()
     assert LeaderFollower("lead", estimator=own).estimator is own
     assert type(estimator_of("vcmvsp.agents.formation.reports.prediction:Hold", horizon_s=2.0, fade_s=1.0)) is Hold
 
 
-class Own:
-    """What an estimator of one's own may ask for."""
+class CustomEstimator:
+    """A custom estimator with parameters of its own and of its follower."""
 
     needs = ("a",)
 
@@ -244,14 +240,14 @@ class Own:
         return report.state._replace(v=self.gain)
 
 
-def test_a_table_gives_an_estimator_its_own_parameters() -> None:
+def test_a_table_sets_the_parameters_of_an_estimator() -> None:
     made = estimator_of({"kind": "acc", "decay_s": 0.5, "horizon_s": 1.0}, horizon_s=2.0, fade_s=3.0)
     assert isinstance(made, Acceleration)
     assert (made.decay_s, made.horizon_s, made.fade_s, made.fastest) == (0.5, 1.0, 3.0, 0.6)
     own = call(
-        LeaderFollower, {"leader": "lead", "fade_s": 4.0, "estimator": {"kind": f"{__name__}:Own", "gain": 1.5}}
+        LeaderFollower, {"leader": "lead", "fade_s": 4.0, "estimator": {"kind": f"{__name__}:CustomEstimator", "gain": 1.5}}
     ).estimator
-    assert isinstance(own, Own)
+    assert isinstance(own, CustomEstimator)
     assert (own.fade_s, own.gain) == (4.0, 1.5)
 
 
@@ -282,6 +278,6 @@ def test_the_estimator_of_the_readme_works() -> None:
 @pytest.mark.parametrize(
     ("kind", "says"), [("dead", "allowed: acc, dr, hold, plan"), (7, "no method predict"), (None, "no method predict")]
 )
-def test_what_is_no_estimator_is_refused_with_what_is_allowed(kind: Any, says: str) -> None:
+def test_an_invalid_estimator_is_refused_with_the_allowed_ones(kind: Any, says: str) -> None:
     with pytest.raises(ValueError, match=says):
         LeaderFollower("lead", estimator=kind)

@@ -1,4 +1,4 @@
-"""When reports are sent: at every tick, or when those who follow would be wrong."""
+"""Times of reports: at every tick, or when the followers' estimate would be wrong."""
 
 import math
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.agents.agent_loop import drive, info, observe, said
+from tests.support.agents.agent_loop import drive, info, observe, reception_of_body
 from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.agents.formation.leaders.trajectory import Trajectory
 from vcmvsp.agents.formation.reports.prediction import DeadReckoning, Estimator, Hold
@@ -34,9 +34,9 @@ class Sender:
         self.radio, self.tick = Radio("leader", NAMES), -1
 
     def __call__(self, state: LeaderState, *answers: tuple[str, Any]) -> dict[str, Any] | None:
-        """The report of this tick, if there is one; ``answers``: who has just confirmed what."""
+        """The report of this tick, if any; ``answers``: followers and the numbers that they confirm."""
         self.tick += 1
-        heard = [said(name, {"ack": number}) for name, number in answers]
+        heard = [reception_of_body(name, {"ack": number}) for name, number in answers]
         x, y, th, v, w = state
         self.reporter.tell(self.radio, observe((x, y, th), self.tick * 100_000_000, heard), v, w)
         sent = self.radio.drain()
@@ -57,10 +57,10 @@ def jump(metres: float) -> LeaderState:
     threshold=st.floats(0.005, 0.2),
     silence_s=st.floats(0.3, 3.0),
 )
-def test_nobody_who_hears_all_is_ever_wrong_by_more_than_the_threshold(
+def test_without_loss_the_error_never_exceeds_the_threshold(
     estimator: Estimator, commands: list[tuple[float, float]], threshold: float, silence_s: float
 ) -> None:
-    """Nor is it sent before: each report is due to the threshold, to the silence, or is the first."""
+    """Reports are due to the threshold or to the silence, or the first; no other report is sent."""
     sending = Sending(when="needed", threshold=threshold, silence_s=silence_s, acknowledge=False)
     sender, pose, known = Sender(sending, estimator=estimator), (0.0, 0.0, 0.0), None
     for tick, (v, w) in enumerate(commands):
@@ -79,8 +79,8 @@ def test_nobody_who_hears_all_is_ever_wrong_by_more_than_the_threshold(
         pose = arc(pose, v, w, 0.1)
 
 
-def test_what_is_foreseen_need_not_be_said() -> None:
-    """Constant speeds with dead reckoning, any path with a plan: one report each silence_s."""
+def test_predictable_motion_is_not_reported() -> None:
+    """Constant speeds with dead reckoning, any path with a plan: one report per silence_s."""
     for path, estimator in (("circle", "dr"), ("random", "plan"), ("slalom", "plan")):
         leader = Trajectory(path, estimator=estimator, sending=NEEDED)  # type: ignore[arg-type]
         follower = LeaderFollower("leader", estimator=estimator)
@@ -101,48 +101,48 @@ def test_it_is_sent_again_until_it_is_confirmed() -> None:
     moved = sender(jump(0.1))
     assert moved is not None
     assert sender(jump(0.1)) is None
-    assert sender(jump(0.1)) is not None  # number 2 was not confirmed: f0 is where number 1 left it
-    assert sender(jump(0.1), ("f0", 2)) is None  # late; it says the same as number 3
+    assert sender(jump(0.1)) is not None  # number 2 was not confirmed: f0 still has number 1
+    assert sender(jump(0.1), ("f0", 2)) is None  # late; its content equals number 3
     assert [sender(jump(0.1)) for _ in range(5)] == [None] * 5
 
 
-def test_all_who_follow_must_confirm() -> None:
+def test_all_followers_must_confirm() -> None:
     sender = Sender(NEEDED, ["f0", "f1"])
     sender(STILL)
     assert sender(STILL, ("f0", 0)) is None
     assert sender(STILL) is not None
-    assert sender(STILL, ("f1", 1)) is None  # f0 has number 0, which is as good
+    assert sender(STILL, ("f1", 1)) is None  # f0 has number 0 with equal content
     assert [sender(STILL) for _ in range(10)] == [None] * 10
 
 
-def test_who_answers_unasked_is_waited_for_until_it_has_long_been_silent() -> None:
+def test_a_receiver_that_answers_is_awaited_until_its_timeout() -> None:
     sender = Sender(NEEDED)
     assert sender(STILL) is not None
-    assert [sender(jump(0.0)) for _ in range(4)] == [None] * 4  # nobody is known to listen
+    assert [sender(jump(0.0)) for _ in range(4)] == [None] * 4  # no known followers
     sender(STILL, ("f1", 0))
     sent = [sender(jump(0.1 * (tick // 50))) is not None for tick in range(250)]  # a jump every 5 s, which f1 does not confirm
     repeated = [sent[start : start + 10].count(True) for start in range(50, 250, 50)]
     assert repeated[0] == 5  # every 0.2 s
-    assert repeated[-1] == 1  # given up 10 s after its only answer
+    assert repeated[-1] == 1  # dropped 10 s after its only answer
 
 
 def test_the_listeners_can_change() -> None:
     sender = Sender(NEEDED, ["f0"])
     sender(STILL, ("f0", 0))
     sender(STILL, ("f0", 0))
-    sender.reporter.start(["f1"])  # f0 is not awaited any more; f1 has heard nothing
+    sender.reporter.start(["f1"])  # answers of f0 no longer count; f1 has received nothing
     assert [sender(STILL) is not None for _ in range(5)].count(True) >= 2
     sender.reporter.start([])
     assert [sender(STILL) for _ in range(5)] == [None] * 5
 
 
-def test_a_new_shape_is_told_at_once_and_until_it_is_confirmed() -> None:
-    """The leader of a column stands still; after 0.5 s the team is to be a line."""
+def test_a_new_shape_is_reported_at_once_and_until_it_is_confirmed() -> None:
+    """The leader of a column is at rest; after 0.5 s the shape changes to a line."""
     leader = Trajectory("straight", speed=0.0, sending=NEEDED, formation=Formation(shape="column", changes=((0.5, "line"),)))
     leader.start(info("leader", NAMES))
     radio, told = Radio("leader", NAMES), []
     for tick in range(20):
-        heard = [said(name, {"ack": 0}) for name in ("f0", "f1") if tick == 1]
+        heard = [reception_of_body(name, {"ack": 0}) for name in ("f0", "f1") if tick == 1]
         leader.act(observe((0.0, 0.0, 0.0), tick * 100_000_000, heard), radio)
         bodies: list[Any] = [message.body for message in radio.drain()]
         told += [(tick, body["sn"]) for body in bodies if "sn" in body]
@@ -154,7 +154,7 @@ def test_a_new_shape_is_told_at_once_and_until_it_is_confirmed() -> None:
         st.one_of(st.none(), st.integers(-5, 10**20), st.floats(), st.text(max_size=3), st.booleans(), st.just([])), max_size=8
     )
 )
-def test_answers_that_make_no_sense_change_nothing(answers: list[Any]) -> None:
+def test_malformed_answers_are_ignored(answers: list[Any]) -> None:
     sender, other = Sender(NEEDED, ["f0"]), Sender(NEEDED, ["f0"])
     for tick in range(12):
         noise = [("f0", each) for each in answers if type(each) is not int or not 0 <= each <= tick]
@@ -164,16 +164,16 @@ def test_answers_that_make_no_sense_change_nothing(answers: list[Any]) -> None:
 def test_other_messages_are_no_answers() -> None:
     reporter, radio = Reporter(NEEDED), Radio("leader", NAMES)
     bodies: list[Any] = [b"ack", {}, {"seq": 0, "x": 1.0}]
-    heard = [said("f0", body) for body in bodies]
+    heard = [reception_of_body("f0", body) for body in bodies]
     reporter.tell(radio, observe((0.0, 0.0, 0.0), 0, heard), 0.0, 0.0)
     assert len(radio.drain()) == 1
 
 
-def test_old_reports_are_forgotten_but_for_those_that_followers_have() -> None:
+def test_old_reports_are_dropped_except_the_confirmed_ones() -> None:
     sender = Sender(NEEDED, ["f0"])
     sender(STILL)
     sender(STILL, ("f0", 0))
-    for tick in range(90):  # then it is given up
+    for tick in range(90):  # then f0 is dropped
         sender(jump(0.1 * tick))
     assert sender.reporter._seq > REMEMBERED + 2
     assert 0 in sender.reporter._sent
@@ -192,7 +192,7 @@ def test_old_reports_are_forgotten_but_for_those_that_followers_have() -> None:
         ({"seq": "7", "ak": 1}, False),
     ],
 )
-def test_a_follower_answers_those_who_ask(body: dict[str, Any], answered: bool) -> None:
+def test_a_follower_answers_on_request(body: dict[str, Any], answered: bool) -> None:
     radio = Radio("f0", NAMES)
     acknowledge(radio, Report(0, STILL, body), "leader")
     answers = radio.drain()

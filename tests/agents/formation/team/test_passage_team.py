@@ -1,4 +1,4 @@
-"""When the leader calls which shape at a passage, and what those behind do and say about it."""
+"""A team at a passage: shapes commanded by the leader, and motion and reports of the members."""
 
 import math
 from collections.abc import Callable
@@ -8,8 +8,8 @@ from typing import Any
 import msgspec
 import pytest
 
-from tests.support.agents.formation_member import TICK_NS, says
-from tests.support.agents.passage_team import CARS, Front, at, clear, formation, info, scan, sees
+from tests.support.agents.formation_member import TICK_NS, report_of
+from tests.support.agents.passage_team import CARS, ScriptedLeader, at, clear, formation, info, observation, scan
 from tests.support.agents.scans import ring
 from vcmvsp.agents.avoidance import Gap
 from vcmvsp.agents.formation.aerial import AerialFollower, AerialRoute
@@ -24,8 +24,8 @@ from vcmvsp.cosim.types import Message
 # --- the leader ---
 
 
-def test_the_leader_calls_the_narrow_shape_and_the_wide_one_with_hysteresis() -> None:
-    front = Front(formation(policy="immediate"))
+def test_the_leader_commands_narrow_and_wide_shapes_with_hysteresis() -> None:
+    front = ScriptedLeader(formation(policy="immediate"))
     notes, report = front.act(scan((2.05, 0.0)))
     assert notes == {"shape": "wedge", "lane": "free"}
     assert "sn" not in report
@@ -42,14 +42,14 @@ def test_the_leader_calls_the_narrow_shape_and_the_wide_one_with_hysteresis() ->
     assert front.act(scan((2.45, 0.0)))[0] == {}
 
 
-def test_the_leader_that_sees_nothing_leads_a_narrow_team() -> None:
-    front = Front(formation())
+def test_without_a_scan_the_team_is_narrow() -> None:
+    front = ScriptedLeader(formation())
     assert front.act(None)[0] == {"shape": "column", "lane": "narrow"}
     assert all(front.act(None, clear("car2", front.tick), clear("car3", front.tick))[0] == {} for _ in range(20))
 
 
-def test_all_clear_waits_for_the_members_to_say_so() -> None:
-    front = Front(formation())
+def test_all_clear_waits_for_the_reports_of_members() -> None:
+    front = ScriptedLeader(formation())
     assert front.act(scan((1.0, 0.0)))[0]["lane"] == "narrow"
     assert front.act(scan())[0] == {"lane": "free", "waits_for": "car2, car3"}
     notes = [front.act(scan(), clear("car2", front.tick), clear("car3", front.tick, 0))[0] for _ in range(10)]
@@ -58,16 +58,16 @@ def test_all_clear_waits_for_the_members_to_say_so() -> None:
     assert notes == [{"waits_for": ""}] + [{}] * 4 + [{"shape": "wedge"}, {}]
 
 
-def test_of_many_for_whom_it_waits_three_are_named_and_nobody_while_the_lane_is_narrow() -> None:
+def test_waits_for_names_at_most_three_members_and_none_in_a_narrow_lane() -> None:
     names = tuple(f"car{number}" for number in range(1, 7))
-    front = Front(formation(), vehicles=names)
+    front = ScriptedLeader(formation(), vehicles=names)
     told = [front.act(reading)[0].get("waits_for") for reading in (scan((1.0, 0.0)), scan(), scan(), scan((1.0, 0.0)))]
     assert told == [None, "car2, car3, car4", None, ""]
 
 
-def test_clocks_of_members_may_be_ahead_as_far_as_the_leader_is_told() -> None:
+def test_clocks_of_members_may_be_ahead_up_to_the_bound() -> None:
     for bound_s, shapes in ((0.0, 0), (0.2, 1)):
-        front = Front(formation(), clock_bound_s=bound_s)
+        front = ScriptedLeader(formation(), clock_bound_s=bound_s)
         front.act(scan((1.0, 0.0)))
         told = [front.act(scan(), clear("car2", front.tick + 2), clear("car3", front.tick + 2))[0] for _ in range(20)]
         assert sum("shape" in notes for notes in told) == shapes
@@ -75,19 +75,19 @@ def test_clocks_of_members_may_be_ahead_as_far_as_the_leader_is_told() -> None:
 
 def test_a_shape_that_is_due_while_the_team_is_narrow_is_the_next_wide_one() -> None:
     of = Formation(spacing=1.0, changes=((0.2, "line"),), passage=Passage(policy="immediate"))
-    front = Front(of)
+    front = ScriptedLeader(of)
     shapes = [front.act(scan((1.0, 0.0)))[0].get("shape") for _ in range(4)]
     assert shapes == ["column", None, None, None]
     assert front.act(scan())[0]["shape"] == "line"
-    wide = Front(of)
+    wide = ScriptedLeader(of)
     assert [wide.act(scan())[0].get("shape") for _ in range(4)] == ["wedge", None, "line", None]
 
 
-def test_a_leader_in_place_of_another_goes_on_from_what_members_know() -> None:
-    """They are in the column still; 'wedge' as the first change of the shape would be older news to them than the second."""
-    front, member = Front(formation()), Team(formation(), CARS, "car2")
+def test_a_new_leader_continues_from_the_shape_of_the_members() -> None:
+    """The members are still in the column; number 1 for 'wedge' would be older to them than their number."""
+    front, member = ScriptedLeader(formation()), Team(formation(), CARS, "car2")
     assert member.take({"shape": "column", "sn": 7, "order": [0, 2, 1]})
-    known = [says(car, 0, cl=0, **member.fields()) for car in CARS[1:]]
+    known = [report_of(car, 0, cl=0, **member.fields()) for car in CARS[1:]]
     assert front.act(scan())[1].get("sn") is None
     notes, report = front.act(scan(), *known)
     assert (notes["shape"], report["shape"], report["sn"], report["order"]) == ("column", "column", 7, [0, 2, 1])
@@ -96,34 +96,34 @@ def test_a_leader_in_place_of_another_goes_on_from_what_members_know() -> None:
     assert member.take(told[-1])
 
 
-def test_each_member_is_believed_once_and_no_great_leap() -> None:
-    front = Front(formation(policy="timer", timer_s=0.0))
+def test_shape_numbers_are_taken_once_and_in_small_steps() -> None:
+    front = ScriptedLeader(formation(policy="timer", timer_s=0.0))
     front.act(scan())
-    for sn, then in ((2**62, None), (10_001, None), (100, 101), (200, 101)):  # the lane is free: what is told is not kept
-        assert front.act(scan(), says("car2", front.tick, shape="line", sn=sn))[1].get("sn") == then
-    assert front.act(scan(), says("car3", front.tick, shape="line", sn=300))[1]["sn"] == 301
+    for sn, then in ((2**62, None), (10_001, None), (100, 101), (200, 101)):  # lane free: received shapes are replaced
+        assert front.act(scan(), report_of("car2", front.tick, shape="line", sn=sn))[1].get("sn") == then
+    assert front.act(scan(), report_of("car3", front.tick, shape="line", sn=300))[1]["sn"] == 301
     member = Team(formation(), CARS, "car2")
     for wrong in (2**62, 10_001, 2**64, -1, 1.0, True):
         assert not member.take({"shape": "line", "sn": wrong})
     assert member.take({"shape": "line", "sn": 10_000})
 
 
-def test_a_leader_without_a_passage_goes_on_with_its_own_shape() -> None:
-    front = Front(Formation(spacing=1.0, changes=((0.0, "line"), (9.0, "box"))))
+def test_a_leader_without_a_passage_keeps_its_own_shape() -> None:
+    front = ScriptedLeader(Formation(spacing=1.0, changes=((0.0, "line"), (9.0, "box"))))
     assert front.act(None)[1]["sn"] == 1
-    _, report = front.act(None, says("car2", 0, shape="wedge", sn=4))
+    _, report = front.act(None, report_of("car2", 0, shape="wedge", sn=4))
     assert (report["shape"], report["sn"]) == ("line", 5)
 
 
-def test_members_look_at_the_lane_of_the_shape_that_is_due_while_they_are_narrow() -> None:
-    """A line of 0.7 m needs 1.4 m on either side, the wedge half of that: one who judged by that would be clear too early."""
+def test_narrow_members_check_the_lane_of_the_next_wide_shape() -> None:
+    """A line of 0.7 m needs 1.4 m on either side, the wedge half of it: with the wedge's lane they would be clear too early."""
     of = Formation(spacing=1.0, changes=((0.3, "line"),), passage=Passage(spacing=0.8))
     follower, radio = LeaderFollower(formation=of), Radio("car2", CARS)
     follower.start(info("car2"))
     told = []
     for tick in range(6):
         reading = msgspec.structs.replace(scan((0.5, 0.9)), time_ns=tick * TICK_NS)
-        follower.act(sees(reading, tick, says("car1", tick, shape="column", sn=1)), radio)
+        follower.act(observation(reading, tick, report_of("car1", tick, shape="column", sn=1)), radio)
         (message,) = radio.drain()
         assert isinstance(message, Message)
         assert isinstance(message.body, dict)
@@ -131,56 +131,56 @@ def test_members_look_at_the_lane_of_the_shape_that_is_due_while_they_are_narrow
     assert told == [1, 1, 1, 0, 0, 0]
 
 
-def test_a_member_does_not_drive_back_into_one_that_its_avoidance_does_not_see() -> None:
-    """Its place is behind it, and so is another one, 0.5 m away."""
+def test_a_member_does_not_reverse_into_another_hidden_from_its_avoidance() -> None:
+    """Its slot is behind it, and so is another member, 0.5 m away."""
     back = ring([*[math.inf] * 175, *[0.3] * 11, *[math.inf] * 174], TICK_NS)
     follower = LeaderFollower(formation=Formation(spacing=1.0, passage=Passage()), avoidance=Gap())
     follower.start(info("car2"))
-    command = follower.act(sees(back, 1, at("car1", -0.6, 0.5, 1), at("car3", 0.03 - 0.5, 0.0, 1)), Radio("car2", CARS))
+    command = follower.act(observation(back, 1, at("car1", -0.6, 0.5, 1), at("car3", 0.03 - 0.5, 0.0, 1)), Radio("car2", CARS))
     assert command.linear[0] > -0.4 * (0.5 - 0.44) - 1e-9
 
 
 # --- the members ---
 
 
-def test_members_say_whether_they_are_clear() -> None:
+def test_members_report_whether_they_are_clear() -> None:
     follower, radio = LeaderFollower(formation=formation()), Radio("car2", CARS)
     follower.start(info("car2"))
     assert follower.sensors == ("scan",)
     for reading, cl in ((scan((1.15, 0.6)), 0), (scan((1.25, 0.0)), 1), (None, 0), (scan(), 1)):
-        follower.act(sees(reading), radio)
+        follower.act(observation(reading), radio)
         (message,) = radio.drain()
         assert isinstance(message, Message)
         assert isinstance(message.body, dict)
         assert message.body["cl"] == cl
 
 
-def test_without_a_passage_nobody_looks_and_nobody_says() -> None:
+def test_without_a_passage_members_do_not_scan_or_report() -> None:
     follower, radio = LeaderFollower(formation=Formation(), broadcast=True), Radio("car2", CARS)
     follower.start(info("car2", body=None))
-    follower.act(sees(scan((0.5, 0.0))), radio)
+    follower.act(observation(scan((0.5, 0.0))), radio)
     (message,) = radio.drain()
     assert isinstance(message.body, dict)
     assert "cl" not in message.body
     assert follower.sensors is None
 
 
-def test_whoever_must_say_that_it_is_clear_must_not_be_silent() -> None:
+def test_policy_all_clear_needs_broadcast() -> None:
     with pytest.raises(ValueError, match="broadcast = false"):
         LeaderFollower(formation=formation(), broadcast=False)
     LeaderFollower(formation=formation(policy="timer"), broadcast=False)
 
 
-# --- what does not fit ---
+# --- refusals ---
 
 
 @pytest.mark.parametrize("agent", [Trajectory, LeaderFollower, AerialFollower, partial(AerialRoute, course_deg=0.0)])
-def test_reports_must_not_be_rarer_than_they_count(agent: Callable[..., Any]) -> None:
+def test_reports_must_not_expire_before_the_next(agent: Callable[..., Any]) -> None:
     rare = Sending(when="needed", silence_s=2.5)
     with pytest.raises(ValueError, match=r"silence_s = 2\.5 s must be shorter than .*report_s = 2\.5 s"):
         agent(formation=formation(), sending=rare)
     agent(formation=formation(report_s=3.0), sending=rare)
-    agent(formation=formation(), sending=Sending(when="needed"))  # as they are by default
+    agent(formation=formation(), sending=Sending(when="needed"))  # the default
     agent(formation=formation(), sending=Sending(silence_s=9.0))  # every tick
 
 
@@ -192,15 +192,15 @@ def test_reports_must_not_be_rarer_than_they_count(agent: Callable[..., Any]) ->
         ({}, {"body": None}, "needs the size of car1"),
     ],
 )
-def test_a_vehicle_that_cannot_look_is_refused(passage: dict[str, Any], about: dict[str, Any], says_so: str) -> None:
+def test_a_vehicle_without_scanner_or_size_is_refused(passage: dict[str, Any], about: dict[str, Any], says_so: str) -> None:
     with pytest.raises(ValueError, match=says_so):
-        Front(formation(**passage), **about)
+        ScriptedLeader(formation(**passage), **about)
     follower = LeaderFollower(formation=formation(**passage))
     with pytest.raises(ValueError, match=says_so.replace("car1", "car2")):
         follower.start(info("car2", **about))
 
 
-def test_a_passage_that_makes_no_sense_is_refused() -> None:
+def test_an_inconsistent_passage_is_refused() -> None:
     with pytest.raises(ValueError, match=r"free_m = 1\.5 must not be less than narrow_m = 2"):
         Passage(free_m=1.5)
     with pytest.raises(ValueError, match="is also the formation's shape"):
@@ -211,7 +211,7 @@ def test_a_passage_that_makes_no_sense_is_refused() -> None:
         ValueError, match=r"passage.shape = 'line' is no narrower than the formation's own, 'wedge': 2 m instead of 1"
     ):
         Team(Formation(passage=Passage(shape="line")), CARS, "car1")
-    Team(Formation(members=("car1",), passage=Passage(shape="line")), CARS, "car1")  # one is always as wide as itself
+    Team(Formation(members=("car1",), passage=Passage(shape="line")), CARS, "car1")  # a single member has a constant width
     with pytest.raises(ValueError, match="needs offsets"):
         Team(Formation(passage=Passage(shape="own")), CARS, "car1")
 

@@ -1,4 +1,4 @@
-"""Shapes: where each member belongs."""
+"""Shapes: slots of the members."""
 
 import math
 from typing import get_args
@@ -29,7 +29,7 @@ def distance(one: Slot, other: Slot) -> float:
 
 @given(shapes, counts, spacings)
 def test_the_leader_is_at_the_origin_and_neighbours_are_one_spacing_apart(shape: ShapeName, count: int, spacing: float) -> None:
-    """The nearest of all others is at the spacing for everybody, so that no two share a place and nobody is apart."""
+    """Every member's nearest neighbour is at the spacing: no common slots, no isolated member."""
     places = slots(shape, count, spacing)
     assert len(places) == count
     assert places[0] == (0.0, 0.0)
@@ -39,17 +39,17 @@ def test_the_leader_is_at_the_origin_and_neighbours_are_one_spacing_apart(shape:
 
 
 @given(shapes, counts, spacings)
-def test_nobody_belongs_ahead_of_the_leader(shape: ShapeName, count: int, spacing: float) -> None:
+def test_no_slot_is_ahead_of_the_leader(shape: ShapeName, count: int, spacing: float) -> None:
     assert max(x for x, _ in slots(shape, count, spacing)) == 0.0
 
 
 @given(st.sampled_from(("column", "line", "echelon", "wedge")), st.integers(1, 40))
-def test_another_member_moves_nobody_where_the_shape_is_open(shape: ShapeName, count: int) -> None:
+def test_in_open_shapes_another_member_moves_no_slot(shape: ShapeName, count: int) -> None:
     assert slots(shape, count + 1, 1.0)[:count] == slots(shape, count, 1.0)
 
 
 def test_a_wedge_of_three_is_the_standard_triangle() -> None:
-    """1 m at 30 degrees to either side; the first follower is right-behind."""
+    """1 m at 30 degrees to either side; the first follower is behind on the right."""
     ahead, aside = math.cos(math.radians(30.0)), math.sin(math.radians(30.0))
     _, right, left = slots("wedge", 3, 1.0)
     assert right == pytest.approx((-ahead, -aside))
@@ -64,7 +64,7 @@ def test_a_column_a_line_and_an_echelon() -> None:
         assert place == pytest.approx((-i * s, -i * s))
 
 
-def test_a_box_has_rows_of_the_root_of_its_number() -> None:
+def test_a_box_has_rows_of_the_square_root_of_its_number() -> None:
     assert slots("box", 5, 1.0) == ((0, 0), (0, -1), (0, -2), (-1, 0), (-1, -1))
     assert slots("box", 4, 1.0) == ((0, 0), (0, -1), (-1, 0), (-1, -1))
 
@@ -78,7 +78,7 @@ def test_a_diamond_has_rows_of_1_2_3_2_1() -> None:
     assert slots("diamond", 7, 1.0) == slots("diamond", 9, 1.0)[:7]
 
 
-def test_an_own_shape_is_what_it_says() -> None:
+def test_an_own_shape_has_its_offsets() -> None:
     offsets = ((0.0, 0.0), (-1.0, 2.0), (3.0, 0.5))
     assert slots("own", 3, 7.0, offsets) == offsets
     assert slots("own", 2, 7.0, offsets) == offsets[:2]
@@ -98,26 +98,26 @@ def test_wrong_offsets_are_named(offsets: tuple[Slot, ...], says: str) -> None:
         slots("own", 3, 1.0, offsets)
 
 
-# --- who follows whom ---
+# --- parents ---
 
 
 CARS = ("car1", "car2", "car3", "car4")
 
 
 def depth(tree: tuple[int, ...]) -> int:
-    """How many hops the farthest place is from the root."""
+    """Number of hops from the root to the farthest place."""
     return max(len(ancestors(tree, place)) for place in range(len(tree)))
 
 
 @given(st.sampled_from(("star", "chain", "k-tree")), st.integers(1, 80), st.integers(1, 5))
-def test_everybody_follows_somebody_up_to_the_first(topology: TopologyName, count: int, branching: int) -> None:
+def test_every_member_descends_from_the_first(topology: TopologyName, count: int, branching: int) -> None:
     tree = parents(topology, count, branching)
     assert len(tree) == count
     assert tree[0] == ROOT
     for place in range(1, count):
         assert 0 <= tree[place] < place
         assert ancestors(tree, place)[-1] == 0
-    assert ranks(tree) == tuple(range(count))  # so that places come after all that they depend on
+    assert ranks(tree) == tuple(range(count))  # so that places follow all places on which they depend
 
 
 def test_stars_and_chains() -> None:
@@ -130,7 +130,7 @@ def test_stars_and_chains() -> None:
 
 
 @given(st.integers(1, 400), st.integers(2, 6))
-def test_a_tree_is_as_deep_as_the_logarithm_of_its_number(count: int, k: int) -> None:
+def test_the_depth_of_a_tree_is_the_logarithm_of_its_number(count: int, k: int) -> None:
     """It is filled row by row: 1 + k + ... + k^(d - 1) < N <= 1 + k + ... + k^d, so that d <= ceil(log_k N)."""
     tree = parents("k-tree", count, k)
     d = depth(tree)
@@ -145,7 +145,7 @@ def test_a_tree_of_seven() -> None:
     assert parents("k-tree", 4, 1) == parents("chain", 4)
 
 
-def test_a_graph_follows_names() -> None:
+def test_a_graph_is_given_by_names() -> None:
     tree = named_parents({"car4": "car1", "car3": "car4", "car2": "car3"}, CARS)
     assert tree == (ROOT, 2, 3, 0)
     assert ranks(tree) == (0, 3, 2, 1)

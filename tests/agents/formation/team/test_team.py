@@ -1,4 +1,4 @@
-"""What members know of their formation, and how a new shape comes to all of them."""
+"""A member's view of its formation, and distribution of a new shape to all members."""
 
 import itertools
 import math
@@ -23,7 +23,7 @@ def teams(cars: tuple[str, ...] = CARS, **formation: Any) -> list[Team]:
 
 
 @given(topologies, st.integers(1, 9), st.integers(1, 3))
-def test_members_agree_on_who_follows_whom(topology: TopologyName, count: int, branching: int) -> None:
+def test_members_agree_on_parents(topology: TopologyName, count: int, branching: int) -> None:
     everybody = teams(tuple(f"car{n}" for n in range(count)), topology=topology, branching=branching)
     by_name = {team.name: team for team in everybody}
     assert [team.parent for team in everybody].count(None) == 1
@@ -40,7 +40,7 @@ def test_the_place_beside_a_parent_is_the_difference_of_the_slots() -> None:
     wedge = teams(shape="wedge", topology="chain")
     for one, other in zip(wedge[1:], slots("wedge", 7, 1.0)[1:], strict=True):
         assert one.slot == other
-    assert wedge[2].beside("car2") == pytest.approx((0.0, 1.0))  # left of the one on the right
+    assert wedge[2].beside("car2") == pytest.approx((0.0, 1.0))  # left of the member on the right
 
 
 def test_a_subset_of_the_vehicles_in_another_order() -> None:
@@ -54,10 +54,10 @@ def test_a_graph_keeps_its_names_when_places_change() -> None:
     leader.change("column", {"b": (-5.0, 0.0), "c": (-1.0, 0.0), "d": (-2.0, 0.0)})
     assert b.take(leader.fields())
     assert (b.parent, b.children) == ("a", ("c", "d"))
-    assert b.slot == (-3.0, 0.0)  # it was last, and stays last
+    assert b.slot == (-3.0, 0.0)  # it was last and remains last
 
 
-def test_nothing_is_said_until_the_shape_changes() -> None:
+def test_reports_have_no_shape_until_it_changes() -> None:
     leader, *_ = teams()
     assert leader.fields() == {}
     leader.change("column", {})
@@ -65,7 +65,7 @@ def test_nothing_is_said_until_the_shape_changes() -> None:
     assert leader.fields()["sn"] == 1
 
 
-def test_those_who_follow_by_place_get_another_parent_with_another_place() -> None:
+def test_parents_by_place_change_with_the_place() -> None:
     everybody = teams(CARS[:4], shape="line", topology="chain", spacing=1.0)
     leader = everybody[0]
     leader.change("column", {"car2": (-3.0, 0.0), "car3": (-2.0, 0.0), "car4": (-1.0, 0.0)})
@@ -78,7 +78,7 @@ def test_those_who_follow_by_place_get_another_parent_with_another_place() -> No
     assert leader.children == ("car4",)
 
 
-def test_members_whose_place_is_not_known_are_taken_to_be_in_their_slots() -> None:
+def test_members_without_reports_are_assumed_in_their_slots() -> None:
     one, other, *_ = (Team(Formation(shape="wedge"), CARS, "car1") for _ in range(2))
     one.change("line", {})
     other.change("line", dict(zip(CARS, slots("wedge", 7, 1.0), strict=True)))
@@ -86,7 +86,7 @@ def test_members_whose_place_is_not_known_are_taken_to_be_in_their_slots() -> No
 
 
 @given(st.lists(st.sampled_from(("column", "line", "wedge", "box")), min_size=1, max_size=6), st.data())
-def test_the_newest_shape_wins_whatever_is_heard_when_and_how_often(shapes: list[Any], data: st.DataObject) -> None:
+def test_the_newest_shape_wins_in_any_order_and_with_copies(shapes: list[Any], data: st.DataObject) -> None:
     leader, *rest = teams(shape="diamond")
     told = []
     for shape in shapes:
@@ -117,7 +117,7 @@ GOOD = {"shape": "column", "sn": 3, "order": [0, 2, 1]}
         {"order": [0, 1]},
         {"order": [0, 1, 1]},
         {"order": [0, 1, 3]},
-        {"order": [1, 0, 2]},  # the leader leads
+        {"order": [1, 0, 2]},  # the leader must remain first
         {"order": [0, 1, 2.0]},
         {"order": [0, 2, True]},
         {"order": [0, 2, "1"]},
@@ -126,7 +126,7 @@ GOOD = {"shape": "column", "sn": 3, "order": [0, 2, 1]}
         {"order": None},
     ],
 )
-def test_nonsense_changes_nothing(wrong: dict[str, Any]) -> None:
+def test_malformed_shapes_are_ignored(wrong: dict[str, Any]) -> None:
     team = Team(Formation(), CARS[:3], "car2")
     assert not team.take({**GOOD, **wrong})
     assert (team.shape, team.changed, team.place) == ("wedge", 0, 1)
@@ -138,8 +138,8 @@ def test_nonsense_changes_nothing(wrong: dict[str, Any]) -> None:
 
 
 @given(topologies, st.lists(st.booleans(), min_size=7, max_size=7))
-def test_the_living_follow_the_living_and_one_of_them_leads(topology: TopologyName, living: list[bool]) -> None:
-    """With all the same knowledge: the nearest living ancestor; exactly one leads, and nobody follows in a circle."""
+def test_living_members_follow_living_members_and_one_leads(topology: TopologyName, living: list[bool]) -> None:
+    """With equal knowledge: each follows its nearest living ancestor; exactly one leads; no cycles."""
     everybody = [team for team, lives in zip(teams(topology=topology), living, strict=True) if lives]
     alive = {team.name for team in everybody}
     whom = {team.name: team.whom(lambda name: name in alive) for team in everybody}
@@ -156,7 +156,7 @@ def test_the_living_follow_the_living_and_one_of_them_leads(topology: TopologyNa
 
 
 @given(st.permutations(range(1, 6)), st.lists(st.frozensets(st.sampled_from(CARS[:6])), min_size=6, max_size=6), topologies)
-def test_nobody_follows_in_a_circle_even_if_each_hears_others(
+def test_there_is_no_cycle_of_parents_with_different_receptions(
     order: list[int], heard: list[frozenset[str]], topology: TopologyName
 ) -> None:
     everybody = teams(CARS[:6], topology=topology)
@@ -171,12 +171,12 @@ def test_nobody_follows_in_a_circle_even_if_each_hears_others(
             path.append(parent)
 
 
-def test_when_the_leader_of_a_star_dies_the_lowest_living_leads() -> None:
+def test_in_a_star_the_lowest_living_member_leads() -> None:
     star = teams(CARS[:4])
     assert [team.whom(lambda name: name in {"car3", "car4"}) for team in star[2:]] == [None, "car3"]
 
 
-# --- formations that do not fit ---
+# --- refusals ---
 
 
 @pytest.mark.parametrize(
@@ -195,12 +195,12 @@ def test_formations_that_do_not_fit_are_refused(formation: dict[str, Any], says:
         Team(Formation(**formation), CARS[:3], "car2")
 
 
-def test_a_shape_without_slots_cannot_be_called() -> None:
+def test_a_shape_without_slots_is_refused() -> None:
     with pytest.raises(ValueError, match="unknown shape 'own'"):
         Team(Formation(), CARS, "car1").change("own", {})
 
 
-# --- places of a new shape are dealt out so that ways are shortest, and so do not cross ---
+# --- slots of a new shape are assigned with the least sum of ways, so that ways do not cross ---
 
 
 shapes = st.sampled_from(("column", "line", "echelon", "wedge", "box", "diamond"))
@@ -212,13 +212,13 @@ def ways(positions: Sequence[Slot], places: Sequence[Slot], order: Sequence[int]
 
 
 @given(shapes, st.lists(points, min_size=2, max_size=6))
-def test_the_sum_of_all_ways_is_the_least_there_is(shape: ShapeName, positions: list[Slot]) -> None:
+def test_the_sum_of_all_ways_is_the_minimum(shape: ShapeName, positions: list[Slot]) -> None:
     places = slots(shape, len(positions), 1.0)
 
     def total(order: Sequence[int]) -> float:
         return sum(math.dist(*way) for way in ways(positions, places, order))
 
     order = assign(positions, places)
-    assert order[0] == 0  # the leader leads on
+    assert order[0] == 0  # the leader remains first
     assert sorted(order) == list(range(len(positions)))
     assert total(order) == pytest.approx(min(total((0, *rest)) for rest in itertools.permutations(order[1:])))

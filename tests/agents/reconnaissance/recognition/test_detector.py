@@ -1,4 +1,4 @@
-"""Targets in pictures of the ground: found, told from what looks like them, placed and turned right."""
+"""Targets in pictures of the ground: detection among lookalikes, position and angle."""
 
 import math
 from collections.abc import Callable
@@ -35,7 +35,7 @@ def second_glyph() -> Array:
 
 @dataclass
 class Tally:
-    """What a detector made of frames with one target each."""
+    """Results of a detector on frames with one target each."""
 
     found: int = 0
     missed: int = 0
@@ -61,12 +61,12 @@ class Tally:
 
 @pytest.fixture(scope="module")
 def frames() -> list[SyntheticFrame]:
-    """Three for each height, each with five likenesses."""
+    """Three frames per height, each with five lookalikes."""
     return [frame(np.random.default_rng([int(height), k]), height) for height in HEIGHTS for k in range(3)]
 
 
 def tallied(frames: list[SyntheticFrame], stages: int = 3, height_error: float = 1.0) -> dict[float, Tally]:
-    """By height, and 0 for all."""
+    """Tallies by height, with 0 for all heights."""
     detector = Detector([GLYPH], stages=stages)
     tallies = {height: Tally() for height in (0.0, *HEIGHTS)}
     for made in frames:
@@ -87,7 +87,7 @@ def test_targets_are_found_from_10_to_40_m_and_nothing_else(frames: list[Synthet
 
 
 def test_each_stage_is_needed_and_loses_nothing(frames: list[SyntheticFrame]) -> None:
-    """Colours alone let through all in the same colours; turning blinds to mirror images alone."""
+    """Colours alone accept all lookalikes in these colours; with rotation, only mirror images remain."""
     colours, turned = tallied(frames, stages=1)[0.0], tallied(frames, stages=2)[0.0]
     assert colours.missed == turned.missed == 0
     assert colours.precision < 0.25
@@ -105,8 +105,8 @@ def test_heights_may_be_wrong_by_a_tenth(frames: list[SyntheticFrame], error: fl
 
 
 @pytest.mark.parametrize(("stages", "within"), [(2, 0.07), (3, 0.04)])
-def test_the_side_that_is_found_is_the_true_one(frames: list[SyntheticFrame], stages: int, within: float) -> None:
-    """Whatever the height says; the second stage tries sizes 6 % apart."""
+def test_the_detected_side_is_the_true_one(frames: list[SyntheticFrame], stages: int, within: float) -> None:
+    """At any assumed height; the second stage tries sizes 6 % apart."""
     detector = Detector([GLYPH], stages=stages)
     for made in frames[::3]:
         for error in (0.9, 1.0, 1.1):
@@ -118,7 +118,7 @@ def test_the_side_that_is_found_is_the_true_one(frames: list[SyntheticFrame], st
 
 @pytest.mark.parametrize("tilt", [0.1, 0.2])
 def test_the_camera_may_be_tilted(frames: list[SyntheticFrame], tilt: float) -> None:
-    """Where the whole target is still in the picture."""
+    """Of targets that are completely in the picture."""
     rng = np.random.default_rng(5)
     tally = Tally()
     detector = Detector([GLYPH])
@@ -139,12 +139,12 @@ def test_angles_count_to_the_left(quarter: int) -> None:
     made = plain(lambda picture: np.rot90(picture, quarter))
     (one,) = Detector([GLYPH]).detect(made, 10.0, 400.0)
     assert abs(wrap(one.angle - quarter * math.pi / 2)) < math.radians(0.5)
-    assert one.centre_px == pytest.approx((159.5, 119.5), abs=0.3)  # 80 px a side, between pixels
+    assert one.centre_px == pytest.approx((159.5, 119.5), abs=0.3)  # 80 px a side: between pixels
     assert one.side_px == pytest.approx(80.0, rel=0.02)
 
 
 def plain(change: Callable[[Array], Array]) -> Array:
-    """The target in the middle of a grey picture, changed somehow, 80 px a side."""
+    """The target, changed by a function, 80 px a side in the middle of a grey picture."""
     picture = np.full((240, 320, 3), 110, np.uint8)
     picture[80:160, 120:200] = change(cv2.resize(glyph(), (80, 80), interpolation=cv2.INTER_AREA))
     return picture
@@ -177,7 +177,7 @@ def test_several_targets_of_several_sizes_in_one_pass() -> None:
 
 
 def test_one_place_holds_one_target() -> None:
-    """The one that it is more like, where several are alike."""
+    """Of several similar targets, the most similar one."""
     duller = TargetPicture("duller", cv2.GaussianBlur(glyph(), (0, 0), 12.0), 2.0)
     for targets in ([GLYPH, duller], [duller, GLYPH]):
         (one,) = Detector(targets).detect(frame(np.random.default_rng(6), 15.0).image, 15.0, FOCAL_PX)
@@ -186,7 +186,7 @@ def test_one_place_holds_one_target() -> None:
     assert alone.target == "duller"
 
 
-def test_a_region_gives_what_the_whole_picture_gives_there(frames: list[SyntheticFrame]) -> None:
+def test_a_region_gives_the_detections_of_the_whole_picture(frames: list[SyntheticFrame]) -> None:
     detector = Detector([GLYPH])
     for made in frames[::3]:
         (whole,) = detector.detect(made.image, made.seen.height_m, FOCAL_PX)
@@ -205,8 +205,8 @@ def test_regions_outside_the_picture_hold_nothing(region: tuple[float, float, fl
     assert Detector([GLYPH]).detect(image, 20.0, FOCAL_PX, region) == []
 
 
-def test_targets_partly_outside_are_never_told_to_be_elsewhere() -> None:
-    """With a tenth of the side beyond the border they are still found; what is found is in its place."""
+def test_targets_partly_outside_are_never_misplaced() -> None:
+    """With a tenth of the side beyond the border they are still found; all detections are at the true place."""
     detector = Detector([GLYPH])
     for beyond, at_least in ((0.1, 1), (0.25, 0), (0.5, 0), (0.6, 0)):
         for place in ((40.0 * (0.5 - beyond) - 0.5, 200.0), (300.0, 479.5 - 40.0 * (0.5 - beyond))):
@@ -218,11 +218,11 @@ def test_targets_partly_outside_are_never_told_to_be_elsewhere() -> None:
 
 
 @pytest.mark.parametrize("height", [80.0, 1e9, 0.5, 0.0, -3.0, math.nan, math.inf])
-def test_heights_from_which_nothing_can_be_recognised(height: float) -> None:
+def test_at_unusable_heights_there_are_no_detections(height: float) -> None:
     assert Detector([GLYPH]).detect(frame(np.random.default_rng(0), 20.0).image, height, FOCAL_PX) == []
 
 
-def test_answers_depend_on_nothing_before_and_on_no_threads(frames: list[SyntheticFrame]) -> None:
+def test_detections_do_not_depend_on_history_or_threads(frames: list[SyntheticFrame]) -> None:
     first = [Detector([GLYPH]).detect(made.image, made.seen.height_m, FOCAL_PX) for made in frames[::3]]
     detector, threads = Detector([GLYPH]), cv2.getNumThreads()
     try:
@@ -256,7 +256,7 @@ def test_pictures_are_read_from_files(tmp_path: Path) -> None:
         (glyph(), math.nan, "greater than 0 m"),
     ],
 )
-def test_what_is_no_target_is_refused(picture: Array, size_m: float, words: str) -> None:
+def test_invalid_targets_are_refused(picture: Array, size_m: float, words: str) -> None:
     with pytest.raises(ScenarioError, match=words):
         TargetPicture("glyph", picture, size_m)
 

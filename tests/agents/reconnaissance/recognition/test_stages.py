@@ -1,4 +1,4 @@
-"""What each stage of recognition tells apart, and what it cannot."""
+"""Stages of recognition: differences that each of them detects, and others that it cannot detect."""
 
 import math
 
@@ -24,12 +24,12 @@ from vcmvsp.agents.reconnaissance.recognition.stages import (
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.types import Array
 
-MIDDLE = (np.array([23.5]), np.array([23.5]), np.array([48.0]))  # of a patch, and its side
+MIDDLE = (np.array([23.5]), np.array([23.5]), np.array([48.0]))  # middle and side of a patch
 TEMPLATE = TargetPicture("glyph", glyph(), 2.0).template(48)
 
 
 def turned(picture: Array, angle: float, side: int = 48) -> Array:
-    """In the middle of a grey picture of 144 x 144, counter-clockwise."""
+    """A picture turned counter-clockwise, in the middle of a grey picture of 144 x 144."""
     M = cv2.getRotationMatrix2D((0.5 * (picture.shape[1] - 1),) * 2, math.degrees(angle), side / picture.shape[1])
     M[:, 2] += 71.5 - 0.5 * (picture.shape[1] - 1)
     smooth = cv2.GaussianBlur(picture, (0, 0), 0.35 * picture.shape[1] / side)
@@ -37,14 +37,14 @@ def turned(picture: Array, angle: float, side: int = 48) -> Array:
 
 
 def rings(picture: Array, side: float = 48.0) -> tuple[float, Array]:
-    """The cosine with the target in the middle of a picture, and the spectra."""
+    """The cosine between the target and the middle of a picture, and the spectra."""
     at = np.array([71.5])
     spectra = FULL.spectra(picture, at, at, np.array([side]))
     return float(FULL.signatures(spectra).unit[0] @ TEMPLATE.full.unit[0]), spectra[:, 0]
 
 
 def test_reduced_pictures_have_their_edges_in_the_same_places() -> None:
-    """Also where the size is no multiple of the reduction's; an odd row and column at the end are left out."""
+    """Also for sizes that are no multiple of the reduction; an odd row and column at the end are dropped."""
     search = _Search(np.zeros((53, 101, 3), np.uint8), left=7, top=9, inside=(0.0, 0.0, 0.0, 0.0)).reduced(0.3)
     assert search.image.shape[:2] == (16, 30)
     u, v = np.array([7 - 0.5, 7 + 100 - 0.5]), np.array([9 - 0.5, 9 + 52 - 0.5])
@@ -65,8 +65,8 @@ def test_hues_are_the_most_frequent_first_with_their_shares(more: tuple[int, ...
     assert (found.label[first], found.label[second], found.label[60], found.label[255]) == (1, 2, 0, 0)
 
 
-def test_no_more_than_four_hues_and_none_that_is_rare() -> None:
-    """Six hues 30 apart, from 2 % to 30 %."""
+def test_at_most_four_hues_and_no_rare_ones() -> None:
+    """Six hues 30 apart, with shares from 2 % to 30 %."""
     hsv = np.full((100, 10, 3), 200, np.uint8)
     rows = (30, 25, 20, 15, 8, 2)
     hsv[:, :, 0] = np.repeat(30 * np.arange(6), rows)[:, None]
@@ -83,8 +83,8 @@ def test_hues_go_round_in_a_circle() -> None:
     assert colours.hues(np.asarray(cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB))).shares == (1.0,)
 
 
-def test_a_place_scores_no_more_for_a_hue_than_the_target_has_of_it() -> None:
-    """Four sevenths red, two blue: all red is worth two thirds, all blue one third, these shares all, however arranged."""
+def test_the_score_of_a_hue_is_at_most_its_share_of_the_target() -> None:
+    """Target: four sevenths red, two blue. All red scores 2/3, all blue 1/3, these shares 1 in any arrangement."""
     row = np.array([RED] * 4 + [BLUE] * 2 + [(128, 128, 128)], np.uint8)
     wanted = colours.hues(np.tile(row, (7, 3, 1)))
     for picture, expected in (
@@ -98,7 +98,7 @@ def test_a_place_scores_no_more_for_a_hue_than_the_target_has_of_it() -> None:
 
 
 @pytest.mark.parametrize("angle", np.linspace(-3.1, 3.1, 12).tolist())
-def test_turning_changes_neither_magnitudes_nor_what_is_found(angle: float) -> None:
+def test_turning_changes_neither_magnitudes_nor_detections(angle: float) -> None:
     picture = turned(glyph(), angle)
     cosine, spectrum = rings(picture)
     assert cosine > 0.97
@@ -110,8 +110,8 @@ def test_turning_changes_neither_magnitudes_nor_what_is_found(angle: float) -> N
     assert math.dist((pose.u, pose.v), (71.5, 71.5)) < 0.3
 
 
-def test_a_negative_differs_in_its_means_alone() -> None:
-    """Of all harmonics only the 0 has a sign: the cosine loses twice its part."""
+def test_a_negative_differs_in_its_means_only() -> None:
+    """Only harmonic 0 has a sign: the cosine falls by twice its share."""
     negative = FULL.spectra(255 - TEMPLATE.patch, *MIDDLE)
     means = TEMPLATE.full.unit[0, : TEMPLATE.full.spectra.shape[2]]
     cosine = float(FULL.signatures(negative).unit[0] @ TEMPLATE.full.unit[0])
@@ -121,15 +121,15 @@ def test_a_negative_differs_in_its_means_alone() -> None:
 
 @given(steps=st.integers(0, TURNS - 1))
 @settings(max_examples=20)
-def test_phases_tell_a_turn_exactly(steps: int) -> None:
-    """A ring turned by phi is the ring with phases: no picture is needed."""
+def test_phases_give_a_turn_exactly(steps: int) -> None:
+    """A ring turned by phi is the ring times phases, without a picture."""
     spectrum = TEMPLATE.full.spectra[:, 0]
     angle = math.tau * steps / TURNS
     phases = np.exp(-1j * np.arange(len(spectrum)) * angle)[:, None]
     assert abs(wrap(rotation(spectrum * phases, spectrum) - angle)) < 1e-5
 
 
-def test_magnitudes_do_not_tell_a_mirror_image_but_correlation_does() -> None:
+def test_correlation_detects_mirror_images_and_magnitudes_do_not() -> None:
     picture = turned(mirrored(glyph()), 0.7)
     cosine, spectrum = rings(picture)
     assert cosine > 0.97
@@ -141,7 +141,7 @@ def test_magnitudes_do_not_tell_a_mirror_image_but_correlation_does() -> None:
 
 
 def test_templates_are_blurred_as_the_camera_blurs() -> None:
-    """A target of 16 px a side is more like the template for 16 px than like a sharp one; one of 64 px the other way round."""
+    """A target of 16 px a side matches the template for 16 px better than a sharp one; one of 64 px vice versa."""
     for side, other in ((16, 200), (64, 16)):
         picture, start = turned(glyph(), 0.0, side), MatchedPose(71.5, 71.5, 0.0, float(side))
         target = TargetPicture("glyph", glyph(), 2.0)
@@ -155,10 +155,10 @@ def test_matching_corrects_place_and_size(shift: tuple[float, float], scale: flo
     score, pose = match(picture, TEMPLATE, MatchedPose(71.5 + shift[0], 71.5 + shift[1], 0.33, 48.0 * scale))
     assert score > 0.95
     assert math.dist((pose.u, pose.v), (71.5, 71.5)) < 0.5
-    assert pose.side_px == pytest.approx(48.0, rel=0.025)  # at worst 2.35 %, of 845 places and sizes on a grid
+    assert pose.side_px == pytest.approx(48.0, rel=0.025)  # at worst 2.35 %, over a grid of 845 places and sizes
 
 
-def test_all_patches_at_once_are_each_patch_alone() -> None:
+def test_patches_at_once_equal_patches_one_by_one() -> None:
     rng = np.random.default_rng(2)
     picture = rng.integers(0, 255, (100, 120, 3), np.uint8)
     u, v, side = rng.uniform(20, 80, 7), rng.uniform(20, 80, 7), rng.uniform(20, 40, 7)

@@ -1,4 +1,4 @@
-"""The driver on real pseudo-terminals and TCP connections, against the emulated robot at the pace of the wall clock."""
+"""ArcosDriver on pseudo-terminals and TCP connections, against the emulated robot in real time."""
 
 import os
 import pty
@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from tests.support.cosim.run_processes import reserved
+from tests.support.cosim.run_processes import reserve_port
 from tests.support.hardware import driver_runs
 from tests.support.hardware.driver_runs import drive, eventually
 from tests.support.paths import ROOT
@@ -27,11 +27,11 @@ from vcmvsp.hardware.emulators.arcos.device import Device
 from vcmvsp.hardware.emulators.arcos.server import ArcosServer, serve_pty, serve_tcp
 
 pytestmark = [pytest.mark.processes, pytest.mark.sockets, pytest.mark.usefixtures("steady")]
-IMPATIENT = msgspec.structs.replace(ROBOTS["amigo"], watchdog_s=0.8)  # more than what the driver waits for commands
+IMPATIENT = msgspec.structs.replace(ROBOTS["amigo"], watchdog_s=0.8)  # longer than the driver's command timeout
 
 
 def connected(port: str, start: Vec3 = ORIGIN, **options: Any) -> AbstractContextManager[ArcosDriver]:
-    return driver_runs.connected(ArcosDriver(port, **options), start)
+    return driver_runs.open_driver(ArcosDriver(port, **options), start)
 
 
 def heard(served: ArcosServer) -> list[tuple[int, int | bytes | None]]:
@@ -59,7 +59,7 @@ def test_three_seconds_on_a_terminal_and_a_gentle_end() -> None:
         with served.lock:
             moving = max(time_ns for time_ns, number, value in served.device.heard if (number, value) == (Command.VEL, 200))
             off = next(time_ns for time_ns, number, value in served.device.heard if (number, value) == (Command.ENABLE, 0))
-        assert off - moving > 250_000_000  # it was let come to a stand first, from 0.2 m/s at 0.75 m/s2
+        assert off - moving > 250_000_000  # brakes to a standstill first, from 0.2 m/s at 0.75 m/s2
     x, y, yaw = samples[-1].odometry.pose
     assert 0.4 <= x <= 0.62
     assert (y, yaw) == (0.0, 0.0)
@@ -71,7 +71,7 @@ def test_three_seconds_on_a_terminal_and_a_gentle_end() -> None:
     assert {number for each in samples for number, _ in each.sonar} == set(range(8))
 
 
-def test_a_robot_whose_watchdog_is_off_is_warned_of() -> None:
+def test_a_disabled_watchdog_is_warned_of() -> None:
     with (
         serve_pty(Device(msgspec.structs.replace(ROBOTS["amigo"], watchdog_s=0.0))) as served,
         connected(served.url, max_speed=1.5) as driver,
@@ -85,7 +85,7 @@ def test_both_wheels_in_one_command_over_tcp_from_a_start_pose() -> None:
     with serve_tcp(Device(ROBOTS["p2dx"])) as served, connected(served.url, start=(5.0, 6.0, 1.5), mode="vel2") as driver:
         samples = drive(driver, 1.2, v=0.2, w=0.25)
         assert samples[-1].odometry.v == pytest.approx(0.2, abs=0.01)
-        assert samples[-1].odometry.w == pytest.approx(0.25, abs=0.06)  # a step of 20 mm/s on one side
+        assert samples[-1].odometry.w == pytest.approx(0.25, abs=0.06)  # one step of 20 mm/s on one side
         assert samples[-1].odometry.pose[2] > 1.6
         assert samples[-1].odometry.pose[1] > 6.1
         numbers = [number for number, _ in heard(served)]
@@ -94,7 +94,7 @@ def test_both_wheels_in_one_command_over_tcp_from_a_start_pose() -> None:
 
 
 @pytest.mark.parametrize("cause", ["left the field", "no command for 0.5 s"])
-def test_a_stop_a_lack_of_commands_and_the_stop_button_stop_it_and_are_told(cause: str) -> None:
+def test_stop_timeout_and_stop_button_stop_it_with_a_notice(cause: str) -> None:
     with serve_pty(Device(ROBOTS["amigo"])) as served, connected(served.url) as driver:
         eventually(lambda: drive(driver, 0.4, v=0.2) and not stands(served))
         if cause == "left the field":
@@ -111,14 +111,14 @@ def test_a_stop_a_lack_of_commands_and_the_stop_button_stop_it_and_are_told(caus
 
 
 def test_unplugged_and_plugged_in_again(tmp_path: Path) -> None:
-    """It was moving when it was unplugged, its watchdog stopped it, and its session is still open: it must not move again."""
+    """Unplugged in motion, stopped by its watchdog, session still open: the robot must not move again."""
     link = tmp_path / "robot"
     first = serve_pty(Device(ROBOTS["amigo"]), link=link)
     with connected(str(link), reconnect_s=20.0) as driver:
         before = drive(driver, 1.0, v=0.2)[-1]
         first.close()
         eventually(lambda: "lost" in what(driver))
-        driver.read()  # nothing is raised
+        driver.read()  # does not raise
         driver.write(Velocity(linear=(0.2, 0.0, 0.0)))  # dropped
 
         robot = Device(ROBOTS["amigo"], old_session=True)
@@ -127,7 +127,7 @@ def test_unplugged_and_plugged_in_again(tmp_path: Path) -> None:
         with serve_pty(robot, link=link) as again:
             eventually(lambda: "connected" in what(driver))
             eventually(lambda: driver.read() is not None)
-            assert heard(again)[2:5] == [(Command.VEL, 0), (Command.RVEL, 0), (Command.PULSE, None)]  # behind ours above
+            assert heard(again)[2:5] == [(Command.VEL, 0), (Command.RVEL, 0), (Command.PULSE, None)]  # after the commands above
             assert all(value == 0 for number, value in heard(again)[2:] if number in (Command.VEL, Command.RVEL))
             assert stands(again)
             with again.lock:
@@ -166,15 +166,15 @@ def test_not_back_in_time() -> None:
             drive(driver, 10.0)
 
 
-def test_a_robot_that_falls_silent() -> None:
+def test_a_silent_robot() -> None:
     with serve_pty(Device(ROBOTS["amigo"])) as served, connected(served.url, silence_s=0.5) as driver:
         drive(driver, 0.3)
         with served.lock, pytest.raises(LinkLost, match=r"no packet was received for 0\.5 s; check the robot's battery"):
-            drive(driver, 10.0)  # who holds the lock, holds the robot
+            drive(driver, 10.0)  # the lock blocks the emulated robot
 
 
-def test_the_caller_never_waits() -> None:
-    """Though the robot hangs and takes nothing, until the port is full."""
+def test_calls_never_block() -> None:
+    """Even if the robot hangs and reads nothing, until the port is full."""
     with serve_pty(Device(ROBOTS["amigo"])) as served, connected(served.url, silence_s=60.0) as driver, served.lock:
         longest = 0.0
         for _ in range(200):
@@ -183,10 +183,10 @@ def test_the_caller_never_waits() -> None:
             driver.read()
             driver.stop("x")
             longest = max(longest, time.monotonic() - begin)
-        assert longest < 1.0  # generous: this machine may be busy
+        assert longest < 1.0  # generous: the machine may be loaded
 
 
-def refused(port: str, **options: Any) -> DriverError:
+def refusal(port: str, **options: Any) -> DriverError:
     before = threading.active_count()
     driver = ArcosDriver(port, **options)
     with pytest.raises(DriverError) as error:
@@ -198,33 +198,33 @@ def refused(port: str, **options: Any) -> DriverError:
 
 
 def test_ports_that_cannot_be_opened(tmp_path: Path) -> None:
-    missing = refused(str(tmp_path / "ttyUSB7"))
+    missing = refusal(str(tmp_path / "ttyUSB7"))
     assert isinstance(missing, PortError)
     assert "there is no such port; available ports: " in str(missing)
     plain = tmp_path / "plain"
     plain.write_text("x")
-    assert "not a serial port" in refused(str(plain)).happened
-    assert "not a serial port" in refused(str(tmp_path)).happened
-    assert "socket://localhost:8101" in refused("socket://robot").advice
-    assert "socket://localhost:8101" in refused("socket://robot:x").advice
-    assert "unknown kind of port" in refused("udp://robot:1").happened
-    with reserved() as nobody:
+    assert "not a serial port" in refusal(str(plain)).happened
+    assert "not a serial port" in refusal(str(tmp_path)).happened
+    assert "socket://localhost:8101" in refusal("socket://robot").advice
+    assert "socket://localhost:8101" in refusal("socket://robot:x").advice
+    assert "unknown kind of port" in refusal("udp://robot:1").happened
+    with reserve_port() as nobody:
         for scheme in ("socket", "tcp"):
-            assert f"nothing listens on port {nobody} of 127.0.0.1" in refused(f"{scheme}://127.0.0.1:{nobody}").happened
+            assert f"nothing listens on port {nobody} of 127.0.0.1" in refusal(f"{scheme}://127.0.0.1:{nobody}").happened
 
 
-def test_a_port_that_belongs_to_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_port_without_permission(monkeypatch: pytest.MonkeyPatch) -> None:
     def deny(*_: object) -> int:
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr("serial.serialposix.os.open", deny)
-    error = refused("/dev/ttyUSB0")
+    error = refusal("/dev/ttyUSB0")
     assert "access is denied; join the group that owns it" in str(error)
 
 
 def test_a_port_may_not_be_used_twice() -> None:
     with serve_pty(Device(ROBOTS["amigo"])) as served, connected(served.url) as driver:
-        error = refused(served.url)
+        error = refusal(served.url)
         assert isinstance(error, PortError)
         assert "it is in use; close the other program" in str(error)
         assert drive(driver, 0.3)
@@ -234,7 +234,7 @@ def test_a_port_may_not_be_used_twice() -> None:
 
 def test_the_wrong_robot() -> None:
     with serve_pty(Device(ROBOTS["p2dx"])) as served:
-        error = refused(served.url, robot="amigo")
+        error = refusal(served.url, robot="amigo")
         assert isinstance(error, HandshakeError)
         assert "the robot is of kind p2dx (emulated), not amigo" in error.happened
         with connected(served.url, robot="p2dx") as driver:  # the port is free again
@@ -243,7 +243,7 @@ def test_the_wrong_robot() -> None:
 
 @contextmanager
 def terminal(answer: Callable[[bytes], bytes]) -> Iterator[str]:
-    """A terminal with somebody else behind it."""
+    """A terminal with another device behind it."""
     here, there = pty.openpty()
 
     def run() -> None:
@@ -282,7 +282,7 @@ def test_closing_does_not_wait_for_a_robot_that_does_not_answer() -> None:
         assert errors == ["the driver was closed while connecting"]
 
 
-def test_a_process_that_forgets_to_close_ends_and_its_robot_stops() -> None:
+def test_a_process_ends_without_close_and_its_robot_stops() -> None:
     code = "import sys; from vcmvsp.hardware.drivers.arcos.driver import ArcosDriver; ArcosDriver(sys.argv[1]).open()"
     with serve_pty(Device(IMPATIENT)) as served:
         subprocess.run([sys.executable, "-c", code, served.url], check=True, timeout=500, cwd=ROOT)

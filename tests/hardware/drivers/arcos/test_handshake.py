@@ -1,4 +1,4 @@
-"""Connecting, in logical time: the handshake against the emulated robot, whatever state that is in and whatever gets lost."""
+"""Handshake with the emulated robot in logical time, in any state of the robot and with losses."""
 
 from contextlib import suppress
 
@@ -25,7 +25,7 @@ def handshake(**options: object) -> Handshake:
 def shake_hands(
     client: Handshake, robot: Device, *, faults: Faults | None = None, start_ns: int = 0
 ) -> list[tuple[int, bytes]]:
-    """Run it, a millisecond at a time; all that the client sent, with the times."""
+    """Runs the handshake in steps of 1 ms; returns the client's data with times, ns."""
     faults = faults or Faults()
     down, up = (Wire(faults, stream(faults.seed, name)) for name in ("down", "up"))
     sent = [(start_ns, client.start(start_ns))]
@@ -58,7 +58,7 @@ def test_connects_and_leaves_the_robot_standing_with_motors_on() -> None:
     assert [each for each in numbers if each not in (Command.VEL, Command.RVEL)] == [0, 1, 2, 1, Command.CONFIG, Command.ENABLE]
 
 
-def test_zero_speed_is_the_first_of_all_and_comes_again_before_the_motors() -> None:
+def test_zero_speed_comes_first_and_again_before_the_motors() -> None:
     sent = b"".join(data for _, data in shake_hands(handshake(), Device(ROBOTS["amigo"])))
     assert sent.startswith(bytes.fromhex("fafb060b3b00000b3b fafb06153b0000153b fafb03000000"))
     asked = commands(sent)
@@ -68,7 +68,7 @@ def test_zero_speed_is_the_first_of_all_and_comes_again_before_the_motors() -> N
 
 
 @pytest.mark.parametrize("turning", [0, 30])
-def test_a_robot_that_its_watchdog_stopped_does_not_move_again(turning: int) -> None:
+def test_a_robot_stopped_by_its_watchdog_stays_stopped(turning: int) -> None:
     robot = Device(ROBOTS["amigo"], old_session=True)
     robot.receive(command(Command.VEL, 200) + command(Command.RVEL, turning), 0)
     robot.advance(6000 * MS)
@@ -82,14 +82,14 @@ def test_a_robot_that_its_watchdog_stopped_does_not_move_again(turning: int) -> 
 
 @pytest.mark.parametrize("seed", range(40))
 def test_connects_over_a_bad_line(seed: int) -> None:
-    """One byte in 250 is lost, one in 250 changed, both ways: some 7 % of the packets of 9 bytes, 38 % of those of 59."""
+    """One byte in 250 is lost, one in 250 changed, in both directions: about 7 % of 9-byte packets, 38 % of 59-byte packets."""
     robot, client = Device(ROBOTS["amigo"], old_session=seed % 2 == 1), handshake(give_up_s=60.0)
     shake_hands(client, robot, faults=Faults(drop=0.004, flip=0.004, split=0.01, seed=seed))
     assert robot.is_open
     assert robot.motors_on
 
 
-def test_garbage_before_the_answers_does_not_matter() -> None:
+def test_garbage_before_the_answers_has_no_effect() -> None:
     robot, client = Device(ROBOTS["amigo"]), handshake()
     robot.receive(b"WMS2\r", 0)
     answer = client.start(0)
@@ -101,15 +101,15 @@ def test_garbage_before_the_answers_does_not_matter() -> None:
     assert now < 1000 * MS
 
 
-def test_an_answer_behind_a_false_header_is_found_when_nothing_more_comes() -> None:
-    """Noise announces a packet of 200 bytes, which never come: the answer behind it counts all the same, after the wait."""
+def test_an_answer_behind_a_false_header_is_found_after_a_wait() -> None:
+    """Noise announces a packet of 200 bytes that never arrive; the answer behind it counts after the wait."""
     client = handshake()
     client.start(0)
     assert client.receive(b"\xfa\xfb\xc8" + frame(b"\0"), 10 * MS) == b""
     assert client.advance(client.due_ns) == command(1)
 
 
-def test_settings_are_told_in_the_units_of_the_robot() -> None:
+def test_settings_are_sent_in_the_robots_units() -> None:
     robot = Device(ROBOTS["p2dx"])
     settings = Settings(max_speed=0.6, accel=0.25, decel=0.5, max_yaw_rate=1.0, yaw_accel=2.0)
     shake_hands(handshake(settings=settings), robot)
@@ -118,7 +118,7 @@ def test_settings_are_told_in_the_units_of_the_robot() -> None:
     assert (motion.max_yaw_rate, motion.yaw_accel, motion.yaw_decel) == pytest.approx((1.0, 2.0, 2.0), abs=0.01)
 
 
-def test_the_kind_must_be_the_one_that_was_meant() -> None:
+def test_the_kind_must_match() -> None:
     with pytest.raises(HandshakeError, match=r"/dev/x: the robot is of kind amigo \(rosa\), not p2dx; set robot = 'amigo'"):
         shake_hands(handshake(kind="p2dx"), Device(ROBOTS["amigo"], name="rosa"))
 
@@ -138,8 +138,8 @@ def test_kinds_are_compared_without_case_and_unknown_ones_are_named() -> None:
         connect(b"")
 
 
-def fails(heard: bytes) -> str:
-    """What it says after ten seconds in which this came again and again."""
+def error_text(heard: bytes) -> str:
+    """Error text after ten seconds of repeated input."""
     client, now = handshake(), 0
     client.start(now)
     while now < 20_000 * MS:
@@ -154,15 +154,17 @@ def fails(heard: bytes) -> str:
     pytest.fail("it never gave up")
 
 
-def test_why_there_is_no_connection() -> None:
-    assert "no byte was received for 10 s; check that the robot is on" in fails(b"")
-    assert "but no packet; the baud rate may be wrong (it is 9600; try 19200, 38400, 57600, 115200)" in fails(b"\x80\xff\x00")
-    assert "another client may be connected" in fails(frame(b"\x32" + bytes(24)))
+def test_causes_of_failure() -> None:
+    assert "no byte was received for 10 s; check that the robot is on" in error_text(b"")
+    assert "but no packet; the baud rate may be wrong (it is 9600; try 19200, 38400, 57600, 115200)" in error_text(
+        b"\x80\xff\x00"
+    )
+    assert "another client may be connected" in error_text(frame(b"\x32" + bytes(24)))
 
 
 @given(st.lists(st.one_of(st.binary(min_size=1, max_size=60), st.binary(max_size=60).map(lambda rest: b"\x32" + rest))))
-def test_whatever_is_said_it_connects_or_says_why_not(said: list[bytes]) -> None:
-    """Packets of any content, in every stage."""
+def test_any_packets_connect_or_give_an_error(said: list[bytes]) -> None:
+    """Packets of any content, at every stage."""
     for echoes in ([], [b"\0"], [b"\0", b"\1"], [b"\0", b"\1", b"\2x\0Pioneer\0amigo\0"]):
         client, now = handshake(), 0
         client.start(now)

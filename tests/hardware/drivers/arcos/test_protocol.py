@@ -1,4 +1,4 @@
-"""Messages of ARCOS: known bytes, round trips, the places of fields, and what is left of frames on a bad line."""
+"""ARCOS messages: known bytes, round trips, positions of fields, and frames on a noisy line."""
 
 import contextlib
 import math
@@ -32,7 +32,7 @@ from vcmvsp.hardware.emulators.arcos.device import SetPoints
 
 pytestmark = pytest.mark.slow
 
-GOLDEN = [  # AmigoBot manual; frames that drove simulators of other makers
+GOLDEN = [  # AmigoBot manual; frames sent to simulators of other makers
     ("fafb03000000", 0, None),
     ("fafb03020002", 2, None),
     ("fafb06043b0100053b", 4, 1),
@@ -67,7 +67,7 @@ def test_arguments_survive(number: int, argument: int | str | bytes | None) -> N
 
 
 @pytest.mark.parametrize("argument", [0x10000, -0x8001, "x" * 196, bytes(198)])
-def test_what_does_not_fit_is_refused(argument: int | str | bytes) -> None:
+def test_oversized_ones_are_refused(argument: int | str | bytes) -> None:
     with pytest.raises(ValueError, match=r"a command|a packet"):
         command(11, argument)
 
@@ -79,7 +79,7 @@ def test_malformed_commands_are_refused(data: bytes) -> None:
 
 
 @given(st.lists(st.one_of(packets.map(frame), st.binary(max_size=30)), max_size=8), st.data())
-def test_it_does_not_matter_how_the_stream_is_cut(parts: list[bytes], data: st.DataObject) -> None:
+def test_any_split_of_the_stream_is_read_equally(parts: list[bytes], data: st.DataObject) -> None:
     line = b"".join(parts)
     whole, cut, found, start = PacketReader(), PacketReader(), [], 0
     while start < len(line):
@@ -98,7 +98,7 @@ def test_packets_in_a_row_are_all_found_and_nothing_is_dropped(sent: list[bytes]
 
 
 @pytest.mark.parametrize("line", SEND)
-def test_one_changed_bit_is_always_noticed(line: bytes) -> None:
+def test_one_changed_bit_is_always_detected(line: bytes) -> None:
     for bit in range(8 * len(line)):
         bad = bytearray(line)
         bad[bit // 8] ^= 1 << bit % 8
@@ -106,7 +106,7 @@ def test_one_changed_bit_is_always_noticed(line: bytes) -> None:
 
 
 @pytest.mark.parametrize("line", SEND)
-def test_one_lost_byte_is_always_noticed_and_costs_that_packet_alone(line: bytes) -> None:
+def test_one_lost_byte_costs_exactly_one_packet(line: bytes) -> None:
     for lost in range(len(line)):
         reader = PacketReader()
         found = reader.feed(line[:lost] + line[lost + 1 :] + b"".join(SEND) * 8)
@@ -114,8 +114,10 @@ def test_one_lost_byte_is_always_noticed_and_costs_that_packet_alone(line: bytes
         assert reader.dropped_bytes == len(line) - 1
 
 
-def test_a_packet_behind_garbage_is_found_when_the_bytes_that_a_false_header_announces_have_come() -> None:
-    """100 000 streams, rich in false headers. It is lost only where false bytes happen to carry the right checksum (2**-16)."""
+def test_a_packet_behind_garbage_is_found_after_the_announced_bytes() -> None:
+    """100 000 streams with many false headers. A packet is lost only if false bytes happen to have the right checksum
+    (2**-16).
+    """
     draws = random.Random(1)
     late, false, announced = 0, 0, 0
     for _ in range(100_000):
@@ -129,30 +131,30 @@ def test_a_packet_behind_garbage_is_found_when_the_bytes_that_a_false_header_ann
         late += data not in found
         found += reader.feed(b"\x55" * MAX_BYTES)
         announced += reader.bad_checksums
-        assert data in found or len(found) > 0  # overlapped by a false one, which is in its place
+        assert data in found or len(found) > 0  # otherwise replaced by an overlapping false packet
         false += len(found) - (data in found)
         if found == [data]:
             assert reader.dropped_bytes == len(garbage) + MAX_BYTES
-    assert late > 10_000  # the streams do what they are for
+    assert late > 10_000  # the streams contain the case under test
     assert announced > 50_000
     assert false < 12  # announced / 2**16 is 1
 
 
-def test_a_bad_line_gives_no_command_that_was_not_sent() -> None:
-    """Bytes lost, changed and put in, each with probability 1 %. Two changes in one packet may cancel out in its sum."""
+def test_a_noisy_line_gives_no_unsent_commands() -> None:
+    """Bytes lost, changed and inserted, each with probability 1 %. Two changes in one packet may cancel out in its checksum."""
     draws = random.Random(3)
     sent, got, false = 0, 0, 0
     for _ in range(5_000):
         commands = [draws.choice(SEND) for _ in range(10)]
         reader = PacketReader()
-        found = reader.feed(bytes(_spoilt(b"".join(commands), draws)) + b"\x55" * MAX_BYTES)
+        found = reader.feed(bytes(_corrupted(b"".join(commands), draws)) + b"\x55" * MAX_BYTES)
         false += sum(frame(each) not in commands for each in found)
         sent, got = sent + len(commands), got + len(found)
     assert 0.75 * sent < got < 0.85 * sent  # 0.97 to the power of 7.5 bytes
     assert false <= 12  # 2 to 3 are expected: 14 of 240 000 on a longer run, none of 280 000 where bytes are only lost
 
 
-def _spoilt(line: bytes, draws: random.Random) -> bytearray:
+def _corrupted(line: bytes, draws: random.Random) -> bytearray:
     out = bytearray()
     for byte in line:
         luck = draws.random()
@@ -185,7 +187,7 @@ def test_golden_bytes() -> None:
 @pytest.mark.parametrize("kind", ROBOTS)
 @pytest.mark.parametrize("mode", ["vel", "vel2"])
 @given(v=st.floats(-5, 5), w=st.floats(-20, 20))
-def test_the_robot_understands_what_was_meant(kind: str, mode: str, v: float, w: float) -> None:
+def test_the_robot_decodes_the_speeds(kind: str, mode: str, v: float, w: float) -> None:
     robot = ROBOTS[kind]
     v, w = (max(-most, min(most, each)) for each, most in ((v, robot.max_speed), (w, robot.max_yaw_rate)))
     motion = SetPoints(robot)
@@ -231,13 +233,13 @@ def sips(draw: st.DrawFn) -> Sip:
 @given(sips())
 def test_round_trip(sip: Sip) -> None:
     assert decode_sip(encode_sip(sip)) == sip
-    assert decode_sip(encode_sip(sip) + bytes(5)).x == sip.x  # more than is known
+    assert decode_sip(encode_sip(sip) + bytes(5)).x == sip.x  # further bytes are ignored
 
 
-def test_every_field_is_where_the_manual_puts_it() -> None:
+def test_every_field_is_placed_as_in_the_manual() -> None:
     data = bytearray(41)
     data[0], data[11], data[18], data[19] = 0x33, 120, 45, 2
-    struct.pack_into("<HH", data, 1, 0x8000 | 1234, 32767)  # the top bit of a position means nothing
+    struct.pack_into("<HH", data, 1, 0x8000 | 1234, 32767)  # the top bit of a position is ignored
     struct.pack_into("<hhh", data, 5, -1024, -100, 300)
     struct.pack_into("<HhH", data, 12, 0x0100, -5, 0x0003)
     struct.pack_into("<BHBH", data, 20, 0, 5000, 7, 321)
@@ -283,7 +285,7 @@ def test_stalled_wheels_are_told_from_bumpers() -> None:
 
 
 @given(sips())
-def test_a_packet_that_is_cut_off_is_refused_or_has_fewer_fields(sip: Sip) -> None:
+def test_a_truncated_packet_is_refused_or_has_fewer_fields(sip: Sip) -> None:
     data = encode_sip(sip)
     needed = 25 + 3 * len(sip.sonars)
     for length in range(len(data)):
@@ -321,11 +323,11 @@ def test_configuration_round_trip_and_older_firmware() -> None:
     assert (short.top_speed, short.name, short.watchdog, short.version) == (1000, "robbi", None, "")
 
 
-def test_what_a_robot_says_of_itself_is_warned_of_where_it_is_not_what_a_user_expects() -> None:
+def test_unexpected_settings_of_a_robot_are_warned_of() -> None:
     amigo = ROBOTS["amigo"]
     usual = Config(watchdog=2000, top_speed=1000, top_yaw_rate=300)
     assert setting_warnings(usual, amigo, 1.0, math.radians(300)) == []
-    assert setting_warnings(Config(), amigo, 9.0, 9.0) == []  # it does not say
+    assert setting_warnings(Config(), amigo, 9.0, 9.0) == []  # no values reported
     assert "watchdog is off" in setting_warnings(Config(watchdog=0), amigo, None, None)[0]
     assert "waits for 3.5 s before it stops it, not 2 s" in setting_warnings(Config(watchdog=3500), amigo, None, None)[0]
     speed, turn = setting_warnings(usual, amigo, 1.2, 6.0)
@@ -343,9 +345,9 @@ def test_factors_of_the_robots() -> None:
 
 
 @pytest.mark.parametrize("kind", ROBOTS)
-def test_sonars_are_mirrored_about_the_long_axis_and_look_away_from_the_middle(kind: str) -> None:
+def test_sonars_are_mirrored_about_the_long_axis_and_point_outwards(kind: str) -> None:
     places = {(each.x, each.y, round(math.degrees(each.angle))) for each in ROBOTS[kind].sonars}
     assert len(places) == {"p2dx": 16}.get(kind, 8)
-    if kind != "amigo-sh":  # whose sonars are not quite, as published
+    if kind != "amigo-sh":  # published positions are not quite symmetric
         assert places == {(x, -y, -angle) for x, y, angle in places}
     assert all(each.x * math.cos(each.angle) + each.y * math.sin(each.angle) > 0 for each in ROBOTS[kind].sonars)

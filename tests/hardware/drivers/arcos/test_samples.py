@@ -1,4 +1,4 @@
-"""Samples of information packets: pose over counters that wrap, units, and when it was measured."""
+"""Samples from information packets: pose with wrapping counters, units, time of measurement."""
 
 import math
 
@@ -51,14 +51,14 @@ def test_the_first_packet_after_a_reconnection_only_sets_the_base() -> None:
     after = path.add(Sip(x=0, y=0, heading=1024), 3000 * MS, "")
     assert after.odometry.pose == before.odometry.pose == pytest.approx((1.0 + 0.2 * 0.5083, 2.0, 0.0))
     assert (before.link, after.link) == (1, 2)
-    ahead = path.add(Sip(x=0, y=200, heading=1024), 3100 * MS, "")  # its own north is our east: it looks along it
+    ahead = path.add(Sip(x=0, y=200, heading=1024), 3100 * MS, "")  # its y axis is our x axis, along its heading
     assert ahead.odometry.pose == pytest.approx((1.0 + 0.4 * 0.5083, 2.0, 0.0))
 
 
-def test_a_step_that_no_robot_can_make_is_left_out_and_counted() -> None:
+def test_an_impossible_step_is_omitted_and_counted() -> None:
     path = track()
     path.add(Sip(x=8000), 0, "")
-    sample = path.add(Sip(x=0), 100 * MS, "")  # 4 m in 0.1 s: somebody set the odometry to zero
+    sample = path.add(Sip(x=0), 100 * MS, "")  # 4 m in 0.1 s: the odometry was reset
     assert sample.odometry.pose == (0.0, 0.0, 0.0)
     assert path.leaps == 1
     assert path.add(Sip(x=100), 200 * MS, "").odometry.pose == pytest.approx((0.05083, 0.0, 0.0))
@@ -84,7 +84,7 @@ def test_flags() -> None:
     assert (sample.motors, sample.emergency_stop, sample.stalled, sample.bumpers) == (True, False, (False, True), 0)
 
 
-def test_sonars_are_kept_until_they_are_read_and_the_newest_counts() -> None:
+def test_sonars_are_kept_until_read_and_the_newest_counts() -> None:
     path = track()
     path.add(Sip(sonars=((0, 1000), (1, 1500))), 0, "")
     assert path.add(Sip(sonars=((1, 1600), (7, 300))), 100 * MS, "").sonar == ((0, 1.0), (1, 1.6), (7, 0.3))
@@ -94,9 +94,10 @@ def test_sonars_are_kept_until_they_are_read_and_the_newest_counts() -> None:
 
 @settings(max_examples=50)
 @given(late=st.lists(st.integers(0, 40), min_size=30, max_size=60), period=st.sampled_from([99.5, 100.0, 100.5]))
-def test_jitter_of_arrivals_is_taken_out(late: list[int], period: float) -> None:
-    """Packets leave every period and arrive up to 40 ms late: the estimate is never later than the arrival and, once some
-    packet came with little delay, steadier than it."""
+def test_jitter_of_arrivals_is_removed(late: list[int], period: float) -> None:
+    """Packets leave every period and arrive up to 40 ms late: the estimate is never later than the arrival and, after a packet
+    with little delay, steadier than it.
+    """
     path = track()
     late[0] = 0
     for k, delay in enumerate(late):
@@ -105,7 +106,7 @@ def test_jitter_of_arrivals_is_taken_out(late: list[int], period: float) -> None
         assert sample.arrived_ns == sent + delay * MS
         error = (sample.measured_ns + 50 * MS - sent) / MS
         assert -0.001 <= error <= delay
-        assert error <= 1.6 * (k + 1)  # 1 % of slack and 0.5 % of the robot's clock a period, from the punctual first
+        assert error <= 1.6 * (k + 1)  # 1 % of slack and 0.5 % of the robot's clock per period, from the first, punctual packet
 
 
 @pytest.mark.parametrize("period_ms", [50, 90, 110, 130])
@@ -116,7 +117,7 @@ def test_a_robot_of_another_period_is_never_far_off(period_ms: int) -> None:
         assert 50 * MS <= sample.arrived_ns - sample.measured_ns <= 100 * MS
 
 
-def test_a_gap_costs_nothing() -> None:
+def test_a_gap_has_no_effect() -> None:
     path = track()
     path.add(Sip(), 0, "")
     sample = path.add(Sip(), 1030 * MS, "")  # nine are missing, this one is 30 ms late

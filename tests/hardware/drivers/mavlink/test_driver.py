@@ -1,4 +1,4 @@
-"""The driver over real UDP and TCP sockets, against the emulated vehicle at the pace of the wall clock."""
+"""MavlinkDriver over UDP and TCP sockets, against the emulated vehicle in real time."""
 
 import itertools
 import math
@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from tests.support import requirements
-from tests.support.cosim.run_processes import reserved
+from tests.support.cosim.run_processes import reserve_port
 from tests.support.hardware import driver_runs
 from tests.support.hardware.driver_runs import eventually, fly, rest
 from tests.support.netsim.gateway_context import free_ports
@@ -28,12 +28,12 @@ from vcmvsp.hardware.stations import READY_S
 
 pytestmark = [pytest.mark.sockets, pytest.mark.usefixtures("steady")]
 FLYING = (0.0, 0.0, 10.0, 0.0)
-QUICK: dict[str, Any] = {"heartbeat_s": 0.1}  # so that nobody waits for them here
+QUICK: dict[str, Any] = {"heartbeat_s": 0.1}  # for short waiting times
 GUIDED: dict[str, Any] = {"autopilot": "ardupilot", "mode": "GUIDED", "armed": True, **QUICK}
 
 
 def connected(address: str, start: Vec3 = ORIGIN, **options: Any) -> AbstractContextManager[MavlinkDriver]:
-    return driver_runs.connected(MavlinkDriver(address=address, **{"system_id": 1, **options}), start)
+    return driver_runs.open_driver(MavlinkDriver(address=address, **{"system_id": 1, **options}), start)
 
 
 def newest(driver: Driver) -> Sample:
@@ -54,7 +54,7 @@ def points(served: MavlinkServer) -> list[Any]:
 
 
 def notice(driver: Driver, what: str, word: str) -> Callable[[], bool]:
-    """Whether it has told this by now."""
+    """Predicate: a notice of this kind with this word has been read."""
     seen: list[str] = []
 
     def told() -> bool:
@@ -78,14 +78,14 @@ def test_px4_is_switched_armed_lifted_flown_east_and_left_holding() -> None:
             last = samples[-1]
             assert last.state is not None
             seconds = 1e-9 * (last.measured_ns - t0)
-            assert last.state.position[0] - began[0] == pytest.approx(seconds, abs=0.3 + 0.2 * seconds)  # it lags by 0.3 s
+            assert last.state.position[0] - began[0] == pytest.approx(seconds, abs=0.3 + 0.2 * seconds)  # lag of 0.3 s
             assert last.state.position[1] == pytest.approx(4.0, abs=0.05)
             assert last.state.velocity[0] == pytest.approx(1.0, abs=0.1)
             assert last.state.yaw == pytest.approx(0.5 * math.pi, abs=0.01)
             assert last.motors
             assert last.stopped == ""
             assert last.battery_v == pytest.approx(15.8)
-            # Odometry began at the pose that `open` was given, and looks east where the vehicle looks north.
+            # Odometry begins at the pose passed to `open`, and faces east where the vehicle faces north.
             x, y, _ = last.odometry.pose
             assert y < -0.4
             assert abs(x) < 0.05
@@ -97,7 +97,7 @@ def test_px4_is_switched_armed_lifted_flown_east_and_left_holding() -> None:
     assert {(each.param1, each.param2) for each in arming} == {(1.0, 0.0)}  # never by force
 
 
-def test_nothing_is_armed_or_switched_that_was_not_asked_for() -> None:
+def test_nothing_is_armed_or_switched_without_an_option() -> None:
     with MavlinkServer(Vehicle(**QUICK), UdpPort()) as served, connected(served.url) as driver:
         samples = fly(driver, 0.5, 1.0, 0.0, 1.0)
         eventually(lambda: points(served))
@@ -109,7 +109,7 @@ def test_nothing_is_armed_or_switched_that_was_not_asked_for() -> None:
         assert {(each.vx, each.vy, each.vz) for each in points(served)} == {(0.0, 0.0, 0.0)}
 
 
-def test_no_driver_takes_longer_than_a_station_waits_for_it() -> None:
+def test_a_driver_opens_within_the_stations_timeout() -> None:
     with pytest.raises(ScenarioError, match="<= 15"):
         call(MavlinkDriver, {"address": "udpin:0.0.0.0:1", "connect_s": 15.1}, key="driver")
     longest = call(
@@ -123,8 +123,8 @@ def test_no_driver_takes_longer_than_a_station_waits_for_it() -> None:
 
 
 @pytest.mark.parametrize("to", ["127.0.0.1", "::1"])
-def test_an_emulated_vehicle_speaks_to_any_machine(to: str) -> None:
-    """What is bound to loopback could not."""
+def test_an_emulated_vehicle_sends_to_any_machine(to: str) -> None:
+    """Not possible with a socket bound to loopback."""
     with socket.socket(socket.AF_INET6 if ":" in to else socket.AF_INET, socket.SOCK_DGRAM) as ear:
         try:
             ear.bind((to, 0))
@@ -143,7 +143,7 @@ def test_parameters_that_do_not_fit(options: dict[str, Any]) -> None:
         MavlinkDriver(address="udpin:127.0.0.1:14540", **options)
 
 
-def test_arming_that_is_refused_says_why() -> None:
+def test_refused_arming_has_a_reason() -> None:
     with MavlinkServer(Vehicle(autopilot="ardupilot", can_arm=False, **QUICK), UdpPort()) as served:
         driver = MavlinkDriver(address=served.url, system_id=1, switch_mode=True, arm=True, connect_s=1.0)
         with pytest.raises(HandshakeError, match=r"waited for it to arm \(COMPONENT_ARM_DISARM: temporarily") as caught:
@@ -162,7 +162,7 @@ def test_the_pilot_takes_over_and_gives_back() -> None:
         eventually(lambda: "LOITER" in fly(driver, 0.1, 1.0, 0.0, 0.0)[-1].stopped)
         eventually(notice(driver, "stopped", "switched it to LOITER"))
         fly(driver, 0.5, 1.0, 0.0, 0.0)
-        assert served.vehicle.mode == "LOITER"  # it was not fought
+        assert served.vehicle.mode == "LOITER"  # the driver did not switch it back
         assert not commands(served, mavlink.MAV_CMD_DO_SET_MODE)
         with served.lock:
             served.vehicle.pilot_switches("GUIDED")
@@ -171,16 +171,16 @@ def test_the_pilot_takes_over_and_gives_back() -> None:
         with served.lock:
             served.vehicle.pilot_switches("LOITER")
         eventually(lambda: "LOITER" in newest(driver).stopped)
-    assert served.vehicle.mode == "LOITER"  # and at the end it is left to the pilot
+    assert served.vehicle.mode == "LOITER"  # left to the pilot at the end
 
 
-def test_stop_is_at_once_and_silence_of_the_caller_stops_too() -> None:
+def test_stop_is_immediate_and_missing_commands_stop_too() -> None:
     with serve(Vehicle(start=FLYING, **GUIDED), "tcp://:0") as served, connected(served.url) as driver:
         eventually(lambda: newest(driver).stopped != "it is not armed")
         fly(driver, 0.6, 0.0, 1.0, 0.0, yaw_rate=0.3)
         driver.stop("somebody shouted")
         eventually(lambda: served.vehicle.commanded() == Velocity())
-        eventually(lambda: newest(driver).stopped == "somebody shouted")  # the one before may not have been read yet
+        eventually(lambda: newest(driver).stopped == "somebody shouted")  # the previous stop may still be unread
         fly(driver, 0.2, 0.0, 1.0, 0.0)
         eventually(lambda: newest(driver).stopped == "no command for 0.5 s")
         eventually(lambda: served.vehicle.commanded() == Velocity())
@@ -190,7 +190,7 @@ def test_stop_is_at_once_and_silence_of_the_caller_stops_too() -> None:
     assert served.vehicle.armed
 
 
-def test_a_vehicle_that_falls_silent_and_comes_back_gets_zero_first() -> None:
+def test_a_returning_vehicle_gets_zero_first() -> None:
     with (
         MavlinkServer(Vehicle(start=FLYING, **GUIDED), UdpPort()) as served,
         connected(served.url, silence_s=0.5, reconnect_s=30.0) as driver,
@@ -213,8 +213,8 @@ def test_a_vehicle_that_falls_silent_and_comes_back_gets_zero_first() -> None:
         eventually(lambda: fly(driver, 0.1, 1.0, 0.0, 0.0)[-1].stopped == "")
 
 
-def test_only_the_vehicle_that_was_lost_is_found_again_and_neither_switched_nor_armed() -> None:
-    """Although no number was given, another one flies by, and the caller says stop all the time."""
+def test_only_the_lost_vehicle_is_found_again_neither_switched_nor_armed() -> None:
+    """Although no system_id was given, another vehicle sends, and the caller requests stops all the time."""
     port = free_ports(1)
     where = ("127.0.0.1", port)
     options: dict[str, Any] = {"system_id": 0, "switch_mode": True, "arm": True, "silence_s": 0.5, "reconnect_s": 60.0}
@@ -240,7 +240,7 @@ def test_only_the_vehicle_that_was_lost_is_found_again_and_neither_switched_nor_
         eventually(back)
         assert driver.peer is not None
         assert driver.peer.sender.system == 1
-        fly(driver, 0.55, 1.0, 0.0, 0.0)  # longer than until something is asked for again
+        fly(driver, 0.55, 1.0, 0.0, 0.0)  # longer than the interval of repeated requests
         assert (one.vehicle.mode, one.vehicle.armed) == ("LOITER", False)
         assert not commands(one, mavlink.MAV_CMD_DO_SET_MODE)
         assert not commands(one, mavlink.MAV_CMD_COMPONENT_ARM_DISARM)
@@ -248,7 +248,7 @@ def test_only_the_vehicle_that_was_lost_is_found_again_and_neither_switched_nor_
             assert not any(each.get_type() == "SET_POSITION_TARGET_LOCAL_NED" for _, each in two.vehicle.heard)
 
 
-def test_a_position_that_is_no_number_is_no_sample() -> None:
+def test_a_non_finite_position_is_no_sample() -> None:
     with MavlinkServer(Vehicle(start=FLYING, **GUIDED), UdpPort()) as served, connected(served.url, silence_s=0.5) as driver:
         eventually(lambda: newest(driver).motors)
         with served.lock:
@@ -262,11 +262,11 @@ def test_a_position_that_is_no_number_is_no_sample() -> None:
 
         with pytest.raises(LinkLost, match=r"no position was received for 0.5 s; check its GPS"):
             eventually(flies)
-        eventually(lambda: points(served)[-1].vy == 0.0)  # the last words
+        eventually(lambda: points(served)[-1].vy == 0.0)  # the last command
         assert [vy for vy, _ in itertools.groupby(each.vy for each in points(served))][-2:] == [1.0, 0.0]
 
 
-def test_garbage_and_strangers_on_the_port_change_nothing() -> None:
+def test_garbage_and_other_senders_have_no_effect() -> None:
     port = free_ports(1)
     noise = bytes(range(256)) * 4
     with (
@@ -286,7 +286,7 @@ def test_garbage_and_strangers_on_the_port_change_nothing() -> None:
 
 
 def test_wrong_ids_and_addresses(stack: ExitStack) -> None:
-    nobody = stack.enter_context(reserved())
+    nobody = stack.enter_context(reserve_port())
     with MavlinkServer(Vehicle(system_id=3, **QUICK), UdpPort()) as served:
         with pytest.raises(HandshakeError, match=r"system 1 was not received within 0.8 s, only system 3"):
             MavlinkDriver(address=served.url, system_id=1, connect_s=0.8).open()
@@ -302,7 +302,7 @@ def test_wrong_ids_and_addresses(stack: ExitStack) -> None:
             MavlinkDriver(address=address).open()
 
 
-def test_a_rover_takes_forward_speed_and_tells_a_global_position() -> None:
+def test_a_rover_takes_forward_speed_and_sends_global_positions() -> None:
     rover = Vehicle(kind="rover", start=(5.0, 6.0, 0.0, 0.5 * math.pi), old=True, **GUIDED)
     with serve(rover, "tcp://:0") as served:
         options: dict[str, Any] = {
@@ -319,7 +319,7 @@ def test_a_rover_takes_forward_speed_and_tells_a_global_position() -> None:
             eventually(lambda: fly(driver, 0.1, 0.8, 0.0, 0.0)[-1].odometry.v > 0.75)
             last = fly(driver, 0.3, 0.8, 0.0, 0.0)[-1]
             assert last.state is not None
-            assert last.state.velocity[1] == pytest.approx(0.8, abs=0.15)  # it looks north
+            assert last.state.velocity[1] == pytest.approx(0.8, abs=0.15)  # it faces north
             assert last.odometry.v == pytest.approx(0.8, abs=0.1)
             eventually(lambda: fly(driver, 0.1, 0.0, 0.0, 0.0, yaw_rate=0.5)[-1].odometry.w > 0.45)
             turning = fly(driver, 0.3, 0.0, 0.0, 0.0, yaw_rate=0.5)[-1]
@@ -330,6 +330,6 @@ def test_a_rover_takes_forward_speed_and_tells_a_global_position() -> None:
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "[::]"])
-def test_all_interfaces_must_be_asked_for(host: str) -> None:
+def test_all_interfaces_need_an_option(host: str) -> None:
     with pytest.raises(PortError, match=r"admits anyone .* add insecure = true"):
         open_link(f"udpin:{host}:14540", 57_600)

@@ -1,4 +1,4 @@
-"""Messages of MAVLink: streams that are cut, noisy and broken, the search for a vehicle, and frames of coordinates."""
+"""MAVLink messages: split, noisy and corrupted streams, search for a vehicle, coordinate frames."""
 
 import math
 import random
@@ -37,11 +37,11 @@ def heartbeat(kind: int = mavlink.MAV_TYPE_QUADROTOR, autopilot: int = mavlink.M
     return mavlink.MAVLink_heartbeat_message(kind, autopilot, 1, 6 << 16, 4, 3)
 
 
-def said(system: int, *messages: Message) -> bytes:
+def encoded(system: int, *messages: Message) -> bytes:
     return Encoder(Sender(system=system, component=1))(*messages)
 
 
-def found(*heard: tuple[str, bytes], system_id: int = 0, kind: str | None = None) -> Peer | None:
+def found_peer(*heard: tuple[str, bytes], system_id: int = 0, kind: str | None = None) -> Peer | None:
     search = VehicleSearch("udpin:0.0.0.0:14540", system_id, kind)  # type: ignore[arg-type]
     search.receive(list(heard), SECOND)
     return search.decide(LATER)
@@ -68,7 +68,7 @@ def test_a_stream_may_be_cut_anywhere(cuts: list[int]) -> None:
 
 
 @given(st.binary(max_size=300), st.integers(0, 19))
-def test_noise_before_a_message_costs_no_message_behind_it(noise: bytes, number: int) -> None:
+def test_noise_costs_no_message_behind_it(noise: bytes, number: int) -> None:
     reader = MessageReader()
     times = [each.time_boot_ms for each in reader.feed(noise + STREAM + bytes(300)) if each.get_type() == "ATTITUDE"]
     assert times[-20:] == list(range(20))
@@ -89,48 +89,48 @@ def test_mavlink_1_is_understood() -> None:
     assert (message.get_type(), message.get_srcSystem()) == ("HEARTBEAT", 3)
 
 
-def test_messages_that_are_not_known_or_of_unknown_features_are_left_out() -> None:
+def test_unknown_messages_and_features_are_ignored() -> None:
     unknown = bytes((0xFD, 1, 0, 0, 0, 1, 1, 0xFF, 0xFF, 0xFE, 9, 1, 2))
-    feature = bytearray(said(1, heartbeat()))
+    feature = bytearray(encoded(1, heartbeat()))
     feature[2] |= 0x80
-    assert [each.get_type() for each in MessageReader().feed(unknown + feature + said(1, heartbeat()))] == ["HEARTBEAT"]
+    assert [each.get_type() for each in MessageReader().feed(unknown + feature + encoded(1, heartbeat()))] == ["HEARTBEAT"]
 
 
 def test_the_only_vehicle_is_found_beside_a_ground_station_and_a_camera() -> None:
     station = heartbeat(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID)
     camera = heartbeat(mavlink.MAV_TYPE_CAMERA, mavlink.MAV_AUTOPILOT_INVALID)
-    peer = found(("a", said(255, station)), ("b", b"noise" + said(4, camera, heartbeat())))
+    peer = found_peer(("a", encoded(255, station)), ("b", b"noise" + encoded(4, camera, heartbeat())))
     assert peer is not None
     assert (peer.sender.system, peer.source, peer.autopilot.name, peer.on_ground) == (4, "b", "PX4", False)
 
 
-def test_a_vehicle_that_is_named_is_found_among_others_at_once() -> None:
+def test_a_named_vehicle_is_found_among_others_at_once() -> None:
     search = VehicleSearch("x", 2, None)
-    peer = search.receive([("", said(1, heartbeat()) + said(2, heartbeat()))], SECOND)
+    peer = search.receive([("", encoded(1, heartbeat()) + encoded(2, heartbeat()))], SECOND)
     assert peer is not None
     assert peer.sender.system == 2
 
 
-def test_each_wrong_thing_has_its_message() -> None:
+def test_each_failure_has_its_message() -> None:
     station = heartbeat(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID)
     plane = heartbeat(mavlink.MAV_TYPE_FIXED_WING)
     odd = heartbeat(autopilot=mavlink.MAV_AUTOPILOT_GENERIC)
     assert "no byte was received within 10 s" in failed()
     assert "500 bytes were received within 10 s, but no MAVLink message" in failed(("a", b"hello" * 100))
     assert "no heartbeat was received" in failed(("a", STREAM))
-    assert "no vehicle was received within 10 s, only system 255 (gcs)" in failed(("a", said(255, station)))
-    assert "9 was not received within 10 s, only system 1 (quadrotor)" in failed(("a", said(1, heartbeat())), system_id=9)
+    assert "no vehicle was received within 10 s, only system 255 (gcs)" in failed(("a", encoded(255, station)))
+    assert "9 was not received within 10 s, only system 1 (quadrotor)" in failed(("a", encoded(1, heartbeat())), system_id=9)
     with pytest.raises(HandshakeError, match=r"systems 1, 2 and 3 speak here; choose one, e.g. system_id = 1"):
-        found(("a", said(1, heartbeat()) + said(3, heartbeat()) + said(2, heartbeat())))
+        found_peer(("a", encoded(1, heartbeat()) + encoded(3, heartbeat()) + encoded(2, heartbeat())))
     with pytest.raises(HandshakeError, match="system 1 sends from more than one address"):
-        found(("a", said(1, heartbeat())), ("b", said(1, heartbeat())))
+        found_peer(("a", encoded(1, heartbeat())), ("b", encoded(1, heartbeat())))
     with pytest.raises(HandshakeError, match="system 1 is of type fixed wing"):
-        found(("a", said(1, plane)))
+        found_peer(("a", encoded(1, plane)))
     with pytest.raises(HandshakeError, match="neither PX4 nor ArduPilot"):
-        found(("a", said(1, odd)))
+        found_peer(("a", encoded(1, odd)))
     with pytest.raises(HandshakeError, match='the autopilot "px4", not "ardupilot"'):
-        found(("a", said(1, heartbeat())), kind="ardupilot")
-    assert found(("a", said(1, odd)), kind="px4") is not None
+        found_peer(("a", encoded(1, heartbeat())), kind="ardupilot")
+    assert found_peer(("a", encoded(1, odd)), kind="px4") is not None
 
 
 ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -161,7 +161,7 @@ def test_an_attitude_is_the_product_of_the_matrices(roll: float, pitch: float, y
 
 
 @given(angle, tilt, angle)
-def test_an_attitude_comes_back(roll: float, pitch: float, yaw: float) -> None:
+def test_attitude_round_trip(roll: float, pitch: float, yaw: float) -> None:
     back = euler_from_attitude(attitude_from_euler(roll, pitch, yaw))
     for told, meant in zip(back, (roll, pitch, yaw), strict=True):
         assert abs(wrap(told - meant)) < 1e-7

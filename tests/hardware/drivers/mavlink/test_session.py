@@ -1,4 +1,4 @@
-"""The conversation with the emulated vehicle in simulated time: both are state machines, and no clock is needed."""
+"""Session with the emulated vehicle in simulated time: two state machines, no clock."""
 
 import math
 from typing import Any
@@ -18,7 +18,7 @@ EAST = Velocity(linear=(1.0, 0.0, 0.0))
 
 
 class Flight:
-    """A pilot and a vehicle with a perfect line between them."""
+    """A pilot and a vehicle over a perfect link."""
 
     def __init__(self, vehicle: Vehicle, **orders: Any) -> None:
         self.vehicle, self.now_ns = vehicle, 0
@@ -68,23 +68,23 @@ FLYING: dict[str, Any] = {"start": (0.0, 0.0, 10.0, 0.0), "armed": True}
 
 
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
-def test_a_take_off_a_flight_and_a_landing_that_is_left_to_others(autopilot: Any) -> None:
+def test_a_take_off_a_flight_and_no_landing(autopilot: Any) -> None:
     flight = Flight(Vehicle(autopilot=autopilot), switch_mode=True, arm=True, takeoff_m=3.0)
     flight.until_ready()
     assert flight.vehicle.state.position[2] == pytest.approx(3.0, abs=0.4)
     flight.run(0.5)
     x0 = flight.vehicle.state.position[0]
     flight.run(2.0, EAST)
-    assert flight.vehicle.state.position[0] - x0 == pytest.approx(2.0 - 0.3, abs=0.1)  # less the lag, for exp(-2/0.3) is none
+    assert flight.vehicle.state.position[0] - x0 == pytest.approx(2.0 - 0.3, abs=0.1)  # minus the lag; exp(-2/0.3) is about 0
     flight.pilot.leave()
     flight.run(3.0)
     assert flight.pilot.ready
     assert flight.vehicle.mode == {"px4": "HOLD", "ardupilot": "BRAKE"}[autopilot]
     assert flight.vehicle.armed
-    assert {each.param1 for each in flight.asked(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)} == {1.0}  # disarming was not even asked
+    assert {each.param1 for each in flight.asked(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)} == {1.0}  # disarming was not requested
 
 
-def test_what_it_has_armed_and_what_stands_is_disarmed_at_the_end() -> None:
+def test_an_own_arming_on_the_ground_is_undone_at_the_end() -> None:
     rover = Flight(Vehicle(autopilot="ardupilot", kind="rover"), switch_mode=True, arm=True)
     rover.until_ready()
     rover.run(1.0, EAST)
@@ -95,10 +95,10 @@ def test_what_it_has_armed_and_what_stands_is_disarmed_at_the_end() -> None:
     other.until_ready()
     other.pilot.leave()
     other.run(4.0)
-    assert (other.vehicle.mode, other.vehicle.armed) == ("HOLD", True)  # somebody else had armed it
+    assert (other.vehicle.mode, other.vehicle.armed) == ("HOLD", True)  # armed by another party
 
 
-def test_an_old_command_does_not_move_it_when_it_is_given_back() -> None:
+def test_an_old_command_has_no_effect_after_a_handback() -> None:
     flight = Flight(Vehicle(mode="OFFBOARD", **FLYING))
     flight.until_ready()
     flight.run(1.0, EAST)
@@ -112,7 +112,7 @@ def test_an_old_command_does_not_move_it_when_it_is_given_back() -> None:
     assert flight.vehicle.commanded().linear == (1.0, 0.0, 0.0)
 
 
-def test_a_pilot_who_takes_over_during_the_take_off_ends_it() -> None:
+def test_a_pilots_takeover_ends_the_take_off() -> None:
     flight = Flight(Vehicle(), switch_mode=True, arm=True, takeoff_m=30.0)
     while flight.vehicle.state.position[2] < 1.0:
         flight.run(0.1)
@@ -126,7 +126,7 @@ def test_a_pilot_who_takes_over_during_the_take_off_ends_it() -> None:
     assert flight.vehicle.mode == "POSITION"
 
 
-def test_errors_of_the_autopilot_become_news_once_and_whole() -> None:
+def test_autopilot_errors_become_one_complete_notice() -> None:
     flight = Flight(Vehicle())
     long = "a text that is longer than the fifty characters of one message, and then some more of it, up to here"
     assert len(long) == 100
@@ -137,14 +137,14 @@ def test_errors_of_the_autopilot_become_news_once_and_whole() -> None:
     assert said == ['the autopilot says "low battery"', f'the autopilot says "{long}"']
 
 
-def test_commands_move_nothing_that_is_not_armed_or_is_being_left() -> None:
+def test_commands_have_no_effect_while_disarmed_or_leaving() -> None:
     flight = Flight(Vehicle(mode="OFFBOARD"))
     flight.until_ready()
     flight.run(0.4, EAST)
     flight.vehicle.pilot_arms()
     flight.run(0.05)
     assert flight.vehicle.commanded() == Velocity()
-    flight.run(1.2, EAST)  # its next heartbeat has come
+    flight.run(1.2, EAST)  # after its next heartbeat
     assert flight.vehicle.commanded().linear == (1.0, 0.0, 0.0)
     flight.pilot.leave()
     left_ns = flight.now_ns
@@ -158,7 +158,7 @@ def test_commands_move_nothing_that_is_not_armed_or_is_being_left() -> None:
     assert {each.vy for _, each in other.points()} == {0.0}
 
 
-def test_who_has_disarmed_it_has_stopped_it() -> None:
+def test_disarming_stops_it() -> None:
     flight = Flight(Vehicle(mode="OFFBOARD", heartbeat_s=0.1, **FLYING))
     flight.until_ready()
     flight.run(0.5, EAST)
@@ -170,7 +170,7 @@ def test_who_has_disarmed_it_has_stopped_it() -> None:
     assert flight.vehicle.commanded() == Velocity()
 
 
-def test_a_stop_leaves_unready_only_what_is_to_move() -> None:
+def test_a_stop_interrupts_only_a_preparation() -> None:
     flight = Flight(Vehicle(mode="OFFBOARD", **FLYING))
     flight.pilot.stop("the link was lost")
     assert not flight.pilot.interrupted
@@ -179,7 +179,7 @@ def test_a_stop_leaves_unready_only_what_is_to_move() -> None:
     assert ordered.pilot.interrupted == "enough"
 
 
-def test_an_old_attitude_or_one_of_before_says_nothing_of_now() -> None:
+def test_old_attitudes_and_earlier_links_are_ignored() -> None:
     track = MavlinkSampler((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), None)
     turned = mavlink.MAVLink_attitude_message(0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
     there = mavlink.MAVLink_local_position_ned_message(0, *[1.0] * 6)
@@ -207,7 +207,7 @@ def results(messages: list[Message]) -> list[int]:
     return [each.result for each in messages if each.get_type() == "COMMAND_ACK"]
 
 
-def test_px4_refuses_offboard_until_set_points_have_come_and_leaves_it_when_they_stay_away() -> None:
+def test_px4_needs_set_points_to_enter_and_to_keep_offboard() -> None:
     vehicle = Vehicle(**FLYING)
     switch = command(mavlink.MAV_CMD_DO_SET_MODE, 1, 6)
     point = mavlink.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, 1479, *[0.0] * 3, 0.0, 1.0, *[0.0] * 6)
@@ -221,7 +221,7 @@ def test_px4_refuses_offboard_until_set_points_have_come_and_leaves_it_when_they
     assert vehicle.mode == "HOLD"
 
 
-def test_numbers_that_are_none_and_commands_to_others_change_nothing() -> None:
+def test_non_finite_numbers_and_other_targets_are_ignored() -> None:
     vehicle = Vehicle()
     for number in (176, 400, 511, 22, 512):
         assert mavlink.MAV_RESULT_ACCEPTED not in results(sent(vehicle, command(number)))

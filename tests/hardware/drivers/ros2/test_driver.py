@@ -1,4 +1,4 @@
-"""The driver against the robot in software, over real Zenoh sessions on this machine."""
+"""Ros2Driver against the simulated robot, over Zenoh sessions on this machine."""
 
 import threading
 import time
@@ -32,14 +32,14 @@ def endpoint(port: int) -> str:
 
 
 @pytest.fixture(autouse=True)
-def nothing_stays() -> Iterator[None]:
+def no_sessions_left() -> Iterator[None]:
     before = set(threading.enumerate())
     yield
     eventually(lambda: set(threading.enumerate()) <= before)
 
 
 def connected(endpoint: str, start: Vec3 = START, **options: Any) -> AbstractContextManager[Ros2Driver]:
-    return driver_runs.connected(Ros2Driver(endpoint=endpoint, **options), start)
+    return driver_runs.open_driver(Ros2Driver(endpoint=endpoint, **options), start)
 
 
 def lost(driver: Driver) -> bool:
@@ -58,16 +58,16 @@ def failed(driver: Driver) -> str:
     return ""
 
 
-def told(driver: Driver) -> list[tuple[str, str]]:
+def notices_of(driver: Driver) -> list[tuple[str, str]]:
     return [(each.what, each.cause) for each in driver.notices()]
 
 
-def way(sample: Sample) -> float:
-    """From the start."""
+def distance_m(sample: Sample) -> float:
+    """Distance from the start, m."""
     return hypot(sample.odometry.pose[0] - START[0], sample.odometry.pose[1] - START[1])
 
 
-def moving(robot: Ros2Robot) -> bool:
+def is_moving(robot: Ros2Robot) -> bool:
     return robot.speeds != (0.0, 0.0)
 
 
@@ -79,13 +79,13 @@ def test_it_drives_from_the_start_pose(endpoint: str, mapping: Any, stamped: boo
         with connected(endpoint, silence_s=10.0, command_timeout_s=2.0, **options) as driver:
             assert isinstance(driver, Driver)
             samples = drive(driver, 0.2, v=0.4)
-            while way(samples[-1]) <= 0.1 or samples[-1].odometry.v < 0.39 or samples[-1].stopped:
+            while distance_m(samples[-1]) <= 0.1 or samples[-1].odometry.v < 0.39 or samples[-1].stopped:
                 samples += drive(driver, 0.1, v=0.4)
         eventually(lambda: robot.heard[-1][1].linear == (0.0, 0.0, 0.0))
         assert robot.heard[0][1].linear == (0.0, 0.0, 0.0)
         driven = hypot(robot.pose[0] + 7.0, robot.pose[1] - 3.0)
     x, y, yaw = samples[-1].odometry.pose
-    covered = way(samples[-1])
+    covered = distance_m(samples[-1])
     assert covered <= driven + 1e-9
     assert (x - 1.0, y - 2.0) == pytest.approx((covered * cos(0.5), covered * sin(0.5)), abs=1e-6)
     assert yaw == pytest.approx(0.5)
@@ -93,14 +93,14 @@ def test_it_drives_from_the_start_pose(endpoint: str, mapping: Any, stamped: boo
     assert all(each.measured_ns <= each.arrived_ns <= time.monotonic_ns() for each in samples)
     assert samples[0].link == samples[-1].link == 1
     assert samples[-1].stopped == ""
-    if stamped:  # by the robot's clock, which is 1.7e9 s ahead
+    if stamped:  # by the robot's clock, 1.7e9 s ahead
         arrived_ns, twist = next(each for each in reversed(robot.heard) if each[1].linear[0])
         assert 0 <= arrived_ns + 1_700_000_000 * 10**9 - twist.stamp_ns < 10**9 * 5
         assert twist.frame == "base_link"
-        assert robot.heard[-1][1].stamp_ns == 0  # the last zero is any clock's
+        assert robot.heard[-1][1].stamp_ns == 0  # the last zero has no stamp
 
 
-def test_it_is_the_router_if_that_is_wanted(endpoint: str) -> None:
+def test_it_is_the_router_by_option(endpoint: str) -> None:
     driver = Ros2Driver(endpoint=endpoint, mode="listen", reconnect_s=60.0, connect_s=30.0)
     failure: list[DriverError] = []
 
@@ -122,7 +122,7 @@ def test_it_is_the_router_if_that_is_wanted(endpoint: str) -> None:
     try:
         opening.join(40.0)
         assert not failure
-        eventually(lambda: drive(driver, 0.05, v=0.2) is not None and moving(robot))
+        eventually(lambda: drive(driver, 0.05, v=0.2) is not None and is_moving(robot))
     finally:
         driver.close()
         robot.__exit__()
@@ -138,8 +138,8 @@ def test_a_stop_or_a_lack_of_commands_stops_it_until_the_next_command(endpoint: 
         if cause == "geofence":
             driver.stop(cause)
         eventually(lambda: (sample := driver.read()) is not None and sample.stopped == cause)
-        eventually(lambda: not moving(robot))
-        assert ("stopped", cause) in told(driver)
+        eventually(lambda: not is_moving(robot))
+        assert ("stopped", cause) in notices_of(driver)
         count = len(robot.heard)
         eventually(lambda: drive(driver, 0.1, v=0.3) and any(twist.linear[0] == 0.3 for _, twist in robot.heard[count:]))
         for bad in nan, float("inf"):
@@ -147,37 +147,37 @@ def test_a_stop_or_a_lack_of_commands_stops_it_until_the_next_command(endpoint: 
                 driver.write(Velocity(linear=(bad, 0.0, 0.0)))
 
 
-def test_silence_is_a_loss_and_what_is_heard_again_a_new_link(endpoint: str) -> None:
+def test_silence_is_a_loss_and_a_return_a_new_link(endpoint: str) -> None:
     with (
         Ros2Robot(endpoint=endpoint, watchdog_s=60.0) as robot,
         connected(endpoint, silence_s=0.8, command_timeout_s=60.0) as driver,
     ):
-        eventually(lambda: any(way(each) > 0.0 for each in drive(driver, 0.1, v=0.3)))
+        eventually(lambda: any(distance_m(each) > 0.0 for each in drive(driver, 0.1, v=0.3)))
         robot.silent = True
         eventually(lambda: lost(driver))
         with pytest.raises(LinkLost, match=r"no odometry on odom for 0\.8 s"):
             driver.write(Velocity(linear=(0.5, 0.0, 0.0)))
-        eventually(lambda: not moving(robot))  # it hears us still
+        eventually(lambda: not is_moving(robot))  # the robot still receives
         count = len(robot.heard)
         robot.silent = False
         eventually(lambda: not lost(driver))
         samples = drive(driver, 0.3, v=0.1)
         assert samples[-1].link == 2
-        assert way(samples[-1]) > 0.0  # the same node goes on: nothing is lost of the way
+        assert distance_m(samples[-1]) > 0.0  # same node: the distance travelled is kept
         eventually(lambda: any(twist.linear[0] == 0.1 for _, twist in robot.heard))
         assert robot.heard[count][1].linear[0] == 0.0
-        assert [what for what, _ in told(driver) if what != "stopped"] == ["connected", "lost", "connected"]
+        assert [what for what, _ in notices_of(driver) if what != "stopped"] == ["connected", "lost", "connected"]
 
 
-def test_a_robot_that_restarts_is_told_zero_first(endpoint: str) -> None:
-    """Its router goes with it; the session dials again by itself."""
+def test_a_restarted_robot_gets_zero_first(endpoint: str) -> None:
+    """Its router ends with it; the session reconnects by itself."""
     with Ros2Robot(endpoint=endpoint, name="one") as old:
         driver = Ros2Driver(endpoint=endpoint, silence_s=0.3, reconnect_s=60.0)
         driver.open()
         try:
             drive(driver, 0.4, v=0.3)
             old.__exit__()
-            eventually(lambda: any(what == "lost" for what, _ in told(driver)))
+            eventually(lambda: any(what == "lost" for what, _ in notices_of(driver)))
             with Ros2Robot(endpoint=endpoint, name="two") as robot:
                 driver.write(Velocity(linear=(0.3, 0.0, 0.0)))
                 eventually(lambda: (sample := driver.read()) is not None and sample.link >= 2)
@@ -187,7 +187,7 @@ def test_a_robot_that_restarts_is_told_zero_first(endpoint: str) -> None:
             driver.close()
 
 
-def test_what_is_bad_is_counted_and_told_once(endpoint: str) -> None:
+def test_bad_messages_are_counted_with_one_notice(endpoint: str) -> None:
     with Ros2Robot(endpoint=endpoint) as robot, connected(endpoint, frame="odom", silence_s=30.0) as driver:
         good = robot.message()
         robot.silent = True
@@ -200,7 +200,7 @@ def test_what_is_bad_is_counted_and_told_once(endpoint: str) -> None:
         ]
 
         def refuse(data: bytes) -> None:
-            """One at a time: of many at once, Zenoh leaves out those that find no room."""
+            """One at a time: Zenoh drops messages of a burst if its queue is full."""
             before = driver.refused.total()
             robot.say(data)
             eventually(lambda: driver.refused.total() > before)
@@ -220,21 +220,21 @@ def test_what_is_bad_is_counted_and_told_once(endpoint: str) -> None:
         finally:
             stranger.close()
         assert {key: driver.refused[key] for key in ("content", "frame", "stamp")} == {"content": 9, "frame": 3, "stamp": 3}
-        causes = [cause for _, cause in told(driver) if "is ignored" in cause]
+        causes = [cause for _, cause in notices_of(driver) if "is ignored" in cause]
         assert len(causes) == 5
         assert any("geometry_msgs/msg/Twist, not nav_msgs/msg/Odometry" in cause for cause in causes)
         eventually(lambda: driver.read() is not None)
 
 
-def test_a_listener_that_is_new_hears_zero_first(endpoint: str) -> None:
+def test_a_new_subscriber_gets_zero_first(endpoint: str) -> None:
     with Ros2Robot(endpoint=endpoint), connected(endpoint, silence_s=10.0, command_timeout_s=60.0) as driver:
         eventually(lambda: any(each.stopped == "" for each in drive(driver, 0.1, v=0.3)))
-        driver._news.put(True)  # as Zenoh says it
+        driver._news.put(True)  # as reported by Zenoh
         eventually(lambda: (sample := driver.read()) is not None and sample.stopped == NOT_YET)
 
 
-def test_another_node_is_followed_only_when_the_loss_of_the_one_was_told(endpoint: str) -> None:
-    """The thread is held up while the one falls silent and another begins to speak."""
+def test_another_node_is_followed_only_after_a_reported_loss(endpoint: str) -> None:
+    """The driver's thread is blocked while one node goes silent and another one begins to send."""
     with (
         Ros2Robot(endpoint=endpoint, name="one") as one,
         Ros2Robot(endpoint=endpoint, name="two", mode="connect", pose=(15.0, 0.0, 0.0)) as two,
@@ -251,10 +251,10 @@ def test_another_node_is_followed_only_when_the_loss_of_the_one_was_told(endpoin
                 two.silent = False
                 eventually(lambda: not driver._news.empty())
             eventually(lambda: (sample := driver.read()) is not None and sample.link == 2)
-            assert ("lost", "no odometry on odom for 0.5 s") in told(driver)
+            assert ("lost", "no odometry on odom for 0.5 s") in notices_of(driver)
 
 
-def test_only_so_many_messages_wait(endpoint: str) -> None:
+def test_the_message_queue_is_limited(endpoint: str) -> None:
     with Ros2Robot(endpoint=endpoint) as robot, connected(endpoint, silence_s=30.0) as driver:
         message = ReceivedMessage("", encode_odometry(robot.message()), b"another", time.monotonic_ns())
         with driver._lock:
@@ -263,21 +263,21 @@ def test_only_so_many_messages_wait(endpoint: str) -> None:
             assert driver._news.qsize() <= WAITING + 1
 
 
-def test_whatever_ends_its_thread_is_an_error_that_says_so(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_any_end_of_its_thread_is_a_driver_error(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: object, **__: object) -> None:
         raise LookupError("boom")
 
     with Ros2Robot(endpoint=endpoint, watchdog_s=60.0) as robot, connected(endpoint, command_timeout_s=60.0) as driver:
-        eventually(lambda: drive(driver, 0.05, v=0.3) is not None and moving(robot))
+        eventually(lambda: drive(driver, 0.05, v=0.3) is not None and is_moving(robot))
         monkeypatch.setattr(driver, "_taken", fails)
         eventually(lambda: failed(driver) == "the driver failed (LookupError: boom)")
-        eventually(lambda: not moving(robot))
+        eventually(lambda: not is_moving(robot))
     monkeypatch.setattr(Node, "hear", fails)
     with pytest.raises(DriverError, match=r"the driver failed \(LookupError: boom\)"):
         Ros2Driver(endpoint=endpoint, mode="listen").open()
 
 
-def test_nobody_there(endpoint: str) -> None:
+def test_no_robot(endpoint: str) -> None:
     driver = Ros2Driver(endpoint=endpoint)
     with pytest.raises(PortError, match="start rmw_zenohd"):
         driver.open()
@@ -288,8 +288,8 @@ def test_nobody_there(endpoint: str) -> None:
         Ros2Driver(endpoint="nonsense").open()
 
 
-def test_the_wrong_robot_and_what_to_do(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(node, "GRAPH_S", 5.0)  # the answer comes at once, but where the machine is held up
+def test_the_wrong_robot_and_advice(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(node, "GRAPH_S", 5.0)  # the answer is immediate except on a loaded machine
     with Ros2Robot(endpoint=endpoint, stamped=True, domain=3) as robot:
         with pytest.raises(PortError, match="end the other router"):
             Ros2Driver(endpoint=endpoint, mode="listen").open()
@@ -301,7 +301,7 @@ def test_the_wrong_robot_and_what_to_do(endpoint: str, monkeypatch: pytest.Monke
             Ros2Driver(endpoint=endpoint, domain=3, connect_s=0.3, namespace="x").open()
         with pytest.raises(HandshakeError, match="with this domain"):
             Ros2Driver(endpoint=endpoint, connect_s=0.3).open()
-        assert not moving(robot)
+        assert not is_moving(robot)
 
 
 def test_parameters_are_checked() -> None:

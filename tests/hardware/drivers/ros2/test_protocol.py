@@ -1,4 +1,4 @@
-"""What goes over the wire: bytes of messages against those of ROS 2 itself; keys, tokens, attachments against sources."""
+"""Wire format: message bytes against ROS 2; keys, tokens and attachments against sources."""
 
 import json
 import random
@@ -30,8 +30,8 @@ from vcmvsp.hardware.drivers.ros2.protocol import (
     type_hash,
 )
 
-# Random content and its bytes by rclpy.serialization.serialize_message of ROS 2 Jazzy (rclpy 7.1.6 on Fast DDS). The bytes
-# between fields, where rclpy leaves whatever was in memory, are zero here.
+# Random content and its bytes by rclpy.serialization.serialize_message of ROS 2 Jazzy (rclpy 7.1.6 on Fast DDS). Padding
+# bytes, undefined in rclpy, are zero here.
 GOLDEN = json.loads((Path(__file__).parent / "test_ros2_golden.json").read_text())
 TWIST_HASH = (
     "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a"  # share/geometry_msgs/msg/Twist.json, Jazzy
@@ -60,7 +60,7 @@ def test_bytes_are_those_of_ros_2(golden: dict[str, Any]) -> None:
         told = odometry_of(golden)
         assert encode_odometry(told) == data
         heard = decode_odometry(data)
-        assert heard.attitude == pytest.approx(told.attitude, abs=1e-15)  # made a unit again
+        assert heard.attitude == pytest.approx(told.attitude, abs=1e-15)  # normalised again
         assert heard._replace(attitude=told.attitude) == told
     else:
         stamped = golden["type"] == TWIST_STAMPED
@@ -77,22 +77,20 @@ def test_a_twist_is_six_doubles_behind_a_header() -> None:
     assert decode_twist(big, stamped=False) == decode_twist(data, stamped=False)
 
 
-def test_hashes_are_those_that_ros_2_ships() -> None:
+def test_hashes_are_those_of_ros_2() -> None:
     assert type_hash(TWIST) == TWIST_HASH
     assert type_hash(TWIST_STAMPED) == "RIHS01_5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64"
     assert type_hash(ODOMETRY) == "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"
 
 
 @given(vectors, vectors, vectors, stamps, names, names)
-def test_odometry_comes_back_as_it_was(
-    position: Any, linear: Any, angular: Any, stamp_ns: int, frame: str, child_frame: str
-) -> None:
+def test_odometry_round_trip(position: Any, linear: Any, angular: Any, stamp_ns: int, frame: str, child_frame: str) -> None:
     told = OdometryMessage(position, (0.6, 0.0, 0.0, 0.8), linear, angular, stamp_ns, frame, child_frame)
     assert decode_odometry(encode_odometry(told)) == told
 
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf")])
-def test_what_is_not_finite_is_refused(bad: float) -> None:
+def test_non_finite_values_are_refused(bad: float) -> None:
     good = OdometryMessage((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
     with pytest.raises(ValueError, match="pose is not finite"):
         decode_odometry(encode_odometry(good._replace(position=(0.0, bad, 0.0))))
@@ -104,7 +102,7 @@ def test_what_is_not_finite_is_refused(bad: float) -> None:
     assert decode_odometry(encode_odometry(unknown)).position == good.position
 
 
-def test_a_quaternion_that_is_no_rotation_is_refused() -> None:
+def test_an_invalid_quaternion_is_refused() -> None:
     for attitude in (0.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.5):
         with pytest.raises(ValueError, match="not a rotation"):
             decode_odometry(encode_odometry(OdometryMessage((0.0, 0.0, 0.0), attitude)))
@@ -134,12 +132,12 @@ def test_keys_of_rmw_zenoh() -> None:
     key = f"0/cmd_vel/geometry_msgs::msg::dds_::Twist_/{TWIST_HASH}"
     assert keys.publishes("cmd_vel", TWIST) == key
     assert keys.type_of(key) == TWIST
-    assert keys.type_of("0/cmd_vel/*/*") is None  # anybody may put on a key with wildcards
+    assert keys.type_of("0/cmd_vel/*/*") is None  # a put may use wildcards
     assert RmwZenoh(7, "me", "humble").publishes("a/b", TWIST) == "7/a/b/geometry_msgs::msg::dds_::Twist_/TypeHashNotSupported"
 
 
 def test_tokens_of_rmw_zenoh() -> None:
-    """The form is that of docs/design.md of rmw_zenoh."""
+    """Format: docs/design.md of rmw_zenoh."""
     ends = (Endpoint("MP", "robot1/cmd_vel", TWIST), Endpoint("MS", "odom", ODOMETRY))
     keys = RmwZenoh(2, "me")
     publisher, subscriber, node = keys.tokens("a1b2", ends)
@@ -151,7 +149,7 @@ def test_tokens_of_rmw_zenoh() -> None:
 
 
 def test_keys_and_tokens_of_the_bridge() -> None:
-    """The form is that of liveliness_mgt.rs of zenoh-plugin-ros2dds."""
+    """Format: liveliness_mgt.rs of zenoh-plugin-ros2dds."""
     keys = Ros2Dds()
     assert keys.publishes("robot1/cmd_vel", TWIST) == keys.hears("robot1/cmd_vel") == "robot1/cmd_vel"
     end = Endpoint("MP", "robot1/cmd_vel", TWIST)
@@ -174,13 +172,13 @@ def test_attachments_both_old_and_new(number: int, time_ns: int, gid: bytes) -> 
 
 
 @given(st.binary(max_size=90))
-def test_any_other_attachment_says_nothing(data: bytes) -> None:
+def test_other_attachments_are_ignored(data: bytes) -> None:
     assert len(data) == 33 or origin_of(data) is None
     assert origin_of(bytes(33)) is None
     assert origin_of(bytes(77)) is None
 
 
-def test_ids_of_senders_are_16_bytes_that_differ() -> None:
+def test_ids_of_senders_are_16_distinct_bytes() -> None:
     assert len(gid_of("a")) == 16
     assert gid_of("a") != gid_of("b")
 

@@ -1,4 +1,4 @@
-"""Poses, times and presence by themselves, without a network: laws."""
+"""Laws of poses, times and presence, without a network."""
 
 from math import cos, pi, sin
 
@@ -31,7 +31,7 @@ def track(start: Vec3 = (0.0, 0.0, 0.0), pose: Pose = "odometry", origin: Vec3 =
 
 
 @given(poses, st.lists(poses, min_size=2, max_size=6))
-def test_the_pose_is_the_start_pose_composed_with_what_odometry_moved(start: Vec3, told: list[Vec3]) -> None:
+def test_the_pose_is_the_start_pose_composed_with_odometry(start: Vec3, told: list[Vec3]) -> None:
     """start o first^-1 o last, in homogeneous matrices by hand."""
     made = track(start)
     samples = [made.add(message(*each), number * S, "") for number, each in enumerate(told)]
@@ -45,13 +45,13 @@ def test_the_pose_is_the_start_pose_composed_with_what_odometry_moved(start: Vec
     assert abs(wrap(yaw - start[2] - (yaw1 - yaw0))) < 1e-9
 
 
-def test_the_heading_goes_on_over_half_a_turn() -> None:
+def test_the_heading_is_continuous_at_pi() -> None:
     made = track()
     yaws = [made.add(message(0.0, 0.0, wrap(0.5 * each)), each * S, "").odometry.pose[2] for each in range(30)]
     assert yaws == pytest.approx([0.5 * each for each in range(30)])
 
 
-def test_a_leap_is_left_out_and_what_follows_counts() -> None:
+def test_a_leap_is_omitted_and_later_motion_counts() -> None:
     made = Ros2Sampler((0.0, 0.0, 0.0), "odometry", (0.0, 0.0, 0.0), 1.0)
     made.connect(anew=True)
     told = [made.add(message(x, 0.0, 0.0), number * S // 10, "") for number, x in enumerate((0.0, 0.1, -40.0, -39.9))]
@@ -59,7 +59,7 @@ def test_a_leap_is_left_out_and_what_follows_counts() -> None:
     assert made.leaps == 1
 
 
-def test_odometry_of_the_same_node_goes_on_over_a_loss_and_that_of_another_begins_anew() -> None:
+def test_after_a_loss_odometry_continues_for_one_node_and_restarts_for_another() -> None:
     made = track()
     made.add(message(1.0, 0.0, 0.0), 0, "")
     made.connect(anew=False)
@@ -99,8 +99,8 @@ def times(made: Ros2Sampler, stamps_and_arrivals: list[tuple[int, int]]) -> list
 AHEAD = 1_700_000_000 * S  # the robot's clock
 
 
-def test_what_was_held_up_is_as_old_as_it_is() -> None:
-    """Two seconds of messages that come all at once, after a stall of the network."""
+def test_delayed_messages_keep_their_age() -> None:
+    """Two seconds of messages that arrive at once after a network stall."""
     true = [1000 * S + number * 50 * MS for number in range(1, 80)]
     arrivals = [each if number < 40 else 1004 * S + number for number, each in enumerate(true)]
     told = times(track(), [(each + AHEAD, arrived) for each, arrived in zip(true, arrivals, strict=True)])
@@ -109,7 +109,7 @@ def test_what_was_held_up_is_as_old_as_it_is() -> None:
 
 
 @pytest.mark.parametrize("by_ns", [-500 * MS, -3600 * S, 100 * MS, 3600 * S])
-def test_a_clock_that_is_set_is_followed_after_three_messages(by_ns: int) -> None:
+def test_a_clock_step_is_followed_after_three_messages(by_ns: int) -> None:
     true = [10 * S + number * 50 * MS for number in range(20)]
     told = times(track(), [(each + AHEAD + (by_ns if number >= 10 else 0), each) for number, each in enumerate(true)])
     for number, (each, measured) in enumerate(zip(true, told, strict=True)):
@@ -124,22 +124,22 @@ def test_another_node_has_another_clock() -> None:
     assert times(made, [(7 * S, 10 * S)]) == [10 * S]
 
 
-def test_the_robots_clock_is_known_once_it_was_heard() -> None:
+def test_the_robots_clock_is_known_after_a_stamp() -> None:
     made = track()
     assert made.stamp_ns(5 * S) == 0
-    assert times(made, [(0, 77)]) == [77]  # a node that stamps nothing
+    assert times(made, [(0, 77)]) == [77]  # a node without stamps
     assert made.stamp_ns(5 * S) == 0
     times(made, [(1700 * S, 10 * S)])
     assert made.stamp_ns(12 * S) == pytest.approx(1702 * S, abs=2 * MS)
 
 
-def test_a_clock_at_the_end_of_its_stamps_gives_none() -> None:
+def test_a_clock_at_the_stamp_limit_gives_none() -> None:
     made = track()
     times(made, [(STAMPS_END_NS - 1, 10 * S)])
     assert made.stamp_ns(12 * S) == 0
 
 
-def test_a_robot_is_there_while_it_is_heard_and_hears() -> None:
+def test_a_robot_is_present_while_it_sends_and_listens() -> None:
     presence = RobotPresence(1.0)
     assert presence.missing(0) == (True, True)
     assert presence.hear(b"a", 0)
@@ -148,7 +148,7 @@ def test_a_robot_is_there_while_it_is_heard_and_hears() -> None:
     assert presence.due_ns(0) == S
     assert presence.missing(S) == (True, False)
     presence.hear(b"a", 9 * S)
-    presence.listen(False, 9 * S)  # such as when a router is started anew
+    presence.listen(False, 9 * S)  # for example after a restart of the router
     assert presence.missing(10 * S - 1) == (False, False)
     presence.hear(b"a", 10 * S)
     assert presence.missing(10 * S) == (False, True)

@@ -1,4 +1,4 @@
-"""The emulated robot: its sessions, how it moves, and what its wheels and sonars say of that. No clock runs here."""
+"""Emulated robot: sessions, motion, wheels and sonars, without a clock."""
 
 import math
 import random
@@ -35,12 +35,12 @@ def client() -> Client:
 
 
 @pytest.mark.parametrize("kind", ROBOTS)
-def test_handshake_tells_name_class_and_kind(kind: str) -> None:
+def test_handshake_sends_name_class_and_kind(kind: str) -> None:
     client = Client(Device(ROBOTS[kind], name="robbi"))
     assert client.reader.feed(client.device.receive(b"WMS2\r" + command(0), 0)) == [b"\0"]  # as to an old radio modem
     assert client.say(1) == [b"\1"]
     assert client.say(2) == [b"\2robbi\0Pioneer\0" + kind.encode() + b"\0"]
-    assert client.run(1.0) == []  # packets only flow in an open session
+    assert client.run(1.0) == []  # packets only in an open session
 
 
 @pytest.mark.parametrize("argument", [1, None])
@@ -57,12 +57,12 @@ def test_ten_packets_a_second_from_open_to_close(argument: int | None) -> None:
     assert len(client.run(1.0)) == 10
 
 
-def test_answers_of_the_handshake_that_are_lost_may_be_asked_for_again() -> None:
+def test_lost_answers_of_the_handshake_are_repeated() -> None:
     client = Client(Device(AMIGO))
     assert [client.say(number)[0][0] for number in (0, 0, 1, 1, 2, 2, 0, 1, 2)] == [0, 0, 1, 1, 2, 2, 0, 1, 2]
 
 
-def test_a_handshake_out_of_turn_begins_again() -> None:
+def test_an_unordered_handshake_restarts() -> None:
     client = Client(Device(AMIGO))
     assert client.say(1) == client.say(0)
     assert client.say(1) == [b"\1"]
@@ -83,7 +83,7 @@ def test_in_an_old_session_the_first_byte_of_a_handshake_revives_the_last_speed(
     client.drive((Command.VEL, 200), seconds=1.0)
     client.run(5.0)
     assert client.device.commanded() == (0.0, 0.0)
-    client.say(0)  # meant as SYNC0
+    client.say(0)  # intended as SYNC0
     assert client.device.commanded() == (0.2, 0.0)
 
 
@@ -111,7 +111,7 @@ def test_two_seconds_of_silence_stop_it_and_any_command_revives_it(client: Clien
     assert client.device.watchdog_stopped
     assert client.device.commanded()[0] == 0.0
     still = client.run(5.0)
-    assert len(still) == 50  # it stands, and goes on telling
+    assert len(still) == 50  # stands, and still sends packets
     assert all(each.kind == STOPPED for each in still[5:])
     client.say(Command.PULSE)
     assert client.device.commanded()[0] == 0.2
@@ -148,7 +148,7 @@ def test_closing_stops_it_and_forgets_its_speed(client: Client) -> None:
 
 
 @given(st.lists(st.integers(1, 400), min_size=1, max_size=20))
-def test_it_does_not_matter_how_often_it_is_asked(pauses_ms: list[int]) -> None:
+def test_the_call_rate_has_no_effect(pauses_ms: list[int]) -> None:
     def run(steps_ms: list[int]) -> tuple[bytes, Vec3]:
         client = Client(Device(AMIGO)).connect()
         client.say(Command.ENABLE, 1)
@@ -163,7 +163,7 @@ def test_it_does_not_matter_how_often_it_is_asked(pauses_ms: list[int]) -> None:
     assert run(pauses_ms) == run([sum(pauses_ms)])
 
 
-def test_due_is_when_it_speaks_next() -> None:
+def test_due_is_its_next_packet() -> None:
     device = Device(AMIGO)
     assert device.due_ns is None
     client = Client(device).connect()
@@ -217,7 +217,7 @@ def test_it_accelerates_holds_and_brakes_as_set(client: Client) -> None:
     assert stopped - x == pytest.approx(0.2**2 / (2 * AMIGO.decel), abs=2e-3)
 
 
-def test_estop_does_not_brake_but_stand(client: Client) -> None:
+def test_estop_stands_without_braking(client: Client) -> None:
     x, _, _ = client.drive((Command.VEL, 400), seconds=3.0)
     client.say(Command.ESTOP)
     client.run(0.1)
@@ -225,7 +225,7 @@ def test_estop_does_not_brake_but_stand(client: Client) -> None:
     assert client.drive((Command.VEL, 400), seconds=1.0)[0] > x + 0.1
 
 
-def test_speeds_of_wheels_and_turning_are_told_in_counts(client: Client) -> None:
+def test_wheel_speeds_and_rotation_are_sent_in_counts(client: Client) -> None:
     client.drive((Command.VEL, 200), (Command.RVEL, 30), seconds=3.0)
     told = client.run(0.1)[-1]
     turning = math.radians(30) * 1e3 * AMIGO.track_m / 2
@@ -234,9 +234,9 @@ def test_speeds_of_wheels_and_turning_are_told_in_counts(client: Client) -> None
     assert told.rotation == 300
 
 
-@pytest.mark.parametrize("argument", [0x0A0A, 0xF60A, -0x09F6])  # the last one as ARIA sends it
+@pytest.mark.parametrize("argument", [0x0A0A, 0xF60A, -0x09F6])  # the last one in ARIA's form
 def test_vel2_sets_both_wheels(client: Client, argument: int) -> None:
-    """20 mm/s a count, the right wheel in the low byte."""
+    """20 mm/s per count, right wheel in the low byte."""
     client.say(Command.SETRV, 300)
     client.drive((Command.RVEL, 10), (Command.VEL2, argument), seconds=3.0)
     told = client.run(0.1)[-1]
@@ -274,7 +274,7 @@ def test_turns_end_at_their_heading(client: Client) -> None:
     st.lists(st.tuples(st.integers(0, 255), st.none() | st.integers(-0x8000, 0xFFFF) | st.binary(max_size=20)), max_size=30),
     st.sampled_from(sorted(ROBOTS)),
 )
-def test_no_command_makes_it_faster_than_it_is(commands: list[tuple[int, int | bytes | None]], kind: str) -> None:
+def test_no_command_exceeds_its_greatest_speeds(commands: list[tuple[int, int | bytes | None]], kind: str) -> None:
     robot = ROBOTS[kind]
     client = Client(Device(robot)).connect()
     client.say(Command.ENABLE, 1)
@@ -297,7 +297,7 @@ def test_a_new_command_ends_a_move_and_a_turn(client: Client) -> None:
     assert client.device.commanded() == (0.0, 0.0)
 
 
-def test_limits_and_baud_rate_are_forgotten_with_the_session(client: Client) -> None:
+def test_limits_and_baud_rate_end_with_the_session(client: Client) -> None:
     client.say(Command.SETV, 100)
     client.say(Command.HOSTBAUD, 2)
     assert client.device.baud == 38400
@@ -346,7 +346,7 @@ def test_seto_makes_here_and_now_the_origin(client: Client) -> None:
 
 @pytest.mark.parametrize("kind", ROBOTS)
 def test_positions_wrap_at_15_bits_and_differences_do_not(kind: str) -> None:
-    """A host drives it 100 m along its x axis, which does not point east, backwards in y too."""
+    """A host drives it 100 m along its x axis, which does not point east, and backwards in y."""
     robot = ROBOTS[kind]
     device = Device(robot, start=None)
     client = Client(device).connect()
@@ -365,14 +365,14 @@ def test_positions_wrap_at_15_bits_and_differences_do_not(kind: str) -> None:
     assert [each * robot.dist_factor / 1e3 for each in total] == pytest.approx([100.0, -60.0], abs=2e-3)
 
 
-def test_a_host_that_moves_it_is_told_what_to_do() -> None:
+def test_a_moving_host_gets_its_command() -> None:
     device = Device(AMIGO, start=None)
     client = Client(device).connect()
     client.say(Command.ENABLE, 1)
     client.say(Command.VEL, 200)
     client.say(Command.RVEL, -10)
     client.run(1.0)
-    assert device.odometry == (0.0, 0.0, 0.0)  # nobody moved it
+    assert device.odometry == (0.0, 0.0, 0.0)  # not moved by the host
     assert device.commanded() == (0.2, -math.radians(10))
     device.moved((5.0, 5.0, 1.0), 0.2, 0.0, stall=0x0101)
     told = client.run(0.1)[-1]
@@ -382,8 +382,8 @@ def test_a_host_that_moves_it_is_told_what_to_do() -> None:
 
 
 @pytest.mark.parametrize("kind", ROBOTS)
-def test_each_sonar_speaks_when_its_turn_comes_and_once(kind: str) -> None:
-    """Arrays of 8 take turns of 40 ms, so all have spoken after 320 ms; 1.6 s are five rounds and 16 packets."""
+def test_each_sonar_fires_once_per_round(kind: str) -> None:
+    """Arrays of 8 fire every 40 ms, a round takes 320 ms; 1.6 s are five rounds and 16 packets."""
     robot = ROBOTS[kind]
     device = Device(robot)
     client = Client(device).connect()
@@ -398,6 +398,6 @@ def test_each_sonar_speaks_when_its_turn_comes_and_once(kind: str) -> None:
         assert counts * robot.range_factor / 1e3 == pytest.approx(min(ranges[number], 5.0), abs=1e-3)
     with pytest.raises(ValueError, match="multiple of 5 ms, not 12"):
         Device(robot, ping_ms=12)
-    client.run(0.05)  # somebody has heard something
+    client.run(0.05)  # some sonars have fired
     client.say(Command.SONAR, 0)
     assert all(each.sonars == () and each.flags & 0x1E == 0 for each in client.run(1.0))

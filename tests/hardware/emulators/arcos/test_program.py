@@ -1,4 +1,4 @@
-"""What a command line says of emulated devices."""
+"""Command line options of emulated devices."""
 
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,7 @@ def test_ports(text: str, port: PtyPort | HostPort) -> None:
 
 
 @pytest.mark.parametrize("text", ["robot", "", "udp://127.0.0.1:5", "http://x/", "tcp://x:70000", "tcp://x:y", "tcp://x:1/y"])
-def test_what_is_no_port(text: str) -> None:
+def test_no_ports(text: str) -> None:
     with pytest.raises(UsageError, match=r"port|nothing behind"):
         options.port_of(text)
 
@@ -61,7 +61,7 @@ def test_circles(radius_m: float, speed: float) -> None:
 
 
 @pytest.mark.parametrize("text", ["0,1", "1", "1,2,3", "x,1"])
-def test_what_is_no_circle(text: str) -> None:
+def test_no_circles(text: str) -> None:
     with pytest.raises(UsageError, match="--circle"):
         options.circle_of(text)
 
@@ -82,7 +82,7 @@ def test_tags_have_16_digits() -> None:
         ({"ping_ms": 7}, "--ping-ms"),
     ],
 )
-def test_what_no_robot_can_be_like(changes: dict[str, Any], said: str) -> None:
+def test_impossible_robots(changes: dict[str, Any], said: str) -> None:
     with pytest.raises(UsageError, match=said):
         device_of("amigobot", RobotOptions(**changes), (0.0, 0.0, 0.0))
 

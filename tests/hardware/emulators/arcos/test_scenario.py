@@ -1,4 +1,4 @@
-"""An emulated robot as a vehicle of a scenario: what is changed in the scenario, and what it makes of readings."""
+"""Emulated robot as a vehicle of a scenario: changes to the scenario, and use of sensor readings."""
 
 import math
 import threading
@@ -36,7 +36,7 @@ PERIOD_S = 0.025
 FAR = Scan(ranges=np.full(5, np.inf, np.float32), angle_min=0.0, angle_step=0.1, range_max=5.0)
 
 
-def parsed(**more: Any) -> Scenario:
+def scenario_of(**more: Any) -> Scenario:
     raw = {
         "name": "two",
         "duration_s": 1.0,
@@ -46,20 +46,20 @@ def parsed(**more: Any) -> Scenario:
     return loader.load(raw)[0]
 
 
-def test_the_only_vehicle_of_its_kind_is_meant() -> None:
-    assert vehicle_of(parsed(), None, "amigo").name == "car1"
-    assert vehicle_of(parsed(), None, "p2dx").name == "car2"
-    assert vehicle_of(parsed(), "car2", "amigo").name == "car2"
+def test_the_only_vehicle_of_its_kind_is_used() -> None:
+    assert vehicle_of(scenario_of(), None, "amigo").name == "car1"
+    assert vehicle_of(scenario_of(), None, "p2dx").name == "car2"
+    assert vehicle_of(scenario_of(), "car2", "amigo").name == "car2"
     with pytest.raises(UsageError, match="--vehicle car3"):
-        vehicle_of(parsed(), "car3", "amigo")
+        vehicle_of(scenario_of(), "car3", "amigo")
     several = [{"name": name, "kind": "kinematic"} for name in ("a", "b")]
     with pytest.raises(UsageError, match=r"--vehicle NAME: a, b"):
-        vehicle_of(parsed(vehicle=several), None, "amigo")
+        vehicle_of(scenario_of(vehicle=several), None, "amigo")
 
 
 @pytest.mark.parametrize(("rate_hz", "period_s"), [(120.0, 0.025), (240.0, 0.025), (100.0, 0.02), (1000.0, 0.02), (20.0, 0.05)])
-def test_it_looks_at_its_vehicle_as_often_as_physics_can_tell(rate_hz: float, period_s: float) -> None:
-    assert period_of(parsed(physics={"rate_hz": rate_hz})) == period_s
+def test_its_period_fits_the_rate_of_physics(rate_hz: float, period_s: float) -> None:
+    assert period_of(scenario_of(physics={"rate_hz": rate_hz})) == period_s
 
 
 @pytest.mark.parametrize(
@@ -72,9 +72,7 @@ def test_it_looks_at_its_vehicle_as_often_as_physics_can_tell(rate_hz: float, pe
         ([{}, {}], {}),
     ],
 )
-def test_whatever_agents_there_are_its_own_is_asked_at_its_own_period(
-    vehicles: list[dict[str, Any]], agents: dict[str, Any]
-) -> None:
+def test_its_agent_has_its_own_period_beside_any_others(vehicles: list[dict[str, Any]], agents: dict[str, Any]) -> None:
     raw = {
         "name": "two",
         "duration_s": 1.0,
@@ -93,7 +91,7 @@ def test_whatever_agents_there_are_its_own_is_asked_at_its_own_period(
 
 
 @pytest.mark.parametrize("start", [{"pose": [1.0, 2.0, 0.5]}, {"position": [1.0, 2.0, 0.0], "heading": 0.5}, {}])
-def test_it_starts_where_it_is_told_however_the_scenario_says_it(start: dict[str, Any]) -> None:
+def test_its_start_pose_replaces_any_of_the_scenario(start: dict[str, Any]) -> None:
     raw = {"name": "one", "duration_s": 1.0, "vehicle": [{"name": "car", "kind": "amigobot", **start}]}
     before = loader.load(raw)[0]
     after = loader.load(raw, settings=changes_of(before, before.vehicle[0], AMIGO, 0.025, (5.0, 6.0, 0.7)))[0]
@@ -111,9 +109,9 @@ def test_real_vehicles_are_simulated() -> None:
     assert [each.pose_source for each in after.vehicle] == ["truth"] * 2
 
 
-def test_sonars_look_from_where_the_robot_has_them_and_ones_of_the_scenario_are_left_alone() -> None:
+def test_sonars_are_placed_as_on_the_robot_and_scenario_ones_are_kept() -> None:
     own = {"kind": "ring", "range_max": 3.0}
-    before = parsed(vehicle=[{"name": "car1", "kind": "amigobot", "sensors": {"sonar3": own}}])
+    before = scenario_of(vehicle=[{"name": "car1", "kind": "amigobot", "sensors": {"sonar3": own}}])
     changes = changes_of(before, before.vehicle[0], AMIGO, 0.025, None)
     made = {key.rpartition(".")[2]: content for key, content in changes.items() if ".sensors." in key}
     assert sorted(made) == [f"sonar{number}" for number in range(8) if number != 3]
@@ -130,8 +128,8 @@ def test_bumpers_ahead_and_behind() -> None:
     assert bumper_bits([1.0]) == FRONT
 
 
-class Stage:
-    """An agent with a robot whose client has opened a session and enabled its motors, without a port."""
+class AgentHarness:
+    """A DeviceAgent without a port; the robot's client has opened a session and enabled the motors."""
 
     def __init__(self, **fitted: dict[str, Any]) -> None:
         self.device = Device(AMIGO, start=None, old_session=True)
@@ -147,7 +145,7 @@ class Stage:
         self.device.receive(command(number, argument), self.device.now_ns)
 
     def act(self, seconds: float, v: float = 0.0, w: float = 0.0, yaw: float = 0.0, **readings: Any) -> tuple[float, float]:
-        """Go on while the vehicle moves like this; what it is told in the end."""
+        """Advances by ``seconds`` at this velocity; returns the final command, v m/s and w rad/s."""
         state = VehicleState(
             position=(1.0, 2.0, 0.0),
             velocity=(v * math.cos(yaw), v * math.sin(yaw), 0.0),
@@ -167,8 +165,8 @@ class Stage:
         return self.device._stall
 
 
-def test_speeds_are_ramped_as_the_client_has_set_it() -> None:
-    stage = Stage()
+def test_speeds_ramp_as_set_by_the_client() -> None:
+    stage = AgentHarness()
     stage.say(Command.SETA, 400)
     stage.say(Command.VEL, 300)
     assert stage.act(0.5)[0] == pytest.approx(0.2)
@@ -178,8 +176,8 @@ def test_speeds_are_ramped_as_the_client_has_set_it() -> None:
 
 
 @pytest.mark.parametrize(("number", "argument"), [(Command.VEL, 300), (Command.VEL, -300), (Command.RVEL, 40)])
-def test_wheels_that_are_to_turn_and_stand_are_stalled_after_a_while(number: int, argument: int) -> None:
-    stage = Stage()
+def test_blocked_wheels_are_stalled_after_a_while(number: int, argument: int) -> None:
+    stage = AgentHarness()
     stage.say(number, argument)
     stage.act(BLOCKED_S)
     assert stage.stall == 0
@@ -190,28 +188,28 @@ def test_wheels_that_are_to_turn_and_stand_are_stalled_after_a_while(number: int
     assert stage.stall == 0
 
 
-def test_a_robot_that_stands_because_it_is_told_to_is_not_stalled() -> None:
-    stage = Stage()
+def test_a_robot_without_command_is_not_stalled() -> None:
+    stage = AgentHarness()
     stage.act(3.0)
     assert stage.stall == 0
 
 
-def test_odometry_comes_from_the_encoders_if_it_has_any_and_from_its_pose_if_it_has_no_wheels() -> None:
+def test_odometry_is_from_encoders_or_wheels_or_else_the_pose() -> None:
     said = Odometry(pose=(9.0, 9.0, 1.0), v=0.1, w=0.2)
-    fitted = Stage(encoders={"kind": "wheel_odometry"})
+    fitted = AgentHarness(encoders={"kind": "wheel_odometry"})
     fitted.act(PERIOD_S, odometry=Odometry(pose=(0.0, 0.0, 0.0), v=0.0, w=0.0), encoders=said)
     assert fitted.device.pose == said.pose
-    plain = Stage()
+    plain = AgentHarness()
     plain.act(PERIOD_S, odometry=said)
     assert plain.device.pose == said.pose
-    bare = Stage()
+    bare = AgentHarness()
     bare.act(PERIOD_S, yaw=0.5)
     assert bare.device.pose == pytest.approx((1.0, 2.0, 0.5))
     assert bare.agent.truth == pytest.approx((1.0, 2.0, 0.0, 0.5))
 
 
-def test_a_sonar_hears_what_is_nearest_in_its_cone_and_bumpers_press() -> None:
-    stage = Stage(skirt={"kind": "bumper"})
+def test_a_sonar_measures_the_nearest_in_its_cone_and_bumpers_press() -> None:
+    stage = AgentHarness(skirt={"kind": "bumper"})
     near = Scan(ranges=np.array([3.0, 1.5, np.inf, 2.0, 2.5], np.float32), angle_min=0.0, angle_step=0.1, range_max=5.0)
     inside = Scan(ranges=np.array([-np.inf, 1.0], np.float32), angle_min=0.0, angle_step=0.1, range_max=5.0)
     pressed = Measured(time_ns=0, values={"front": 1.0, "left": 0.0, "back": 0.0, "right": 0.0})
@@ -220,8 +218,8 @@ def test_a_sonar_hears_what_is_nearest_in_its_cone_and_bumpers_press() -> None:
     assert stage.stall == FRONT
 
 
-def test_it_asks_for_the_sensors_that_it_looks_at_and_for_no_others() -> None:
-    agent = Stage(eye={"kind": "camera"}, skirt={"kind": "bumper"}).agent
+def test_it_requests_exactly_the_sensors_in_use() -> None:
+    agent = AgentHarness(eye={"kind": "camera"}, skirt={"kind": "bumper"}).agent
     assert agent.sensors is not None
     assert set(agent.sensors) == {"odometry", "skirt", *(f"sonar{number}" for number in range(8))}
 

@@ -1,4 +1,4 @@
-"""The emulated robot at a port, and the line to it. Only what concerns ports runs at the pace of the wall clock."""
+"""Emulated robot at a port, and its line. Only port functions run in real time."""
 
 import os
 import time
@@ -11,7 +11,7 @@ import serial  # type: ignore[import-untyped]
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.hardware.driver_runs import PATIENCE_S, eventually, held
+from tests.support.hardware.driver_runs import PATIENCE_S, eventually, open_resources
 from vcmvsp.cosim.rng import stream
 from vcmvsp.hardware.drivers.arcos.protocol import Command, PacketReader, command, frame, is_sip
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
@@ -27,7 +27,7 @@ Serve = Callable[..., ArcosServer]
 
 
 class Port:
-    """A client's end."""
+    """Client end of a port."""
 
     def __init__(self, url: str) -> None:
         self.serial, self.reader = serial.serial_for_url(url, timeout=0.02), PacketReader()
@@ -37,14 +37,14 @@ class Port:
 
     def __exit__(self, *_: object) -> None:
         if socket := getattr(self.serial, "_socket", None):
-            socket.close()  # pyserial leaves it open where the other end has gone first
+            socket.close()  # pyserial leaves it open if the other end closed first
         self.serial.close()
 
     def say(self, number: int, argument: int | None = None) -> None:
         self.serial.write(command(number, argument))
 
     def hear(self, until: Callable[[list[bytes]], bool]) -> list[bytes]:
-        """Packets until there are enough of them."""
+        """Packets, read until ``until`` accepts them."""
         heard: list[bytes] = []
         end = time.monotonic() + PATIENCE_S
         while not until(heard):
@@ -63,7 +63,7 @@ class Port:
 
 
 @BOTH
-def test_a_device_that_is_served_again_goes_on_from_where_it_is(serve: Serve) -> None:
+def test_a_device_continues_when_served_again(serve: Serve) -> None:
     device = Device(AMIGO, old_session=True)
     device.advance(10**11)
     for _ in range(2):
@@ -73,7 +73,7 @@ def test_a_device_that_is_served_again_goes_on_from_where_it_is(serve: Serve) ->
 
 
 @BOTH
-def test_who_hangs_up_without_closing_finds_the_old_session(serve: Serve) -> None:
+def test_without_close_the_old_session_remains(serve: Serve) -> None:
     with serve(Device(AMIGO)) as served:
         with Port(served.url) as port:
             port.connect()
@@ -89,21 +89,21 @@ def test_unplugging_ends_the_stream(serve: Serve) -> None:
         served.close()
         with pytest.raises(serial.SerialException):
             port.hear(lambda _: False)
-        served.close()  # once more does no harm
+        served.close()  # a second call has no effect
 
 
 @BOTH
-def test_nothing_is_left_behind(serve: Serve) -> None:
-    before = held()
+def test_nothing_remains(serve: Serve) -> None:
+    before = open_resources()
     for _ in range(3):
         with serve(Device(AMIGO)) as served, Port(served.url) as port:
             port.connect()
-    eventually(lambda: held() <= before)
+    eventually(lambda: open_resources() <= before)
 
 
 def test_a_link_leads_to_the_terminal_and_goes_with_it(tmp_path: Path) -> None:
     link = tmp_path / "robot"
-    for _ in range(2):  # plugged in again, at the same place
+    for _ in range(2):  # replugged at the same place
         with serve_pty(Device(AMIGO), link=link) as served, Port(served.url) as port:
             assert served.url == str(link)
             port.connect()
@@ -115,19 +115,19 @@ def test_a_link_leads_to_the_terminal_and_goes_with_it(tmp_path: Path) -> None:
 
 def test_a_link_that_a_killed_emulator_left_is_replaced_and_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     link = tmp_path / "robot"
-    link.symlink_to("/dev/pts/99999999")  # its terminal is gone
+    link.symlink_to("/dev/pts/99999999")  # of a terminal that no longer exists
     with serve_pty(Device(AMIGO), link=link):
         assert link.exists()
     ends = os.openpty()
     name = os.ttyname(ends[1])
-    link.symlink_to(name)  # which somebody else has
+    link.symlink_to(name)  # a terminal in use elsewhere
     with pytest.raises(FileExistsError):
         serve_pty(Device(AMIGO), link=link)
     elsewhere = tmp_path / "other"
-    elsewhere.symlink_to(tmp_path / "nothing")  # no terminal: not ours to remove
+    elsewhere.symlink_to(tmp_path / "nothing")  # not a terminal: not removed
     with pytest.raises(FileExistsError):
         serve_pty(Device(AMIGO), link=elsewhere)
-    monkeypatch.setattr("pty.openpty", lambda: ends)  # its number was free, and is ours now
+    monkeypatch.setattr("pty.openpty", lambda: ends)  # the number is now our own terminal's
     with serve_pty(Device(AMIGO), link=link):
         assert str(link.readlink()) == name
 
@@ -137,10 +137,10 @@ def test_a_port_in_use_is_refused() -> None:
         serve_tcp(Device(AMIGO), port=int(served.url.rpartition(":")[2]))
 
 
-def test_an_error_inside_is_told_on_closing() -> None:
+def test_an_inner_error_is_raised_on_close() -> None:
     served = serve_pty(Device(AMIGO, old_session=True))
     with served.lock:
-        served.device.battery_v = float("nan")  # no packet can be made of it
+        served.device.battery_v = float("nan")  # cannot be encoded in a packet
     with Port(served.url):
         served._thread.join(PATIENCE_S)
     with pytest.raises(ValueError, match="NaN"):
@@ -148,13 +148,13 @@ def test_an_error_inside_is_told_on_closing() -> None:
 
 
 @BOTH
-def test_a_bad_line_spoils_packets_and_the_reader_notices(serve: Serve) -> None:
-    def noticed(heard: list[bytes]) -> bool:
+def test_a_noisy_line_gives_bad_checksums(serve: Serve) -> None:
+    def has_bad_checksums(heard: list[bytes]) -> bool:
         return len(heard) >= 6 and served.up.dropped + served.up.flipped > 0 and port.reader.dropped_bytes > 0
 
     faults = Faults(drop=0.01, flip=0.01, split=0.05, seed=4)
     with serve(Device(AMIGO, old_session=True), faults=faults) as served, Port(served.url) as port:
-        port.hear(noticed)
+        port.hear(has_bad_checksums)
 
 
 # The line alone
@@ -165,7 +165,7 @@ def wire(baud: int | None = None, seed: int = 0, **faults: float) -> Wire:
 
 
 def test_ten_bits_a_byte() -> None:
-    """59 bytes at 9600 baud take 61.46 ms, and what comes meanwhile waits for them."""
+    """59 bytes at 9600 baud take 61.46 ms; bytes sent meanwhile wait."""
     line = wire(baud=9600)
     line.push(bytes(range(59)), 0)
     line.push(b"\xff", 10 * MS)
@@ -177,7 +177,7 @@ def test_ten_bits_a_byte() -> None:
 
 
 @given(st.binary(max_size=300), st.integers(0, 300))
-def test_a_good_line_gives_what_it_takes(data: bytes, cut: int) -> None:
+def test_a_perfect_line_keeps_bytes(data: bytes, cut: int) -> None:
     line = wire()
     line.push(data[:cut], 5)
     line.push(data[cut:], 5)
@@ -208,7 +208,7 @@ def test_gaps_delay_and_lose_nothing() -> None:
 
 
 @given(st.lists(st.binary(min_size=1, max_size=20), max_size=20), st.integers(0, 2**32))
-def test_faults_depend_on_the_seed_and_not_on_how_the_bytes_come(parts: list[bytes], seed: int) -> None:
+def test_faults_depend_on_the_seed_and_not_on_the_split(parts: list[bytes], seed: int) -> None:
     cut, whole = (wire(seed=seed, drop=0.1, flip=0.1) for _ in range(2))
     for each in parts:
         cut.push(each, 0)
@@ -216,8 +216,8 @@ def test_faults_depend_on_the_seed_and_not_on_how_the_bytes_come(parts: list[byt
     assert cut.pop(0) == whole.pop(0)
 
 
-def test_a_client_that_repeats_itself_drives_over_a_bad_line() -> None:
-    """2 % of bytes lost and 2 % changed each way: 0.2 m/s for 10 s, told twice a second, in the line's own time."""
+def test_repeated_commands_drive_over_a_noisy_line() -> None:
+    """2 % of bytes lost and 2 % changed in each direction: 0.2 m/s for 10 s, commanded twice a second, in simulated time."""
     device = Device(AMIGO, old_session=True)
     down, up = wire(baud=9600, seed=1, drop=0.02, flip=0.02), wire(baud=9600, seed=2, drop=0.02, flip=0.02)
     reader, packets = PacketReader(), 0

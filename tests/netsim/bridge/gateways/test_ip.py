@@ -1,4 +1,4 @@
-"""The gateway for IP, on layer 3: programs in two or three namespaces, and a context that carries what it is offered."""
+"""IP gateway on layer 3: programs in two or three network namespaces, and a context that delivers every packet."""
 
 import asyncio
 import errno
@@ -17,8 +17,8 @@ from typing import Any
 
 import pytest
 
-from tests.support.netsim.gateway_context import PATIENCE_S, TestHall, opened, until
-from tests.support.netsim.vehicle_namespaces import RUN, called, heard, left_over, space, udp
+from tests.support.netsim.gateway_context import PATIENCE_S, RunlessContext, open_gateway, until
+from tests.support.netsim.vehicle_namespaces import RUN, next_datagram, remains_of_run, run_command, space, udp
 from tests.support.paths import ROOT
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
@@ -38,31 +38,31 @@ CARS = ("car1", "car2", "car3")
 
 @pytest.mark.parametrize(("first", "second", "header"), [("10.77.0.1", "10.77.0.2", 28), ("fd77::1", "fd77::2", 48)])
 async def test_a_datagram_reaches_the_vehicle_that_has_its_address_and_no_other(first: str, second: str, header: int) -> None:
-    context = TestHall(CARS, run=RUN)
-    async with opened(Ip(layer=3), context):
+    context = RunlessContext(CARS, run=RUN)
+    async with open_gateway(Ip(layer=3), context):
         with udp("car1", first) as sender, udp("car2", second, 9000) as listener:
             sender.sendto(b"x" * 100, (second, 9000))
-            assert await heard(listener) == (b"x" * 100, first)
+            assert await next_datagram(listener) == (b"x" * 100, first)
     assert [(each.sender, each.to, len(each.payload)) for each in context.offered] == [(0, 1, 100 + header)]
     assert not context.counts
 
 
 @pytest.mark.parametrize("to", ["10.77.255.255", "255.255.255.255"])
 async def test_a_broadcast_is_a_broadcast_by_radio(to: str) -> None:
-    context = TestHall(CARS, run=RUN)
-    async with opened(Ip(layer=3), context):
+    context = RunlessContext(CARS, run=RUN)
+    async with open_gateway(Ip(layer=3), context):
         with udp("car2", "10.77.0.2") as sender, udp("car1", "", 9000) as one, udp("car3", "", 9000) as other:
             sender.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
             sender.sendto(b"all", (to, 9000))
             for listener in (one, other):
-                assert await heard(listener) == (b"all", "10.77.0.2")
+                assert await next_datagram(listener) == (b"all", "10.77.0.2")
     assert [(each.sender, each.to) for each in context.offered] == [(1, BROADCAST)]
 
 
 @pytest.mark.parametrize(("group", "own"), [("239.255.0.1", "10.77.0.1"), ("ff05::77", "fd77::1")])
-async def test_a_multicast_reaches_who_has_joined_and_memberships_cost_no_air_time(group: str, own: str) -> None:
-    context = TestHall(CARS, run=RUN)
-    async with opened(Ip(layer=3), context):
+async def test_a_multicast_reaches_members_and_memberships_cost_no_air_time(group: str, own: str) -> None:
+    context = RunlessContext(CARS, run=RUN)
+    async with open_gateway(Ip(layer=3), context):
         anywhere = "::" if ":" in group else "0.0.0.0"
         with udp("car1", own) as sender, udp("car3", anywhere, 9000) as joined, udp("car2", anywhere, 9000) as not_joined:
             if ":" in group:
@@ -72,15 +72,15 @@ async def test_a_multicast_reaches_who_has_joined_and_memberships_cost_no_air_ti
                 joined.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + bytes(4))
             await until(lambda: MEMBERSHIP in context.counts.get("car3", {}))
             sender.sendto(b"group", (group, 9000))
-            assert await heard(joined) == (b"group", own)
+            assert await next_datagram(joined) == (b"group", own)
             with pytest.raises(TimeoutError):
-                await heard(not_joined, 0.05)
+                await next_datagram(not_joined, 0.05)
     assert [(each.sender, each.to) for each in context.offered] == [(0, BROADCAST)]
 
 
-async def test_what_nobody_has_the_address_of_is_counted_and_not_sent() -> None:
-    context = TestHall(CARS, run=RUN)
-    async with opened(Ip(layer=3, vehicles=("car1", "car2")), context):
+async def test_packets_to_unknown_addresses_are_counted_and_not_sent() -> None:
+    context = RunlessContext(CARS, run=RUN)
+    async with open_gateway(Ip(layer=3, vehicles=("car1", "car2")), context):
         with udp("car1", "10.77.0.1") as sender:
             for nobody in ("10.77.0.3", "10.77.9.9"):  # the third vehicle has no interface
                 sender.sendto(b"hello?", (nobody, 9000))
@@ -89,9 +89,9 @@ async def test_what_nobody_has_the_address_of_is_counted_and_not_sent() -> None:
 
 
 async def test_idle_vehicles_send_nothing() -> None:
-    """No address is sought, no router called, no neighbour asked: the air is free for the programs."""
-    context = TestHall(CARS, run=RUN)
-    async with opened(Ip(layer=3), context):
+    """Without programs there is no router solicitation, address detection or neighbour request: the air is free."""
+    context = RunlessContext(CARS, run=RUN)
+    async with open_gateway(Ip(layer=3), context):
         await asyncio.sleep(1.2)
     assert not context.offered
     assert not context.counts
@@ -99,7 +99,7 @@ async def test_idle_vehicles_send_nothing() -> None:
 
 @pytest.mark.needs("ping")
 @pytest.mark.parametrize("to", ["10.77.0.2", "fd77::2"])
-async def test_ping_tells_the_channels_delay_and_loss(to: str) -> None:
+async def test_ping_measures_the_channels_delay_and_loss(to: str) -> None:
     def number(packet: bytes) -> int:
         return int(struct.unpack_from(">H", packet, 26 if packet[0] >> 4 == 4 else 46)[0])  # icmp_seq
 
@@ -107,24 +107,24 @@ async def test_ping_tells_the_channels_delay_and_loss(to: str) -> None:
         found = re.search(r"min/avg/max/mdev = ([\d.]+)", said)
         return float(found[1]) if found else float("inf")
 
-    context = TestHall(CARS[:2], run=RUN, delay_s=0.02, hears=lambda sender, receiver, place: (place * 7) % 10 >= 3)
+    context = RunlessContext(CARS[:2], run=RUN, delay_s=0.02, hears=lambda sender, receiver, place: (place * 7) % 10 >= 3)
     in_time: set[int] = set()
 
     class Noted(Ip):
-        """Notes what comes back before the last question is asked: until then, ping certainly listens."""
+        """Records replies until the last request is sent; ping certainly listens until then."""
 
         def deliver(self, sender: int, receiver: int, payload: bytes) -> None:
             super().deliver(sender, receiver, payload)
-            self._read(self._radios[0, ""])  # all that it has asked by now
+            self._read(self._radios[0, ""])  # requests sent by now
             if sender == 1 and sum(each.sender == 0 for each in context.offered) < 40:
                 in_time.add(number(payload))
 
-    async with opened(Noted(layer=3), context):
-        _, out = await called("car1", "ping", "-n", "-c", "40", "-i", "0.01", "-W", "5", to)
+    async with open_gateway(Noted(layer=3), context):
+        _, out = await run_command("car1", "ping", "-n", "-c", "40", "-i", "0.01", "-W", "5", to)
         offered = list(context.offered)
         quickest_ms, until_s = least_ms(out), time.monotonic() + 20.0
-        while quickest_ms >= 80.0 and time.monotonic() < until_s:  # if we were held up all the time, others are quicker
-            _, more = await called("car1", "ping", "-n", "-c", "10", "-i", "0.01", "-W", "5", to)
+        while quickest_ms >= 80.0 and time.monotonic() < until_s:  # held up all the time, it is slower than others
+            _, more = await run_command("car1", "ping", "-n", "-c", "10", "-i", "0.01", "-W", "5", to)
             quickest_ms = min(quickest_ms, least_ms(more))
     back = {number(each.payload) for each in offered if each.sender == 1}
     heard_back = {number(each.payload) for place, each in enumerate(offered) if each.sender == 1 and (place * 7) % 10 >= 3}
@@ -136,23 +136,23 @@ async def test_ping_tells_the_channels_delay_and_loss(to: str) -> None:
     assert 40.0 <= quickest_ms < 80.0
 
 
-async def test_a_long_datagram_is_split_by_the_kernel_as_mtu_bytes_says() -> None:
-    context = TestHall(CARS, run=RUN)
-    async with opened(Ip(layer=3, mtu_bytes=127), context):
+async def test_the_kernel_splits_a_long_datagram_at_the_mtu() -> None:
+    context = RunlessContext(CARS, run=RUN)
+    async with open_gateway(Ip(layer=3, mtu_bytes=127), context):
         with udp("car1", "10.77.0.1") as sender, udp("car2", "10.77.0.2", 9000) as listener:
             sender.sendto(bytes(1000), ("10.77.0.2", 9000))
-            assert await heard(listener) == (bytes(1000), "10.77.0.1")
+            assert await next_datagram(listener) == (bytes(1000), "10.77.0.1")
     assert len(context.offered) == 10  # 1008 bytes with the header of UDP, at most 104 of them in a packet (RFC 791)
     assert max(len(each.payload) for each in context.offered) == 124
     assert not any("fd77" in line for line in context.lines)  # IPv6 needs 1280 bytes
 
 
 async def test_without_room_packets_wait_in_the_kernel_and_more_than_its_queue_holds_is_counted() -> None:
-    def sent(context: TestHall) -> list[bytes]:
+    def sent(context: RunlessContext) -> list[bytes]:
         return [each.payload for each in context.offered if each.sender == 0]
 
-    context = TestHall(CARS, run=RUN)
-    async with opened(Ip(layer=3), context):
+    context = RunlessContext(CARS, run=RUN)
+    async with open_gateway(Ip(layer=3), context):
         with udp("car1", "10.77.0.1") as sender:
             context.room = False
             for number in range(2 * namespaces.QUEUE):
@@ -164,13 +164,13 @@ async def test_without_room_packets_wait_in_the_kernel_and_more_than_its_queue_h
             await until(lambda: len(sent(context)) + context.counts["car1"][NO_ROOM] == 2 * namespaces.QUEUE)
     numbers = [struct.unpack(">I", each[28:])[0] for each in sent(context)]
     assert namespaces.QUEUE <= len(numbers) <= namespaces.QUEUE + 2
-    assert numbers == list(range(len(numbers)))  # in order, and the first of them: who comes late finds no room
+    assert numbers == list(range(len(numbers)))  # the first packets, in order; later ones find no room
 
 
 async def test_payloads_that_are_no_ip_packet_are_ignored() -> None:
-    context = TestHall(CARS, run=RUN)
+    context = RunlessContext(CARS, run=RUN)
     gateway = Ip(layer=3)
-    async with opened(gateway, context):
+    async with open_gateway(gateway, context):
         with udp("car2", "10.77.0.2", 9000) as listener, udp("car1", "10.77.0.1") as sender:
             for said in (
                 b"",
@@ -182,16 +182,16 @@ async def test_payloads_that_are_no_ip_packet_are_ignored() -> None:
             ):
                 gateway.deliver(0, 1, said)
             sender.sendto(b"after it", ("10.77.0.2", 9000))
-            assert await heard(listener) == (b"after it", "10.77.0.1")
+            assert await next_datagram(listener) == (b"after it", "10.77.0.1")
 
 
 @pytest.mark.needs("ping")
 async def test_real_machines_join_through_a_vehicle() -> None:
-    """A namespace plays a robot with cables: it stands behind car1, through the host, as a machine in the lab would."""
-    context = TestHall(CARS, run=RUN, delay_s=0.01)
+    """A namespace with cables to the host stands in for a robot behind car1, as a machine in a laboratory would."""
+    context = RunlessContext(CARS, run=RUN, delay_s=0.01)
     robot, cable = f"{RUN}-robot", f"v{os.getpid()}"
     ip = f"ip -n {robot}"
-    async with opened(Ip(layer=3, routes={"car1": ("192.168.213.0/24", "fd05:213::/64")}), context):
+    async with open_gateway(Ip(layer=3, routes={"car1": ("192.168.213.0/24", "fd05:213::/64")}), context):
         assert any("behind car1: 192.168.213.0/24" in line for line in context.lines)
         try:
             namespaces.create(robot)
@@ -200,8 +200,8 @@ async def test_real_machines_join_through_a_vehicle() -> None:
             _sh(f"{ip} addr add 192.168.213.10/24 dev eth0; {ip} link set eth0 up; {ip} link set lo up")
             _sh(f"{ip} route add default via 192.168.213.1")
             Path(f"/proc/sys/net/ipv4/conf/{cable}/forwarding").write_text("1")
-            for _ in range(3):  # one at a time: after the last of many, ping waits for no longer than two have taken
-                code, out = await called("car2", "ping", "-n", "-c", "1", "-W", "30", "192.168.213.10")
+            for _ in range(3):  # one at a time: after the last of many requests, ping waits no longer than two have taken
+                code, out = await run_command("car2", "ping", "-n", "-c", "1", "-W", "30", "192.168.213.10")
                 assert (code, "1 received" in out) == (0, True), out
             assert [(each.sender, each.to) for each in context.offered] == 3 * [(1, 0), (0, 1)]
             for _ in range(3):
@@ -241,59 +241,59 @@ def test_parameters_without_a_meaning_are_refused_before_anything_is_created(par
         gateway = binding.call(Ip, params, key="bridge.ip")
         try:
             gateway.check(CARS)
-        except ValueError as error:  # as the run says it
+        except ValueError as error:  # as the run reports it
             raise ScenarioError(str(error), key="bridge.ip") from error
 
     with pytest.raises(ScenarioError, match=re.escape(problem)):
         checked()
 
 
-# --- what is left over ---
+# --- remains ---
 
 
 async def test_nothing_is_left_after_closing() -> None:
-    async with opened(Ip(), TestHall(CARS, run=RUN)):
-        assert len(left_over(CARS)) == 4
+    async with open_gateway(Ip(), RunlessContext(CARS, run=RUN)):
+        assert len(remains_of_run(CARS)) == 4
         assert [each.alive for each in run_networks.networks() if each.run == RUN] == [True]
         with pytest.raises(run_networks.RunAlive):
             run_networks.clear(RUN)
-    assert not left_over(CARS)
+    assert not remains_of_run(CARS)
 
 
-async def test_two_runs_of_one_name_are_told_so_and_the_first_goes_on() -> None:
-    context = TestHall(CARS[:2], run=RUN)
-    async with opened(Ip(), context):
+async def test_a_second_run_of_one_name_is_refused_and_the_first_goes_on() -> None:
+    context = RunlessContext(CARS[:2], run=RUN)
+    async with open_gateway(Ip(), context):
         with pytest.raises(GatewayError, match=rf"a run named {RUN} already has a network on this machine"):
-            async with opened(Ip(), TestHall(CARS[:2], run=RUN)):
+            async with open_gateway(Ip(), RunlessContext(CARS[:2], run=RUN)):
                 pass
         with udp("car1", "10.77.0.1") as sender, udp("car2", "10.77.0.2", 9000) as listener:
             sender.sendto(b"still", ("10.77.0.2", 9000))
-            assert (await heard(listener))[0] == b"still"
+            assert (await next_datagram(listener))[0] == b"still"
 
 
-async def test_a_namespace_of_somebody_else_is_not_touched() -> None:
+async def test_a_foreign_namespace_is_not_changed() -> None:
     namespaces.create(space("car2"))
     try:
         with pytest.raises(GatewayError, match=f"the network namespace {space('car2')} already exists"):
-            async with opened(Ip(), TestHall(CARS, run=RUN)):
+            async with open_gateway(Ip(), RunlessContext(CARS, run=RUN)):
                 pass
         assert (namespaces.NAMES / space("car2")).exists()
     finally:
         namespaces.remove(space("car2"))
-    assert not left_over(CARS)
+    assert not remains_of_run(CARS)
 
 
-async def test_an_interface_of_somebody_else_is_not_touched() -> None:
+async def test_a_foreign_interface_is_not_changed() -> None:
     theirs = namespaces.port_of(RUN, "car1", (), ()).interface
     _sh(f"ip link add {theirs} type veth peer name r{os.getpid()}")
     try:
         with pytest.raises(GatewayError, match=f"the network interface {theirs} already exists; .*: ip link delete {theirs}"):
-            async with opened(Ip(routes={"car1": ("192.168.213.0/24",)}), TestHall(CARS, run=RUN)):
+            async with open_gateway(Ip(routes={"car1": ("192.168.213.0/24",)}), RunlessContext(CARS, run=RUN)):
                 pass
         assert theirs in _sh("ip link")
     finally:
         _sh(f"ip link del {theirs}")
-    assert not left_over(CARS)
+    assert not remains_of_run(CARS)
 
 
 async def test_a_kernel_without_time_is_not_taken_for_a_run_of_the_same_name(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -302,48 +302,48 @@ async def test_a_kernel_without_time_is_not_taken_for_a_run_of_the_same_name(mon
 
     monkeypatch.setattr(namespaces, "open_radio", busy)
     with pytest.raises(GatewayError, match=f"the network of {RUN} cannot be created: .*temporarily unavailable"):
-        async with opened(Ip(), TestHall(CARS, run=RUN)):
+        async with open_gateway(Ip(), RunlessContext(CARS, run=RUN)):
             pass
-    assert not left_over(CARS)
+    assert not remains_of_run(CARS)
 
 
-async def test_what_comes_from_a_network_goes_through_one_run() -> None:
-    """The host goes by where a packet is from and for: of two runs with the same, one would have the other's packets."""
+async def test_packets_of_a_network_go_through_one_run() -> None:
+    """The host routes by source and destination: of two runs with equal addresses, one would receive the other's packets."""
 
     other = f"{RUN}other"
-    async with opened(Ip(routes={"car2": ("192.168.213.0/24",)}), TestHall(CARS, run=RUN)):
+    async with open_gateway(Ip(routes={"car2": ("192.168.213.0/24",)}), RunlessContext(CARS, run=RUN)):
         part_of_it = {"car1": ("192.168.213.64/26",)}
         with pytest.raises(GatewayError) as refused:
-            async with opened(Ip(routes=part_of_it), TestHall(CARS, run=other)):
+            async with open_gateway(Ip(routes=part_of_it), RunlessContext(CARS, run=other)):
                 pass
         assert f"{RUN} on this machine already routes the traffic from 192.168.213.64/26 to 10.77.0.0/16" in str(refused.value)
-        assert not left_over(CARS, other)
-        assert _sh("ip rule").count("192.168.213.") == 1  # as it was
+        assert not remains_of_run(CARS, other)
+        assert _sh("ip rule").count("192.168.213.") == 1  # unchanged
         elsewhere = Ip(network="10.78.0.0/16", routes=part_of_it)
-        async with opened(elsewhere, TestHall(CARS, run=other)):
+        async with open_gateway(elsewhere, RunlessContext(CARS, run=other)):
             pass
 
 
 async def test_interfaces_of_many_vehicles_are_closed_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The kernel takes 20 ms for each, and a bridge that takes long is killed."""
+    """The kernel takes 20 ms for each; a bridge that is slow to close is killed."""
 
     gateway, both, close = Ip(), threading.Barrier(2), os.close
-    async with opened(gateway, TestHall(CARS[:2], run=RUN)):
+    async with open_gateway(gateway, RunlessContext(CARS[:2], run=RUN)):
         radios = {each.packets for each in gateway._radios.values()}
 
         def close_together(descriptor: int) -> None:
             if descriptor in radios:
-                radios.remove(descriptor)  # the next to be opened has its number
+                radios.remove(descriptor)  # the next file to be opened has this number
                 both.wait(PATIENCE_S)
             close(descriptor)
 
         monkeypatch.setattr(os, "close", close_together)
     monkeypatch.undo()
     assert not both.broken
-    assert not left_over(CARS)
+    assert not remains_of_run(CARS)
 
 
-# --- who else is on the machine ---
+# --- other interfaces of the machine ---
 
 
 @pytest.fixture
@@ -352,9 +352,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "net" / RUN
 
 
-def test_nobody_else_can_have_the_lock_and_everybody_can_read_names(folder: Path) -> None:
+def test_the_lock_is_exclusive_and_names_are_readable(folder: Path) -> None:
     folder.mkdir(parents=True)
-    (folder / "lock").touch(mode=0o666)  # of an earlier version, or of somebody else
+    (folder / "lock").touch(mode=0o666)  # left by an earlier version or by another program
     for each in (folder, folder.parent):
         each.chmod(0o700)
     usual = os.umask(0o077)
@@ -368,7 +368,7 @@ def test_nobody_else_can_have_the_lock_and_everybody_can_read_names(folder: Path
     assert found | {"network.json": ""} == {"net": "0o755", RUN: "0o755", "lock": "0o600", "hosts": "0o644", "network.json": ""}
 
 
-def test_who_only_looks_does_not_keep_a_run_from_beginning(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_reader_of_names_does_not_block_a_new_run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder.mkdir(parents=True)
     looking = (folder / "lock").open("w")
     fcntl.flock(looking, fcntl.LOCK_SH)
@@ -413,7 +413,7 @@ asyncio.run(body())
 
 
 @pytest.mark.parametrize("cleared_by", ["net down", "the next run"])
-def test_what_a_killed_run_has_left_is_cleared_away(cleared_by: str) -> None:
+def test_remains_of_a_killed_run_are_removed(cleared_by: str) -> None:
     run = f"{RUN}k"
     text = KILLED.format(root=str(ROOT), run=run)
     with subprocess.Popen([sys.executable, "-c", text], stdout=subprocess.PIPE, text=True) as process:
@@ -422,19 +422,19 @@ def test_what_a_killed_run_has_left_is_cleared_away(cleared_by: str) -> None:
         assert [each.alive for each in run_networks.networks() if each.run == run] == [True]
         process.send_signal(signal.SIGKILL)
     assert [each.alive for each in run_networks.networks() if each.run == run] == [False]
-    assert len(left_over(CARS[:2], run)) == 3
+    assert len(remains_of_run(CARS[:2], run)) == 3
     assert "192.168.214.0/24" in _sh("ip rule")
 
     async def body() -> None:
-        async with opened(Ip(), TestHall(CARS[:2], run=run)):
+        async with open_gateway(Ip(), RunlessContext(CARS[:2], run=run)):
             pass
 
     if cleared_by == "net down":
         run_networks.clear(run)
-        run_networks.clear(run)  # once more does no harm
+        run_networks.clear(run)  # a second call has no effect
     else:
         asyncio.run(body())
-    assert not left_over(CARS[:2], run)
+    assert not remains_of_run(CARS[:2], run)
     assert "192.168.214.0/24" not in _sh("ip rule")
 
 

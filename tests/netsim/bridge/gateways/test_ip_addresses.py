@@ -1,4 +1,4 @@
-"""Where packets go: for any bytes an answer, and for real packets the right one."""
+"""Receivers of IP packets: the correct one for real packets, an answer for any bytes."""
 
 import ipaddress
 import struct
@@ -37,16 +37,16 @@ def packet6(target: str, following: int = 17, payload: bytes = b"data") -> bytes
         (packet4("10.77.0.2"), 1),
         (packet6("fd77::3"), 2),
         (packet4("10.77.0.4"), NO_ADDRESS),  # there is no fourth vehicle
-        (packet4("10.77.0.1"), NO_ADDRESS),  # nobody sends to himself by radio
+        (packet4("10.77.0.1"), NO_ADDRESS),  # no vehicle sends to itself by radio
         (packet4("8.8.8.8"), NO_ADDRESS),
         (packet4("10.77.255.255"), BROADCAST),
         (packet4("255.255.255.255"), BROADCAST),
         (packet4("224.0.0.251"), BROADCAST),
         (packet4("239.255.0.1"), BROADCAST),
         (packet6("ff02::fb"), BROADCAST),
-        (packet4("192.168.5.7"), 1),  # the narrowest network counts
+        (packet4("192.168.5.7"), 1),  # the longest prefix wins
         (packet6("fd05::5:7"), 1),
-        (packet4("192.168.6.7"), NO_ADDRESS),  # behind the sender himself
+        (packet4("192.168.6.7"), NO_ADDRESS),  # behind the sender itself
         (packet4("224.0.0.22", protocol=2), MEMBERSHIP),
         (packet6("ff02::2", 58, bytes([133, 0, 0, 0])), MEMBERSHIP),  # router solicitation
         (packet6("ff02::16", 0, bytes([58, 0, 5, 2, 0, 0, 1, 0, 143, 0])), MEMBERSHIP),  # behind hop-by-hop options
@@ -58,7 +58,7 @@ def packet6(target: str, following: int = 17, payload: bytes = b"data") -> bytes
         (b"\x55" + packet4("10.77.0.2")[1:], NO_IP),
     ],
 )
-def test_a_packet_goes_to_whom_it_is_meant_for(packet: bytes, goes_to: int | str) -> None:
+def test_a_packet_goes_to_its_destination(packet: bytes, goes_to: int | str) -> None:
     assert DIRECTORY.goes_to(0, packet) == goes_to
 
 
@@ -107,6 +107,6 @@ def test_vehicles_have_addresses_of_their_own(network: Network, row: int) -> Non
         ("fe80::/64", 6, "is reserved"),
     ],
 )
-def test_what_is_no_network_of_vehicles_is_refused(text: str, version: int, problem: str) -> None:
+def test_an_unsuitable_network_is_refused(text: str, version: int, problem: str) -> None:
     with pytest.raises(ScenarioError, match=rf"^network: .*{problem}"):
         network_of(text, "network", version)

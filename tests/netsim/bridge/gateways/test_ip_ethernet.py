@@ -1,4 +1,4 @@
-"""The gateway for IP on layer 2: the next hop receives, and what machines do to find it crosses the air."""
+"""IP gateway on layer 2: the next hop receives, and address resolution crosses the air."""
 
 import asyncio
 import ipaddress
@@ -9,14 +9,14 @@ import subprocess
 
 import pytest
 
-from tests.support.netsim.gateway_context import Offered, TestHall, opened
-from tests.support.netsim.vehicle_namespaces import RUN, called, heard, space, udp
+from tests.support.netsim.gateway_context import OfferedPacket, RunlessContext, open_gateway
+from tests.support.netsim.vehicle_namespaces import RUN, next_datagram, run_command, space, udp
 from vcmvsp.netsim.bridge.gateways.base import BROADCAST
 from vcmvsp.netsim.bridge.gateways.ip import ethernet
 from vcmvsp.netsim.bridge.gateways.ip.gateway import Ip
 
 CARS = ("car1", "car2", "car3")
-ARP, IPV4, IPV6 = 0x0806, 0x0800, 0x86DD  # IEEE 802 numbers of types
+ARP, IPV4, IPV6 = 0x0806, 0x0800, 0x86DD  # EtherTypes of IEEE 802
 
 needs_namespaces = [
     pytest.mark.processes,
@@ -26,12 +26,12 @@ needs_namespaces = [
 ]
 
 
-def kinds(context: TestHall, type_: int) -> list[Offered]:
+def kinds(context: RunlessContext, type_: int) -> list[OfferedPacket]:
     return [each for each in context.offered if int.from_bytes(each.payload[12:14], "big") == type_]
 
 
 def checksum(data: bytes) -> int:
-    """The Internet checksum (RFC 1071): 0 over data with a right one."""
+    """Internet checksum (RFC 1071): 0 over data that contain a correct one."""
     words = struct.unpack(f">{(len(data) + 1) // 2}H", data + bytes(len(data) % 2))
     total = sum(words)
     while total >> 16:
@@ -40,14 +40,14 @@ def checksum(data: bytes) -> int:
 
 
 def over_ipv4(packet: bytes) -> int:
-    """Checksum of the UDP or TCP in an IPv4 packet, with the pseudo header."""
+    """Checksum of UDP or TCP in an IPv4 packet, with the pseudo header."""
     length = (packet[0] & 15) * 4
     segment = packet[length : struct.unpack_from(">H", packet, 2)[0]]
     return checksum(packet[12:20] + struct.pack(">HH", packet[9], len(segment)) + segment)
 
 
 def test_addresses_are_unicast_local_and_different() -> None:
-    """RFC 4291, appendix A: the second last bit of the first byte is inverted, ff:fe stands in the middle."""
+    """RFC 4291, appendix A: the second lowest bit of the first byte is inverted, ff:fe is inserted in the middle."""
     macs = [ethernet.mac_of(row) for row in (0, 1, 255, ethernet.VEHICLES - 1)]
     assert len({*macs}) == 4
     assert {mac[0] & 3 for mac in macs} == {2}
@@ -56,7 +56,7 @@ def test_addresses_are_unicast_local_and_different() -> None:
     assert ipaddress.IPv6Address(ethernet.link_local(macs[0])).is_link_local
 
 
-def test_the_destination_of_a_frame_decides_who_receives_it() -> None:
+def test_the_destination_address_decides_the_receiver() -> None:
     stations = ethernet.Stations((0, 1), BROADCAST)
     first, second, third = map(ethernet.mac_of, range(3))
     rest = b"\x08\x00" + bytes(46)
@@ -70,21 +70,21 @@ def test_the_destination_of_a_frame_decides_who_receives_it() -> None:
 
 
 class TestOnMachines:
-    """In namespaces of Linux."""
+    """Programs in network namespaces of Linux."""
 
     pytestmark = needs_namespaces
 
     @pytest.mark.parametrize(
         ("first", "second", "header", "type_"), [("10.77.0.1", "10.77.0.2", 28, IPV4), ("fd77::1", "fd77::2", 48, IPV6)]
     )
-    async def test_a_neighbour_is_asked_for_by_a_broadcast_and_then_receives(
+    async def test_a_neighbour_is_resolved_by_broadcast_and_then_receives(
         self, first: str, second: str, header: int, type_: int
     ) -> None:
-        context = TestHall(CARS, run=RUN)
-        async with opened(Ip(), context):
+        context = RunlessContext(CARS, run=RUN)
+        async with open_gateway(Ip(), context):
             with udp("car1", first) as sender, udp("car2", second, 9000) as listener:
                 sender.sendto(b"x" * 100, (second, 9000))
-                assert await heard(listener) == (b"x" * 100, first)
+                assert await next_datagram(listener) == (b"x" * 100, first)
         (datagram,) = [each for each in kinds(context, type_) if each.payload.endswith(b"x" * 100)]
         assert (datagram.sender, datagram.to, datagram.size_bytes) == (0, 1, 100 + header)
         before = context.offered[: context.offered.index(datagram)]
@@ -94,17 +94,17 @@ class TestOnMachines:
         assert any(each.sender == 1 and each.to == 0 for each in before)
         assert not context.counts
 
-    async def test_what_machines_need_to_find_each_other_takes_the_channels_time_and_losses(self) -> None:
-        """The first ARP request is lost, and the kernel asks again after 1 s: 2 x 30 ms later the datagram is sent."""
-        context = TestHall(CARS[:2], run=RUN, delay_s=0.03, hears=lambda sender, receiver, place: not is_first_arp(place))
+    async def test_address_resolution_has_the_channels_delay_and_losses(self) -> None:
+        """The first ARP request is lost, and the kernel repeats it after 1 s: 2 x 30 ms later the datagram is sent."""
+        context = RunlessContext(CARS[:2], run=RUN, delay_s=0.03, hears=lambda sender, receiver, place: not is_first_arp(place))
 
         def is_first_arp(place: int) -> bool:
             return context.offered[place] is kinds(context, ARP)[0] if kinds(context, ARP) else False
 
-        async with opened(Ip(mtu_bytes=1000), context):
+        async with open_gateway(Ip(mtu_bytes=1000), context):
             with udp("car1", "10.77.0.1") as sender, udp("car2", "10.77.0.2", 9000) as listener:
                 sender.sendto(b"there?", ("10.77.0.2", 9000))
-                assert await heard(listener) == (b"there?", "10.77.0.1")
+                assert await next_datagram(listener) == (b"there?", "10.77.0.1")
         lost, again, answer = kinds(context, ARP)[:3]
         (datagram,) = [each for each in kinds(context, IPV4) if each.payload.endswith(b"there?")]
         assert [(each.sender, each.to) for each in (lost, again, answer)] == [(0, BROADCAST), (0, BROADCAST), (1, 0)]
@@ -112,25 +112,25 @@ class TestOnMachines:
         assert datagram.came_ns - again.came_ns > 0.06e9
 
     async def test_the_next_hop_receives_and_forwards(self) -> None:
-        """Car1 and car3 do not hear each other; the route leads over car2, which lowers the TTL."""
+        """Car1 and car3 are out of range of each other; the route leads over car2, which decrements the TTL."""
         chain = {(0, 1), (1, 0), (1, 2), (2, 1)}
-        context = TestHall(CARS, run=RUN, hears=lambda sender, receiver, place: (sender, receiver) in chain)
-        async with opened(Ip(), context):
+        context = RunlessContext(CARS, run=RUN, hears=lambda sender, receiver, place: (sender, receiver) in chain)
+        async with open_gateway(Ip(), context):
             for car, to in (("car1", "10.77.0.3"), ("car3", "10.77.0.1")):
-                assert (await called(car, "ip", "route", "add", to, "via", "10.77.0.2"))[0] == 0
-            assert (await called("car2", "sysctl", "-qw", "net.ipv4.ip_forward=1"))[0] == 0
+                assert (await run_command(car, "ip", "route", "add", to, "via", "10.77.0.2"))[0] == 0
+            assert (await run_command("car2", "sysctl", "-qw", "net.ipv4.ip_forward=1"))[0] == 0
             with udp("car1", "10.77.0.1") as sender, udp("car3", "10.77.0.3", 9000) as listener:
                 for number in range(3):
                     sender.sendto(b"onwards %d" % number, ("10.77.0.3", 9000))
-                    assert await heard(listener) == (b"onwards %d" % number, "10.77.0.1")
+                    assert await next_datagram(listener) == (b"onwards %d" % number, "10.77.0.1")
         hops = [(each.sender, each.to, each.payload[22]) for each in kinds(context, IPV4) if b"onwards" in each.payload]
         assert hops == 3 * [(0, 1, 64), (1, 2, 63)]
-        assert not [each for each in kinds(context, IPV4) if each.payload[23] == 1]  # no ICMP: no redirect away from the detour
+        assert not [each for each in kinds(context, IPV4) if each.payload[23] == 1]  # no ICMP redirect to the direct way
 
     async def test_link_local_addresses_are_usable_at_once(self) -> None:
-        context = TestHall(CARS, run=RUN)
-        async with opened(Ip(), context):
-            _, said = await called("car1", "ip", "-6", "addr", "show", "radio0", "scope", "link")
+        context = RunlessContext(CARS, run=RUN)
+        async with open_gateway(Ip(), context):
+            _, said = await run_command("car1", "ip", "-6", "addr", "show", "radio0", "scope", "link")
             assert ethernet.link_local(ethernet.mac_of(0)) in said
             assert "tentative" not in said
             own = (ethernet.link_local(ethernet.mac_of(0)), 0, 0, 2)
@@ -138,18 +138,18 @@ class TestOnMachines:
                 group = socket.inet_pton(socket.AF_INET6, "ff02::77") + struct.pack("@I", 2)
                 listener.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_JOIN_GROUP, group)
                 sender.sendto(b"all on this link", ("ff02::77", 9000, 0, 2))
-                data, source = await heard(listener)
+                data, source = await next_datagram(listener)
             assert (data, source.partition("%")[0]) == (b"all on this link", own[0])
         (datagram,) = [each for each in kinds(context, IPV6) if b"all on this link" in each.payload]
         assert (datagram.to, datagram.size_bytes) == (BROADCAST, 40 + 8 + 16)
 
     @pytest.mark.needs("iperf3")
     async def test_frames_are_complete_as_they_leave_the_kernel(self) -> None:
-        """Right checksums, and no segment longer than the interface's: nothing is left to a network card."""
-        context = TestHall(CARS[:2], run=RUN)
-        async with opened(Ip(mtu_bytes=1400), context):
-            await called("car2", "iperf3", "-s", "-1", "-D")
-            code, said = await called("car1", "sh", "-c", "sleep 0.5; exec iperf3 -c 10.77.0.2 -n 300k -w 32k")
+        """Checksums are filled in and segments fit the interface: no work is left to a network card."""
+        context = RunlessContext(CARS[:2], run=RUN)
+        async with open_gateway(Ip(mtu_bytes=1400), context):
+            await run_command("car2", "iperf3", "-s", "-1", "-D")
+            code, said = await run_command("car1", "sh", "-c", "sleep 0.5; exec iperf3 -c 10.77.0.2 -n 300k -w 32k")
             assert code == 0, said
         packets = [each.payload[14:] for each in kinds(context, IPV4)]
         assert sum(len(each) for each in packets) > 200_000  # iperf3 leaves before the last 32 kB have
@@ -159,27 +159,27 @@ class TestOnMachines:
 
     @pytest.mark.needs("ping")
     async def test_networks_behind_a_vehicle_are_reached_by_its_address(self) -> None:
-        context = TestHall(CARS, run=RUN)
-        async with opened(Ip(routes={"car1": ("192.168.215.0/24", "fd05:215::/64")}), context):
+        context = RunlessContext(CARS, run=RUN)
+        async with open_gateway(Ip(routes={"car1": ("192.168.215.0/24", "fd05:215::/64")}), context):
             for version, to, via in ((4, "192.168.215.0/24", "10.77.0.1"), (6, "fd05:215::/64", "fd77::1")):
-                _, said = await called("car2", "ip", f"-{version}", "route", "show", to)
+                _, said = await run_command("car2", "ip", f"-{version}", "route", "show", to)
                 assert f"{to} via {via} dev radio0" in said
-            _, said = await called("car2", "ping", "-n", "-c", "1", "-W", "1", "192.168.215.1")
+            _, said = await run_command("car2", "ping", "-n", "-c", "1", "-W", "1", "192.168.215.1")
             sent = [each for each in kinds(context, IPV4) if each.sender == 1]
         assert [each.to for each in sent] == [0], said
 
     async def test_messages_of_agents_are_no_frames(self) -> None:
-        context = TestHall(CARS, run=RUN)
+        context = RunlessContext(CARS, run=RUN)
         gateway = Ip()
-        async with opened(gateway, context):
+        async with open_gateway(gateway, context):
             with udp("car2", "10.77.0.2", 9000) as listener, udp("car1", "10.77.0.1") as sender:
                 for said in (b"", b"\x93agents speak MessagePack", bytes(13), bytes(14), bytes(65535)):
                     gateway.deliver(0, 1, said)
                 sender.sendto(b"after it", ("10.77.0.2", 9000))
-                assert await heard(listener) == (b"after it", "10.77.0.1")
+                assert await next_datagram(listener) == (b"after it", "10.77.0.1")
 
-    async def test_the_interface_is_as_long_as_mtu_bytes_says(self) -> None:
-        async with opened(Ip(mtu_bytes=1300), TestHall(CARS, run=RUN)):
+    async def test_the_interface_has_the_configured_mtu(self) -> None:
+        async with open_gateway(Ip(mtu_bytes=1300), RunlessContext(CARS, run=RUN)):
             said = await asyncio.to_thread(_sh, f"ip -n {space('car3')} link show radio0")
         assert re.search(r"mtu 1300\b", said)
         assert f"link/ether {ethernet.mac_of(2).hex(':')}" in said

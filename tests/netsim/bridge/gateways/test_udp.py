@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from tests.support import requirements
-from tests.support.netsim.gateway_context import PATIENCE_S, TestHall, free_ports, opened, until
+from tests.support.netsim.gateway_context import PATIENCE_S, RunlessContext, free_ports, open_gateway, until
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.bridge.gateways.base import BROADCAST, GatewayError
@@ -23,20 +23,20 @@ NAMES = ("a", "b", "c")
 @contextlib.contextmanager
 def program(port: int, host: str = "127.0.0.1") -> Iterator[socket.socket]:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    with socket.socket(family, socket.SOCK_DGRAM) as opened:
-        opened.bind((host, port))
-        opened.setblocking(False)
-        yield opened
+    with socket.socket(family, socket.SOCK_DGRAM) as client:
+        client.bind((host, port))
+        client.setblocking(False)
+        yield client
 
 
 async def heard(by: socket.socket) -> tuple[bytes, Any]:
     return await asyncio.wait_for(asyncio.get_running_loop().sock_recvfrom(by, 65_536), PATIENCE_S)
 
 
-async def test_what_is_broadcast_is_heard_by_all_others() -> None:
+async def test_a_broadcast_reaches_all_others() -> None:
     first = free_ports(300)
     with program(first + 99) as a, program(first + 199) as b, program(first + 299) as c:
-        async with opened(Udp(first_port=first), TestHall(NAMES)) as context:
+        async with open_gateway(Udp(first_port=first), RunlessContext(NAMES)) as context:
             a.sendto(b"hello", ("127.0.0.1", first))
             assert (await heard(b))[0] == (await heard(c))[0] == b"hello"
             assert [(each.sender, each.to) for each in context.offered] == [(0, BROADCAST)]
@@ -44,10 +44,10 @@ async def test_what_is_broadcast_is_heard_by_all_others() -> None:
                 a.recv(100)
 
 
-async def test_a_program_that_answers_to_where_a_question_came_from_answers_who_asked() -> None:
+async def test_a_reply_to_the_source_address_reaches_the_sender() -> None:
     first = free_ports(300)
     with program(first + 99) as a, program(first + 199) as b:
-        async with opened(Udp(first_port=first), TestHall(NAMES)) as context:
+        async with open_gateway(Udp(first_port=first), RunlessContext(NAMES)) as context:
             a.sendto(b"question", ("127.0.0.1", first + 2))
             question, source = await heard(b)
             b.sendto(question + b", answer", source)
@@ -55,7 +55,7 @@ async def test_a_program_that_answers_to_where_a_question_came_from_answers_who_
             assert [(each.sender, each.to) for each in context.offered] == [(0, 1), (1, 0)]
             a.sendto(b"all", ("127.0.0.1", first))
             _, source = await heard(b)
-            assert source == ("127.0.0.1", first + 101)  # back to a, which broadcast it
+            assert source == ("127.0.0.1", first + 101)  # back to a, the sender of the broadcast
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "::1"])
@@ -63,7 +63,9 @@ def test_bytes_stay_as_they_are_from_none_to_the_longest(host: str) -> None:
     async def trial() -> None:
         first = free_ports(200)
         with program(first + 199, host) as b, program(first + 99, host) as a:
-            async with opened(Udp(listen=host, receive_host=host, first_port=first, max_bytes=65_535), TestHall(("a", "b"))):
+            async with open_gateway(
+                Udp(listen=host, receive_host=host, first_port=first, max_bytes=65_535), RunlessContext(("a", "b"))
+            ):
                 for payload in (b"", b"\x00\xff" * 700, bytes(range(256)) * 255):
                     a.sendto(payload, (host, first + 2))
                     assert (await heard(b))[0] == payload
@@ -76,10 +78,10 @@ def test_bytes_stay_as_they_are_from_none_to_the_longest(host: str) -> None:
     asyncio.run(trial())
 
 
-async def test_what_is_longer_than_a_frame_may_be_is_counted_and_not_sent() -> None:
+async def test_an_oversized_datagram_is_counted_and_not_sent() -> None:
     first = free_ports(200)
     with program(first + 199) as b, program(first + 99) as a:
-        async with opened(Udp(first_port=first), TestHall(("a", "b"))) as context:
+        async with open_gateway(Udp(first_port=first), RunlessContext(("a", "b"))) as context:
             a.sendto(bytes(1473), ("127.0.0.1", first + 2))
             a.sendto(bytes(60_000), ("127.0.0.1", first))
             a.sendto(bytes(1472), ("127.0.0.1", first + 2))
@@ -91,7 +93,7 @@ async def test_what_is_longer_than_a_frame_may_be_is_counted_and_not_sent() -> N
 async def test_where_there_is_no_room_nothing_is_lost_nor_overtaken_until_the_operating_system_has_none() -> None:
     first = free_ports(300)
     with program(first + 99) as a:
-        async with opened(Udp(first_port=first), TestHall(NAMES)) as context:
+        async with open_gateway(Udp(first_port=first), RunlessContext(NAMES)) as context:
             context.room = False
             for k in range(1000):
                 a.sendto(b"%d" % k, ("127.0.0.1", first))
@@ -103,18 +105,18 @@ async def test_where_there_is_no_room_nothing_is_lost_nor_overtaken_until_the_op
             assert [each.payload for each in context.offered] == [b"%d" % k for k in range(1000)]
             times = [each.came_ns for each in context.offered]
             assert times == sorted(times)
-            assert times[-1] < read_ns  # they are those of coming, not of being read
+            assert times[-1] < read_ns  # times of arrival, not of reading
 
 
-def dropped(context: TestHall) -> int:
+def dropped(context: RunlessContext) -> int:
     return context.counts.get("a", {}).get("dropped by the operating system", 0)
 
 
-async def test_what_the_operating_system_has_no_room_for_is_counted() -> None:
+async def test_datagrams_without_room_in_the_system_are_counted() -> None:
     first = free_ports(200)
-    context = TestHall(("a", "b"))
+    context = RunlessContext(("a", "b"))
     with program(0) as a:
-        async with opened(gateway := Udp(first_port=first), context):
+        async with open_gateway(gateway := Udp(first_port=first), context):
             line = gateway._sockets[0, BROADCAST]
             line.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             context.room = False
@@ -122,15 +124,15 @@ async def test_what_the_operating_system_has_no_room_for_is_counted() -> None:
                 a.sendto(bytes(1000), ("127.0.0.1", first))
             await asyncio.sleep(0.005)
             context.room = True
-            await until(lambda: dropped(context) + len(context.offered) == 500)  # in some turns of the loop
+            await until(lambda: dropped(context) + len(context.offered) == 500)  # in some iterations of the loop
             assert dropped(context) > 0
 
 
-async def test_missing_receivers_disturb_nobody() -> None:
+async def test_missing_receivers_have_no_effect_on_others() -> None:
     first = free_ports(300)
     with program(first + 99) as a, program(first + 299) as c:
-        async with opened(Udp(first_port=first), TestHall(NAMES)) as context:
-            for _ in range(20):  # nobody is at b's port
+        async with open_gateway(Udp(first_port=first), RunlessContext(NAMES)) as context:
+            for _ in range(20):  # no program listens on b's port
                 a.sendto(b"hello", ("127.0.0.1", first))
                 assert (await heard(c))[0] == b"hello"
             assert context.counts == {}
@@ -140,7 +142,7 @@ async def test_programs_of_some_vehicles_take_part_and_others_have_no_ports() ->
     first = free_ports(300)
     gateway = Udp(first_port=first, vehicles=("b", "c"))
     with program(first + 99), program(first + 199) as b, program(first) as free:
-        async with opened(gateway, TestHall(NAMES)) as context:
+        async with open_gateway(gateway, RunlessContext(NAMES)) as context:
             gateway.deliver(1, 0, b"to nobody")
             b.sendto(b"to a", ("127.0.0.1", first + 101))
             await until(lambda: [each.to for each in context.offered] == [0])
@@ -153,7 +155,7 @@ async def test_ports_of_single_vehicles_can_be_others() -> None:
     own = Ports(send=first + 300, receive=f"127.0.0.1:{first + 301}", unicast={"b": first + 302})
     gateway = Udp(first_port=first, ports={"a": own})
     with program(first + 301) as a, program(first + 199) as b:
-        async with opened(gateway, TestHall(NAMES)) as context:
+        async with open_gateway(gateway, RunlessContext(NAMES)) as context:
             a.sendto(b"1", ("127.0.0.1", first + 300))
             a.sendto(b"2", ("127.0.0.1", first + 302))
             a.sendto(b"3", ("127.0.0.1", first + 3))
@@ -163,29 +165,29 @@ async def test_ports_of_single_vehicles_can_be_others() -> None:
             assert (await heard(a)) == (b"4", ("127.0.0.1", first + 302))
 
 
-async def test_a_port_that_somebody_has_is_named_and_the_others_are_free_again() -> None:
+async def test_a_taken_port_is_named_and_the_others_are_freed() -> None:
     first = free_ports(300)
     with program(first + 103):
         gateway = Udp(first_port=first)
         with pytest.raises(GatewayError, match=rf"port {first + 103} of 127.0.0.1 cannot be opened .*ss -ulnp.*first_port"):
-            await gateway.open(TestHall(NAMES))
+            await gateway.open(RunlessContext(NAMES))
         await gateway.close()
     with program(first), program(first + 2):
         pass
 
 
 async def test_an_address_of_another_machine_is_refused() -> None:
-    gateway = Udp(listen="192.0.2.1")  # of documentation
+    gateway = Udp(listen="192.0.2.1")  # addresses reserved for documentation
     with pytest.raises(GatewayError, match=r"192.0.2.1 cannot be opened .*; listen must be an address of this machine"):
-        await gateway.open(TestHall(NAMES))
+        await gateway.open(RunlessContext(NAMES))
     await gateway.close()
 
 
-async def test_too_few_sockets_for_all_pairs_of_vehicles_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_too_few_sockets_for_all_pairs_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
         raise OSError(errno.EMFILE, "Too many open files")
 
-    context = TestHall(NAMES)
+    context = RunlessContext(NAMES)
     monkeypatch.setattr("vcmvsp.netsim.bridge.gateways.udp.socket.socket", full)
     with pytest.raises(GatewayError, match=r"Too many open files.*; each pair of vehicles needs a socket: .*ulimit -n"):
         await Udp().open(context)
@@ -194,7 +196,7 @@ async def test_too_few_sockets_for_all_pairs_of_vehicles_are_said(monkeypatch: p
 
 async def test_the_ports_of_every_vehicle_are_printed() -> None:
     first = free_ports(300)
-    async with opened(Udp(first_port=first), TestHall(NAMES)) as context:
+    async with open_gateway(Udp(first_port=first), RunlessContext(NAMES)) as context:
         lines = context.lines
     sends = f"a sends at 127.0.0.1 port {first} to all, {first + 2} to b, {first + 3} to c"
     assert lines[0] == f"{sends}; hears at 127.0.0.1 port {first + 99}"
@@ -237,7 +239,7 @@ def test_other_machines_are_let_in_if_that_is_wanted() -> None:
     Udp(listen="127.0.0.2").check(NAMES)
 
 
-def test_by_default_no_port_is_one_that_linux_gives_to_whoever_asks_for_any() -> None:
+def test_default_ports_are_outside_of_the_ephemeral_range() -> None:
     names = [f"v{k}" for k in range(98)]
     plan = PortPlan("127.0.0.1", binding.parameters(Udp)["first_port"].default, (), {}, "127.0.0.1")
     ports = [*plan.sending(names).values(), *(place.port for place in plan.receiving(names).values())]

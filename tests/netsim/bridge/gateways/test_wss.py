@@ -1,4 +1,4 @@
-"""USARSim's Wireless Simulation Server, from the side of programs written for it: a client of our own, made from its manual."""
+"""USARSim's Wireless Simulation Server, tested by a client that is written from its manual."""
 
 import asyncio
 import contextlib
@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.netsim.gateway_context import PATIENCE_S, TestHall, free_ports, opened, until
+from tests.support.netsim.gateway_context import PATIENCE_S, RunlessContext, free_ports, open_gateway, until
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.bridge.gateways.base import GatewayError
 from vcmvsp.netsim.bridge.gateways.wss import LONGEST_LINE, MOST_GUESTS, Wss, parse
@@ -26,7 +26,7 @@ Serve = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 
 
 class Robot:
-    """What a robot's program does."""
+    """Client of a robot's program."""
 
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.reader, self.writer = reader, writer
@@ -56,7 +56,7 @@ class Robot:
 
 
 def _narrow(host: str, port: int) -> socket.socket:
-    """A socket into which not much fits."""
+    """A socket with a small buffer."""
     made = socket.socket()
     made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 65_536)
     made.setblocking(False)
@@ -67,7 +67,7 @@ def _narrow(host: str, port: int) -> socket.socket:
 class World:
     """A gateway, its context, and robots."""
 
-    def __init__(self, context: TestHall, gateway: Wss, port: int) -> None:
+    def __init__(self, context: RunlessContext, gateway: Wss, port: int) -> None:
         self.context, self.gateway, self.port = context, gateway, port
         self._open: list[asyncio.StreamWriter | asyncio.Server] = []
 
@@ -97,7 +97,7 @@ class World:
     def close(self) -> None:
         for each in self._open:
             if isinstance(each, asyncio.StreamWriter):
-                each.transport.abort()  # whatever it has not sent yet
+                each.transport.abort()  # whatever is still to be sent
             else:
                 each.close()
 
@@ -106,12 +106,12 @@ class World:
 async def served(
     *, delay_s: float = 0.0, hears: Callable[[int, int, int], bool] = lambda *_: True, first_port: int = 0
 ) -> AsyncIterator[World]:
-    """A gateway that serves, all in range of all."""
-    context = TestHall(CARS, delay_s=delay_s, hears=hears)
+    """A running gateway, all vehicles in range of each other."""
+    context = RunlessContext(CARS, delay_s=delay_s, hears=hears)
     gateway = Wss(port=free_ports(1, socket.SOCK_STREAM), first_port=first_port)
     world = World(context, gateway, gateway._port)
     world.levels(-50.0)
-    async with opened(gateway, context):
+    async with open_gateway(gateway, context):
         try:
             yield world
         finally:
@@ -135,17 +135,17 @@ async def echo(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> No
     writer.close()
 
 
-# --- words ------------------------------------------------------------------------------------------------------------------
+# --- commands -------------------------------------------------------------------------------------------------------------
 
 
-async def test_what_the_manual_says_of_the_control_connection() -> None:
+async def test_the_control_connection_follows_the_manual() -> None:
     async with served() as world:
-        world.context.levels[0, 1] = -61.23456789  # the way back is stronger
+        world.context.levels[0, 1] = -61.23456789  # the reverse link is stronger
         car1, car2 = await world.robot("car1", "2001,2002"), await world.robot("car2", "3001")
         assert await car1.ask("GETSS {Robot car2}") == "SS {Robot car2} {Strength -61.2346}"
         assert await car2.ask("GETSS {Robot car1}") == "SS {Robot car1} {Strength -61.2346}"
         assert await car1.ask("GETSS {Robot car1}") == "SS {Robot car1} {Strength INF}"
-        assert await car1.ask("GETSS {Robot car3}") == "SS {Robot car3} {Strength NaN}"  # has not come
+        assert await car1.ask("GETSS {Robot car3}") == "SS {Robot car3} {Strength NaN}"  # has not connected
         assert await car1.ask("GETSS {Robot nobody}") == "SS {Robot nobody} {Strength NaN}"
         no_robot = "{Port -1} {Error NoSuchRobot}"
         for name in ("nobody", "car1", "car3"):
@@ -153,7 +153,7 @@ async def test_what_the_manual_says_of_the_control_connection() -> None:
         answer = await car1.ask("DNS {Robot car2} {Port 3002}")
         assert answer == "DNSREPLY {Robot car2} {Port -1} {Error RobotDoesNotListenOnThisPort}"
         ports = {await car2.ask(f"DNS {{Robot car1}}{port}") for port in ("", " {Port 2001}", " {Port 2002}")}
-        assert len(ports) == 2  # without one it is the first
+        assert len(ports) == 2  # without a number it is the first
         assert await car1.port_to("car2") == await car1.port_to("car2")
         assert await car1.ask("REVERSEDNS {Port 9}") == "REVERSEDNSREPLY {Port 9} {Error UnknownOrIllegalPort}"
         for wrong in ("", "HELLO", "INIT {Robot car3} {Port 1}", "DNS", "DNS {Robot car2} {Port x}", "GETSS {Robot a b c}"):
@@ -165,7 +165,7 @@ async def test_what_the_manual_says_of_the_control_connection() -> None:
     [
         "GETSS {Robot car2}",
         "INIT {Robot car9} {Port 10}",  # no such vehicle
-        "INIT {Robot car1} {Port 10}",  # has a program
+        "INIT {Robot car1} {Port 10}",  # already has a program
         "INIT {Robot car2}",
         "INIT {Port 10}",
         "INIT {Robot car2} {Port 0}",
@@ -173,7 +173,7 @@ async def test_what_the_manual_says_of_the_control_connection() -> None:
         "INIT {Robot car2} {Port 65536}",
     ],
 )
-async def test_who_does_not_say_who_it_is_may_say_it_again(line: str) -> None:
+async def test_a_failed_registration_may_be_repeated(line: str) -> None:
     async with served() as world:
         await world.robot("car1")
         other = await world.robot()
@@ -233,11 +233,11 @@ def test_a_message_is_made_of_words(line: bytes) -> None:
 # --- connections ------------------------------------------------------------------------------------------------------------
 
 
-def test_a_megabyte_each_way_is_whole_after_a_lossy_link() -> None:
+def test_a_megabyte_each_way_arrives_complete_over_a_lossy_link() -> None:
     draws = random.Random(1)
     sent = random.Random(2).randbytes(1_000_000)
 
-    async def back() -> tuple[bytes, TestHall]:
+    async def back() -> tuple[bytes, RunlessContext]:
         async with served(delay_s=0.0005, hears=lambda *_: draws.random() > 0.05) as world:
             car1, _ = await world.robot("car1"), await world.listening("car2", echo)
             reader, writer = await world.connect(await car1.port_to("car2"))
@@ -287,7 +287,7 @@ def test_chunks_come_out_in_order_whatever_is_lost_doubled_or_overtakes(size: in
                     if 0.3 < fate < 0.5:
                         stream.deliver(number, chunk)  # twice
                     if fate < 0.5:
-                        stream.lost(number)  # not in truth, or not only
+                        stream.lost(number)  # only one of them, or none, has hung up
             await carried
             theirs.settimeout(5)
             return b"".join(iter(lambda: theirs.recv(4096), b""))
@@ -296,7 +296,7 @@ def test_chunks_come_out_in_order_whatever_is_lost_doubled_or_overtakes(size: in
         assert asyncio.run(heard()) == sent
 
 
-def test_what_may_be_under_way_grows_with_what_arrives_and_is_halved_once_for_what_is_lost_together() -> None:
+def test_the_window_grows_with_arrivals_and_halves_once_per_burst_of_losses() -> None:
     window = Window()
     for _ in range(100):
         window.grow()
@@ -304,7 +304,7 @@ def test_what_may_be_under_way_grows_with_what_arrives_and_is_halved_once_for_wh
     for number in range(40, 60):
         window.shrink(number, 100)
     assert window.chunks == WINDOW / 2
-    for _ in range(32):  # one more for as many as there may be
+    for _ in range(32):  # one more than allowed
         window.grow()
     assert window.chunks == pytest.approx(33.0, abs=0.02)
     window.shrink(100, 120)
@@ -314,7 +314,7 @@ def test_what_may_be_under_way_grows_with_what_arrives_and_is_halved_once_for_wh
     assert window.chunks == 2.0
 
 
-def test_a_called_robot_can_ask_who_calls() -> None:
+def test_a_called_robot_can_query_the_caller() -> None:
     async def asked() -> list[str]:
         answers: list[str] = []
 
@@ -347,7 +347,7 @@ async def test_out_of_range_connections_are_closed_and_new_ones_refused_until_it
         with contextlib.suppress(ConnectionResetError):
             assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b""
         assert await refused(port)
-        assert await car1.port_to("car2") == port  # is told all the same
+        assert await car1.port_to("car2") == port  # is notified nevertheless
         assert await refused(port)
         world.context.levels[1, 0] = -93.0
         assert await car1.port_to("car2") == port
@@ -372,7 +372,7 @@ async def test_a_robot_that_leaves_is_called_no_more_and_its_name_is_free() -> N
         car2.leave()
         await until(lambda: 1 not in world.gateway._robots)
         assert await refused(port)
-        writer.write(b"still here")  # what is connected goes on
+        writer.write(b"still here")  # open connections remain
         assert await asyncio.wait_for(reader.readexactly(10), PATIENCE_S) == b"still here"
         await world.listening("car2", elsewhere)
         reader, _ = await world.connect(await car1.port_to("car2"))
@@ -381,7 +381,7 @@ async def test_a_robot_that_leaves_is_called_no_more_and_its_name_is_free() -> N
 
 async def test_a_robot_that_does_not_listen_is_not_reached() -> None:
     async with served() as world:
-        with _narrow("127.0.0.1", 0) as held:  # so that nobody else listens there
+        with _narrow("127.0.0.1", 0) as held:  # occupies the port
             car1, _ = await world.robot("car1"), await world.robot("car2", str(held.getsockname()[1]))
             reader, _ = await world.connect(await car1.port_to("car2"))
             with contextlib.suppress(ConnectionResetError):
@@ -401,7 +401,7 @@ async def test_a_slow_reader_holds_the_sender_back() -> None:
         writer.write(bytes(12_000_000))
         writer.write_eof()
         before = -1
-        while before != len(world.context.offered):  # until nothing goes any more
+        while before != len(world.context.offered):  # until the buffers are full
             before = len(world.context.offered)
             await asyncio.sleep(0.2)
         assert sum(len(each.payload) for each in world.context.offered) < 9_000_000
@@ -425,7 +425,7 @@ async def test_payloads_that_are_no_chunk_are_ignored() -> None:
         assert await asyncio.wait_for(reader.readexactly(5), PATIENCE_S) == b"hello"
 
 
-# --- crowds -----------------------------------------------------------------------------------------------------------------
+# --- many clients ---------------------------------------------------------------------------------------------------------
 
 
 async def test_lines_without_end_and_crowds_leave_others_alone() -> None:
@@ -441,14 +441,14 @@ async def test_lines_without_end_and_crowds_leave_others_alone() -> None:
         port = await car1.port_to("car2")
         for _ in range(100):
             await world.connect(port)
-            for target in (port, world.port):  # in and out again
+            for target in (port, world.port):  # out of range and back
                 with socket.create_connection(("127.0.0.1", target)) as rude:
                     rude.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         assert await car2.ask("GETSS {Robot car1}") == "SS {Robot car1} {Strength -50}"
         assert await (await world.robot("car3")).ask("GETSS {Robot car1}") == "SS {Robot car1} {Strength -50}"
 
 
-async def test_who_does_not_read_its_answers_is_not_read() -> None:
+async def test_a_client_that_does_not_read_its_answers_is_not_read() -> None:
     async with served() as world:
         deaf = await world.robot("car1")
         deaf.reader._transport.pause_reading()  # type: ignore[attr-defined]

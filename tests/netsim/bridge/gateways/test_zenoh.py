@@ -1,4 +1,4 @@
-"""Zenoh programs on the emulated network: plain client sessions, as anybody opens them."""
+"""Zenoh programs on the emulated network: client sessions opened with default options."""
 
 import asyncio
 import contextlib
@@ -15,7 +15,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from zenoh.handlers import Callback
 
-from tests.support.netsim.gateway_context import TestHall, free_ports, opened, until
+from tests.support.netsim.gateway_context import RunlessContext, free_ports, open_gateway, until
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.bridge.gateways.base import BROADCAST, LARGEST, GatewayError
 from vcmvsp.netsim.bridge.gateways.zenoh import BACKLOG, HEARD, NO_ROOM, TOO_LONG, Inbox, Publication, ZenohGateway
@@ -28,7 +28,7 @@ Heard = tuple[str, bytes | None]
 
 
 class Program:
-    """A client of a vehicle's gateway, that hears everything."""
+    """Client of a vehicle's gateway, subscribed to everything."""
 
     def __init__(self, port: int) -> None:
         config = {
@@ -42,16 +42,16 @@ class Program:
         self.session.declare_subscriber("**", Callback(self.samples.append, indirect=False))
 
     def put(self, key: str, payload: str | bytes, **options: Any) -> None:
-        """Publish it, and wait for room as long as there is none: by default Zenoh drops what finds none for a millisecond."""
+        """Publish, and wait for room: by default Zenoh drops a message that finds none for a millisecond."""
         self.session.put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK, **options)
 
     def delete(self, key: str) -> None:
-        """Likewise."""
+        """Delete, and wait for room."""
         self.session.delete(key, congestion_control=zenoh.CongestionControl.BLOCK)
 
     @property
     def heard(self) -> list[Heard]:
-        """What it heard, in order; None: deleted."""
+        """Received keys and values in order; None: deleted."""
         put = zenoh.SampleKind.PUT
         return [
             (str(each.key_expr), each.payload.to_bytes() if each.kind == put else None)
@@ -66,12 +66,12 @@ class Program:
 class World:
     """A gateway, its context, and programs."""
 
-    def __init__(self, context: TestHall, gateway: ZenohGateway, port: int) -> None:
+    def __init__(self, context: RunlessContext, gateway: ZenohGateway, port: int) -> None:
         self.context, self.gateway, self.port = context, gateway, port
         self.programs: list[Program] = []
 
     async def program(self, vehicle: str) -> Program:
-        """A program that hears all that is delivered to its vehicle."""
+        """A program that receives all messages delivered to its vehicle."""
         row = CARS.index(vehicle)
         program = await asyncio.to_thread(Program, self.port + row)
         self.programs.append(program)
@@ -84,10 +84,10 @@ class World:
 
 @contextlib.asynccontextmanager
 async def served(*, hears: Callable[[int, int, int], bool] = lambda *_: True, **params: Any) -> AsyncIterator[World]:
-    context = TestHall(CARS, hears=hears)
+    context = RunlessContext(CARS, hears=hears)
     port = free_ports(len(CARS), socket.SOCK_STREAM)
     world = World(context, ZenohGateway(first_port=port, **params), port)
-    async with opened(world.gateway, context):
+    async with open_gateway(world.gateway, context):
         try:
             yield world
         finally:
@@ -95,7 +95,7 @@ async def served(*, hears: Callable[[int, int, int], bool] = lambda *_: True, **
                 program.session.close()  # type: ignore[no-untyped-call]
 
 
-async def test_what_is_published_crosses_with_all_that_belongs_to_it_and_comes_once() -> None:
+async def test_a_publication_arrives_once_with_all_its_attributes() -> None:
     async with served() as world:
         car1, mate, car2 = await world.program("car1"), await world.program("car1"), await world.program("car2")
         car1.put("pose", b"\x00\xff", encoding="application/cdr;geometry_msgs/Pose", attachment=b"7")
@@ -119,7 +119,7 @@ async def test_what_is_published_crosses_with_all_that_belongs_to_it_and_comes_o
         assert [(each.sender, each.to) for each in world.context.offered] == [(0, BROADCAST)] * 5
 
 
-async def test_the_channel_decides_who_hears_what_and_mates_hear_all() -> None:
+async def test_the_channel_decides_receptions_and_programs_of_one_vehicle_receive_all() -> None:
     draws = random.Random(1)
     fates = [draws.random() > 0.3 for _ in range(200)] + [True]
 
@@ -148,7 +148,7 @@ async def test_answers_go_back_and_nothing_goes_round() -> None:
         assert len(world.context.offered) == 4
 
 
-async def test_what_is_for_one_vehicle_goes_to_it_alone() -> None:
+async def test_a_message_to_one_vehicle_reaches_it_alone() -> None:
     async with served(unicast_prefix="to") as world:
         car1, car2, car3 = [await world.program(name) for name in CARS]
         car1.put("to/car2/go", "1")
@@ -162,7 +162,7 @@ async def test_what_is_for_one_vehicle_goes_to_it_alone() -> None:
         assert [each.to for each in world.context.offered] == [1, BROADCAST, BROADCAST]
 
 
-async def test_what_is_too_long_or_the_simulators_own_stays() -> None:
+async def test_oversized_and_reserved_publications_are_not_sent() -> None:
     async with served(max_bytes=1000) as world:
         car1, car2 = await world.program("car1"), await world.program("car2")
         car1.put("long", bytes(1001))
@@ -175,10 +175,10 @@ async def test_what_is_too_long_or_the_simulators_own_stays() -> None:
         await until(lambda: world.context.counts == {"car1": {TOO_LONG: 2}})
 
 
-async def test_what_an_agent_says_is_heard_under_its_name() -> None:
+async def test_a_message_of_an_agent_arrives_under_its_name() -> None:
     async with served() as world:
         car2 = await world.program("car2")
-        sayings = [b"any bytes", b"", b"\x81\xa1x\x01", b"\x92\xa2//\xc4\x00"]  # the last is a publication under no key
+        sayings = [b"any bytes", b"", b"\x81\xa1x\x01", b"\x92\xa2//\xc4\x00"]  # the last one has a key outside of the space
         for said in sayings:
             world.gateway.deliver(0, 1, said)
         world.gateway.deliver(0, 1, encode(Publication(LAST, b"")))
@@ -189,18 +189,18 @@ async def test_what_an_agent_says_is_heard_under_its_name() -> None:
 
 def test_some_vehicles_take_part_at_endpoints_of_their_own() -> None:
     async def tried() -> list[str]:
-        context = TestHall(CARS)
+        context = RunlessContext(CARS)
         port = free_ports(4, socket.SOCK_STREAM)
         gateway = ZenohGateway(port, vehicles=("car1", "car3"), listen={"car3": f"tcp/127.0.0.1:{port + 3}"})
-        async with opened(gateway, context):
-            gateway.deliver(0, 1, encode(Publication("k", b"")))  # takes no part
+        async with open_gateway(gateway, context):
+            gateway.deliver(0, 1, encode(Publication("k", b"")))  # is no member
         return [line.replace(str(port), "P").replace(str(port + 3), "P+3") for line in context.lines]
 
     lines = asyncio.run(tried())
     assert lines == ["Zenoh clients of car1 connect to tcp/127.0.0.1:P", "Zenoh clients of car3 connect to tcp/127.0.0.1:P+3"]
 
 
-async def test_three_hundred_strangers_keep_nobody_out() -> None:
+async def test_three_hundred_strange_connections_do_not_block_programs() -> None:
     async with served() as world:
         car2 = await world.program("car2")
         with contextlib.ExitStack() as strangers:
@@ -213,8 +213,8 @@ async def test_three_hundred_strangers_keep_nobody_out() -> None:
             await until(car2.heard_last)
 
 
-async def test_what_comes_too_fast_is_counted_and_what_goes_on_is_in_order() -> None:
-    context = TestHall(CARS)
+async def test_excess_messages_are_counted_and_the_rest_stays_in_order() -> None:
+    context = RunlessContext(CARS)
     taken: list[tuple[int, bytes, int]] = []
 
     def offer(row: int, _: int, payload: bytes, *, came_ns: int) -> bool:
@@ -278,7 +278,7 @@ def test_parameters_without_a_meaning_are_refused(params: Mapping[str, Any], pro
         ZenohGateway(**params).check(CARS)
 
 
-def test_other_machines_may_come_where_the_user_says_so() -> None:
+def test_other_machines_may_connect_if_configured() -> None:
     ZenohGateway(listen={"car1": "tcp/0.0.0.0:7460"}, insecure=True).check(CARS)
 
 

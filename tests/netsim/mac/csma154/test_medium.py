@@ -1,4 +1,4 @@
-"""CSMA/CA of IEEE 802.15.4: access, reception and acknowledgements by hand, the laws of every run, and broadcasts of ns-3."""
+"""CSMA/CA of IEEE 802.15.4: access, reception and acknowledgements by hand, laws of every run, and broadcasts of ns-3."""
 
 import itertools
 from typing import Any
@@ -42,7 +42,7 @@ def test_lone_sender_waits_for_backoff_assessment_and_turnaround() -> None:
     units, rest = np.divmod(waits - (128 + 192) * US, 320 * US)
     assert not rest.any()
     expected = [int(8 * uniform) for uniform in backoffs(count, 0)]
-    assert units.tolist() == expected  # each a function of key and number alone
+    assert units.tolist() == expected  # each depends on key and number alone
     seen = np.bincount(units, minlength=8)
     assert len(seen) == 8
     assert ((seen - count / 8) ** 2 / (count / 8)).sum() < 24.3  # chi-square, 7 degrees of freedom, 0.1 %
@@ -53,7 +53,7 @@ def test_lone_sender_waits_for_backoff_assessment_and_turnaround() -> None:
 
 @pytest.mark.parametrize(("size", "ifs_us"), [(7, 192), (8, 640), (100, 640)])
 def test_frames_of_one_sender_keep_interframe_spaces(size: int, ifs_us: int) -> None:
-    """After a PSDU of up to 18 bytes 12 symbols, else 40 (IEEE 802.15.4-2006, 7.4.2); ns-3.44 was seen to keep the same."""
+    """After a PSDU of up to 18 bytes 12 symbols, else 40 (IEEE 802.15.4-2006, 7.4.2); equal in ns-3.44."""
     world = World(levels(2))
     for _ in range(50):
         world.offer(0, 0, size=size)
@@ -101,7 +101,7 @@ def test_parameters_without_a_meaning_are_refused() -> None:
 
 
 def hidden(left_dbm: float, right_dbm: float, *, later_us: int, sizes: tuple[int, int], **mac: Any) -> tuple[World, int]:
-    """0 sends, and 2 begins ``later_us`` after it; also returned: when 0 begins."""
+    """0 sends, and 2 begins ``later_us`` after it; also returned: the time when 0 begins."""
     world = World(line(left_dbm, right_dbm), **mac)
     offers = [(at(100 * MS, 0), 0, sizes[0]), (at(100 * MS + later_us * US, 2), 2, sizes[1])]
     for time_ns, sender, size in sorted(offers):
@@ -117,7 +117,7 @@ def test_hidden_nodes_collide_and_the_first_keeps_the_receiver(later_us: int) ->
         assert by_start[0].start_ns == begin_ns
         assert by_start[1].start_ns == begin_ns + later_us * US
         assert by_start[0].fate[1] == first
-        assert by_start[1].fate[1] == Fate.COLLISION  # however strong: the receiver is locked to the other
+        assert by_start[1].fate[1] == Fate.COLLISION  # however strong: the receiver is locked to the other frame
 
 
 def test_of_frames_that_begin_together_the_stronger_is_received() -> None:
@@ -133,7 +133,7 @@ def test_hidden_nodes_do_not_collide_when_apart() -> None:
 
 @pytest.mark.parametrize(("forget", "sizes"), [(False, (50, 50)), (True, (50, 50)), (False, (100, 20)), (True, (100, 20))])
 def test_hazards_of_the_pieces_add_up(forget: bool, sizes: tuple[int, int]) -> None:
-    """Free for 40 bytes, then disturbed; the shorter frame ends before the first. ns-3.44 then forgets it."""
+    """Undisturbed for 40 bytes, then disturbed; the shorter frame ends before the first. ns-3.44 then forgets it."""
     errors, later_bytes = OqpskErrors(), 40
     total = sizes[0] + 17
     disturbed = min(total - later_bytes, sizes[1] + 17)
@@ -155,7 +155,7 @@ def test_hazards_of_the_pieces_add_up(forget: bool, sizes: tuple[int, int]) -> N
 
 @pytest.mark.parametrize(("after_us", "fate"), [(-1, Fate.TRANSMITTING), (191, Fate.TRANSMITTING), (192, Fate.RECEIVED)])
 def test_a_radio_is_deaf_until_it_has_turned_round_again(after_us: int, fate: Fate) -> None:
-    """1 sends; 0, whom 1 hears but who does not hear 1, begins so long after the end."""
+    """1 sends; 0, out of range of 1's carrier sense, begins so long after the end."""
     dbm = levels(2)
     dbm[1, 0] = SILENT
     world, end_ns = World(dbm), 100 * MS + PHY.air_time_ns(50)
@@ -167,7 +167,7 @@ def test_a_radio_is_deaf_until_it_has_turned_round_again(after_us: int, fate: Fa
 
 @pytest.mark.parametrize(("after_ns", "free"), [(0, True), (1, False), (67 * 32 * US, False), (67 * 32 * US + 1, True)])
 def test_within_one_nanosecond_the_air_is_assessed_before_it_changes(after_ns: int, free: bool) -> None:
-    """As if waves took their time: at its first instant a frame is not yet heard, at its last it still is."""
+    """As with finite propagation: at its first instant a frame is not yet detected, at its last it still is."""
     world = World(levels(2))
     start_ns = 100 * MS + after_ns + 192 * US
     for time_ns, sender in sorted([(at(100 * MS, 0), 0), (at(start_ns, 1), 1)]):
@@ -177,7 +177,7 @@ def test_within_one_nanosecond_the_air_is_assessed_before_it_changes(after_ns: i
 
 
 def test_least_power_on_the_air_counts_as_busy() -> None:
-    """10 dB above the sensitivity, for one who did not notice the frame's beginning."""
+    """10 dB above the sensitivity, for a radio that missed the frame's beginning."""
     for dbm, attempts in ((PHY.sensitivity_dbm + 10.01, 0), (PHY.sensitivity_dbm + 9.99, 1)):
         dbms = levels(3)
         dbms[0, 2] = dbms[2, 0] = dbm
@@ -200,7 +200,7 @@ def test_an_acknowledged_frame() -> None:
 
 
 def test_without_an_answer_a_frame_is_sent_four_times() -> None:
-    """Each time after 54 symbols in vain, and with new contention."""
+    """Each attempt after an acknowledgement timeout of 54 symbols, with new contention."""
     world = World(levels(2, SILENT))
     number = world.offer(0, 0, to=1)
     decided, air_ns = world.finish()[number], PHY.air_time_ns(50)
@@ -233,23 +233,23 @@ def test_retries_at_the_edge_of_range_follow_the_error_rate() -> None:
     assert np.abs(seen - expected).max() < 4.0 * 0.5 / np.sqrt(count)
     received = np.mean([each.fate[1] == Fate.RECEIVED for each in decided.values()])
     assert abs(received - (1.0 - (1.0 - p) ** 4)) < 4.0 * 0.5 / np.sqrt(count)
-    for each in decided.values():  # received is what was received first, whether its sender knows it or not
+    for each in decided.values():  # received means received first, with or without the sender's knowledge
         patient = np.flatnonzero(world.patience(each.number)[: world.sent[each.number], 1] > -np.log(p))
         assert (each.fate[1] == Fate.RECEIVED) == (patient.size > 0)
         if patient.size:
             assert patient[0] == each.attempts - 1
             assert each.end_ns == each.start_ns + PHY.air_time_ns(100)
-    # and the acknowledgement has nothing to do with the backoff
+    # and the acknowledgement does not affect the backoff
     waits = np.array([each.start_ns - each.number * 100 * MS for each in decided.values() if each.attempts == 1])
     assert abs(np.mean(waits == (128 + 192) * US) - 1.0 / 8.0) < 4.0 * np.sqrt(7.0 / 64.0 / len(waits))
 
 
-def test_one_who_answers_begins_its_own_contention_anew() -> None:
-    """It forgets the backoff during which the frame came; both frames arrive."""
+def test_an_answering_radio_restarts_its_contention() -> None:
+    """The receiver drops the backoff during which the frame came; both frames arrive."""
     world = World(levels(2))
     starts = [assessments(row, 0)[0] + 192 * US for row in (0, 1)]
     answer = world.offer(0, 0, to=1, size=100)
-    other = world.offer(starts[0] + 1 * MS, 1, to=0, size=100)  # while the frame is coming in
+    other = world.offer(starts[0] + 1 * MS, 1, to=0, size=100)  # during the incoming frame
     decided = world.finish()
     assert decided[answer].fate[1] == decided[other].fate[0] == Fate.RECEIVED
     assert decided[other].start_ns >= decided[answer].end_ns + (192 + 128 + 192) * US
@@ -257,7 +257,7 @@ def test_one_who_answers_begins_its_own_contention_anew() -> None:
 
 @pytest.mark.parametrize("retries", [0, 1])
 def test_a_frame_that_comes_instead_of_the_acknowledgement_ends_the_wait(retries: int) -> None:
-    """1 does not hear 0, but is heard: 0 answers it, and then sends again, or has given up."""
+    """1 cannot hear 0, but 0 hears 1: 0 answers 1's frame, then retries or has given up."""
     dbm = levels(2)
     dbm[0, 1] = SILENT
     world = World(dbm, max_retries=retries)
@@ -285,7 +285,7 @@ def crowd(count: int, frames: int, seed: int, *, period_ns: int = 2 * MS) -> tup
 
 
 def test_the_deaf_time_before_a_frame_is_the_only_gap_for_a_collision() -> None:
-    """In one domain frames overlap only if they begin within 192 us, and then neither sender hears the other."""
+    """In one domain frames overlap only if they begin within 192 us; each sender then misses the other's frame."""
     _, decided, senders = crowd(8, 2000, 3)
     sent = sorted((each for each in decided.values() if each.attempts), key=lambda each: each.start_ns)
     overlaps = [(a, b) for a, b in itertools.pairwise(sent) if b.start_ns < a.end_ns]
@@ -303,7 +303,7 @@ def test_the_deaf_time_before_a_frame_is_the_only_gap_for_a_collision() -> None:
         assert np.count_nonzero(each.fate == Fate.RECEIVED) == 7
 
 
-def test_who_always_finds_the_air_busy_gives_up_after_five_assessments() -> None:
+def test_five_busy_assessments_end_an_access() -> None:
     world = World(levels(2))
     world.offer(0, 0, size=50_000)  # on the air for 1.9 s
     number = world.offer(100 * MS, 1)
@@ -329,7 +329,7 @@ FIELD = np.array([[0, -60, -84, -90], [-60, 0, -78, -86], [-84, -78, 0, -60], [-
 @settings(max_examples=60)
 @given(script=scripts(4), cuts=st.lists(st.integers(0, 80_000), max_size=12).map(sorted))
 def test_decisions_do_not_depend_on_steps_and_come_at_predicted_times(script: Script, cuts: list[int]) -> None:
-    """Nothing is decided before `next_ns`, which never lies behind; it is None when nothing waits."""
+    """No decision comes before `next_ns`, which is never in the past; it is None when nothing waits."""
     script = [(t, s, -1 if s == r else r, z) for t, s, r, z in script]
     at_once, in_steps = World(FIELD), World(FIELD)
     for time_us, sender, to, size in script:
@@ -357,7 +357,7 @@ def test_decisions_do_not_depend_on_steps_and_come_at_predicted_times(script: Sc
 @example(script=[(0, 1, 0, 100), (0, 3, 0, 20), (128, 0, 0, 100)])  # its frame begins while another is disturbed
 @settings(max_examples=30)
 def test_a_radio_out_of_reach_changes_nothing(script: Script) -> None:
-    """Neither its draws nor its frames, wherever it stands in the order of rows."""
+    """Neither draws nor frames change, whatever the position of its row."""
     apart = np.full((5, 5), SILENT)
     apart[:4, :4] = FIELD
     few, many = World(FIELD), World(apart)

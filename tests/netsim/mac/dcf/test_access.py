@@ -1,4 +1,4 @@
-"""When a few radios send and what they receive, worked out by hand. Times are those of 802.11b at 1 Mbit/s, unless said."""
+"""Access and reception of a few radios, computed by hand. Times: 802.11b at 1 Mbit/s, unless stated otherwise."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def test_a_lone_frame_of_802_11n_takes_the_rest_of_a_slot_and_its_air_time(at_us
 
 
 def test_a_backoff_of_802_11n_counts_the_slot_in_which_the_air_becomes_busy() -> None:
-    """EDCA decrements at the end of AIFS, too: a radio that lost with b slots against a has b - a - 1 left, not b - a."""
+    """EDCA decrements at the end of AIFS, too: a radio that lost with b slots against a keeps b - a - 1, not b - a."""
     left = set()
     for seed in range(20):
         alone = [run(open_air(3, Ofdm(65e6), seed=seed), [frame(0, 0, i, all_equal(3))], 1000 * MS)[0] for i in range(2)]
@@ -75,9 +75,9 @@ def test_frames_of_a_radio_are_a_backoff_apart() -> None:
     assert abs(slots.mean() - 15.5) < 4 * 9.23 / len(slots) ** 0.5  # sd of a uniform of 32 values
 
 
-def test_a_frame_that_finds_the_air_busy_draws_a_backoff_and_one_that_only_waits_for_difs_does_not() -> None:
+def test_a_busy_medium_draws_a_backoff_and_a_wait_for_difs_does_not() -> None:
     busy_from = LATER + DIFS
-    early = frame(1, LATER + 30 * US, 1, all_equal(3))  # the first begins 20 us later, and is noticed 4 us later
+    early = frame(1, LATER + 30 * US, 1, all_equal(3))  # the first begins 20 us later, and is detected 4 us later
     decided = run(open_air(3), [frame(0, LATER, 0, all_equal(3)), early], 1000 * MS)
     assert decided[1].start_ns == busy_from + AIR + DIFS  # no backoff
     delays = set()
@@ -100,7 +100,7 @@ def test_carrier_sense_is_4_us_late() -> None:
 
 
 def test_the_sum_of_weak_frames_makes_the_air_busy() -> None:
-    """Two of -84 dBm are -81: neither is detected, yet the fourth radio waits for the end of the first."""
+    """Two of -84 dBm are -81 dBm: neither is detected, yet the fourth radio waits for the end of the first."""
     weak = np.array([0.0, 0.0, 10**-8.4, 10**-8.4])
     frames = [frame(0, LATER, 0, weak), frame(1, LATER + 200 * US, 1, weak), frame(2, LATER + 400 * US, 3, all_equal(4, 0.0))]
     first, second, third = run(open_air(4), frames, 1000 * MS)
@@ -136,9 +136,9 @@ def test_behind_a_payload_that_failed_a_receiver_waits_eifs(
 
 @pytest.mark.parametrize(("patience", "start_us"), [(np.inf, 200), (0.05, 364)])
 def test_a_radio_waits_for_all_of_eifs_even_if_it_ends_early(patience: float, start_us: int) -> None:
-    """Behind a frame from 0, one from 1 is received from 100 to 150 us, while 2 waits since 60 us: until DIFS behind it.
+    """Behind a frame from 0, one from 1 is received from 100 to 150 us, while 2 waits from 60 us on: until DIFS behind it.
 
-    If the first was lost, 2 waits for EIFS, and does not notice that it is over: as ns-3.44 does.
+    If the first was lost, 2 waits for the whole EIFS and misses the early end: as in ns-3.44.
     """
     phy = Ofdm(54e6)
     level = all_equal(3, 10 ** ((phy.noise_dbm + 13.0) / 10))
@@ -172,7 +172,7 @@ def test_frames_that_waited_too_long_are_not_sent() -> None:
     assert len(sent) + len(given_up) == 20
     assert all(each.start_ns <= LATER + 10 * MS for each in sent)
     assert all(each.end_ns > LATER + 10 * MS and (each.fate == Fate.EXPIRED).all() for each in given_up)
-    assert 4 <= len(sent) <= 8  # 10 ms; 1.33 ms and a backoff of 0.31 ms in the mean
+    assert 4 <= len(sent) <= 8  # 10 ms; 1.33 ms and a backoff of 0.31 ms on average
 
 
 def test_a_higher_priority_goes_first_and_equal_ones_in_their_order() -> None:
@@ -205,11 +205,11 @@ def test_senders_that_do_not_hear_each_other_collide_at_the_receiver_between_the
     left, right = np.array([0, STRONG, 0]), np.array([0, 10 * STRONG, 0])
     frames = [frame(0, LATER, 0, left, patience=1.0), frame(1, LATER + 500 * US, 2, right, patience=1.0)]
     first, second = run(open_air(3), frames, 1000 * MS)
-    assert second.start_ns == LATER + 500 * US + DIFS  # it has heard nothing
+    assert second.start_ns == LATER + 500 * US + DIFS  # it has received nothing
     assert first.fate.tolist() == [Fate.TRANSMITTING, Fate.COLLISION, Fate.UNDETECTED]
     assert second.fate[1] == Fate.COLLISION  # stronger, but too late
     assert first.least_sinr[1] == pytest.approx(0.1, rel=1e-3)
-    frames[1] = frame(1, LATER + 1300 * US, 2, right)  # one behind the other
+    frames[1] = frame(1, LATER + 1300 * US, 2, right)  # in turn
     assert [each.fate[1] for each in run(open_air(3), frames, 1000 * MS)] == [Fate.RECEIVED] * 2
 
 
@@ -250,7 +250,7 @@ def test_a_stronger_frame_takes_the_receiver_over_where_capture_is_on(margin_db:
 
 
 def test_frames_of_two_sizes_go_by_the_curves_of_their_sizes() -> None:
-    """At 54 Mbit/s there is one for less than 400 bytes and one for more; the header has that of 6 Mbit/s."""
+    """At 54 Mbit/s one curve is for less than 400 bytes and one for more; the header uses that of 6 Mbit/s."""
     phy, sinr = Ofdm(54e6), 10**1.6
     level = all_equal(2, sinr * 10 ** (phy.noise_dbm / 10))
     frames: list[Offered] = []
@@ -278,7 +278,7 @@ TIMEOUT = (10 + 20 + 192) * US  # SIFS, slot, preamble and header
     ids=str,
 )
 def test_acknowledgements_go_at_the_highest_mandatory_rate_below_that_of_the_data(phy: Dsss | Ofdm, ack_us: int) -> None:
-    """Air times of ns-3.44: the next frame goes whole slots behind SIFS, acknowledgement and DIFS."""
+    """Air times of ns-3.44: the next frame begins whole slots behind SIFS, acknowledgement and DIFS."""
     first, second = run(open_air(2, phy), [frame(k, LATER, 0, all_equal(2), to=1) for k in (0, 1)], 1000 * MS)
     sifs_us, slot_us = (16, 9) if isinstance(phy, Ofdm) and phy.band == "5GHz" else (10, 20)
     rest_ns = second.start_ns - first.end_ns - (2 * sifs_us + ack_us + 2 * slot_us) * US
@@ -287,7 +287,7 @@ def test_acknowledgements_go_at_the_highest_mandatory_rate_below_that_of_the_dat
 
 
 def noted(level: Floats, patience: Floats) -> tuple[Offered, list[int]]:
-    """A frame from 0 to 1, and when its attempts begin."""
+    """A frame from 0 to 1, and the times of its attempts."""
     starts: list[int] = []
 
     def renew(attempt: int, start_ns: int) -> tuple[Floats, Floats]:
@@ -314,7 +314,7 @@ def test_a_unicast_frame_is_tried_7_times_with_growing_windows() -> None:
 
 
 def test_the_window_falls_back_at_every_8th_failure_whatever_frame_it_belongs_to() -> None:
-    """As measured of ns-3.44: largest backoffs 63, 127, 255, 511, 1022, 1022, 1014, 31, 63, ... over frames of 7 attempts."""
+    """Measured in ns-3.44: largest backoffs 63, 127, 255, 511, 1022, 1022, 1014, 31, 63, ... over frames of 7 attempts."""
     starts: list[int] = []
 
     def renew(attempt: int, start_ns: int) -> tuple[np.ndarray, np.ndarray]:
@@ -335,8 +335,8 @@ def test_the_window_falls_back_at_every_8th_failure_whatever_frame_it_belongs_to
 
 @pytest.mark.parametrize("size", [1, 1000])
 @pytest.mark.parametrize("lag_us", [2, 29, 31])
-def test_who_hears_another_frame_instead_of_an_acknowledgement_gives_up_at_its_end(size: int, lag_us: int) -> None:
-    """If its payload begins within the timeout, 50 us at 54 Mbit/s; whether it ends before that or behind it (ns-3.44)."""
+def test_a_frame_instead_of_an_acknowledgement_ends_the_wait_at_its_end(size: int, lag_us: int) -> None:
+    """Its payload begins within the timeout, 50 us at 54 Mbit/s, and ends before or after it (ns-3.44)."""
     phy = Ofdm(54e6)
     medium = open_air(3, phy, Dcf(attempts=1))
     end = LATER + DIFS + phy.air_time_ns(100)
@@ -346,8 +346,8 @@ def test_who_hears_another_frame_instead_of_an_acknowledgement_gives_up_at_its_e
     assert unicast.end_ns == (other.end_ns + 400 if lag_us <= 30 else end + 50 * US)
 
 
-def test_a_frame_whose_acknowledgement_is_lost_was_received_all_the_same() -> None:
-    """The receiver hears the sender, the sender does not hear the receiver: never at that level."""
+def test_a_frame_with_a_lost_acknowledgement_counts_as_received() -> None:
+    """One-way link: the receiver hears the sender, the sender never hears the receiver."""
     medium = open_air(2, mac=Dcf(attempts=3, preamble_time_us=4.0))
     medium.sensitivity_mw[0] = 10 * STRONG
     offered, starts = noted(all_equal(2), np.full(2, 99.0))
@@ -358,8 +358,8 @@ def test_a_frame_whose_acknowledgement_is_lost_was_received_all_the_same() -> No
 
 
 @pytest.mark.parametrize(("gain_db", "attempts"), [(-24.0, 3), (-21.0, 1)])
-def test_an_acknowledgement_loses_on_its_way_what_the_data_lost(gain_db: float, attempts: int) -> None:
-    """Data arrive at -60 dBm; who answers with so much less power is heard from -82 dBm on."""
+def test_an_acknowledgement_has_the_path_loss_of_the_data(gain_db: float, attempts: int) -> None:
+    """Data arrive at -60 dBm; a receiver that transmits with so much less power is heard from -82 dBm on."""
     medium = open_air(2, mac=Dcf(attempts=3))
     medium.power_mw[:] = 40.0, 40.0 * 10.0 ** (gain_db / 10.0)
     offered, starts = noted(all_equal(2), np.full(2, 99.0))
@@ -369,7 +369,7 @@ def test_an_acknowledgement_loses_on_its_way_what_the_data_lost(gain_db: float, 
 
 
 def test_others_keep_silent_for_an_acknowledgement_that_they_cannot_hear() -> None:
-    """Radio 2 hears radio 0 but not radio 1: it knows from the frame how long the answer takes."""
+    """Radio 2 hears radio 0 but not radio 1: the frame's duration field covers the acknowledgement."""
     to_all, deaf_to_1 = all_equal(3), np.array([STRONG, 0, 0])
     medium = open_air(3)
     medium.levels[1] = deaf_to_1
@@ -378,10 +378,10 @@ def test_others_keep_silent_for_an_acknowledgement_that_they_cannot_hear() -> No
     slots, rest = divmod(after.start_ns - unicast.end_ns - SIFS - ACK - DIFS, SLOT)
     assert (rest, 0 <= slots <= 31) == (0, True)
     heard = run(open_air(3), [frame(0, LATER, 0, to_all), frames[1]], 1000 * MS)[1]
-    assert heard.start_ns == frames[1].time_ns + DIFS  # nothing to wait for behind a broadcast
+    assert heard.start_ns == frames[1].time_ns + DIFS  # no acknowledgement to wait for after a broadcast
 
 
-def test_a_queue_of_unicast_frames_counts_the_one_that_is_being_sent() -> None:
+def test_a_queue_counts_the_unicast_frame_in_transmission() -> None:
     medium = open_air(2, mac=Dcf(queue_frames=2))
     now = LATER + DIFS + 100 * US
     frames = [frame(0, LATER, 0, all_equal(2), to=1), *(frame(k, now + k, 0, all_equal(2), to=1) for k in (1, 2))]

@@ -1,9 +1,9 @@
-"""One core at two speeds: interpreted and compiled it does the same to the last bit."""
+"""Interpreted and compiled core give results equal to the last bit."""
 
 import numpy as np
 import pytest
 
-from tests.support.netsim.dcf_runs import MS, PHYS, UNTIL, bytes_of, mixed, open_air, periodic, run, square
+from tests.support.netsim.dcf_runs import MS, PHYS, UNTIL, bytes_of, mixed_traffic, open_air, periodic, run, square_levels
 from vcmvsp.netsim.mac.dcf.parameters import Dcf
 from vcmvsp.netsim.mac.dcf.state import DcfState
 from vcmvsp.netsim.phy.ofdm import Ofdm
@@ -20,7 +20,7 @@ def bits(state: DcfState) -> dict[str, bytes]:
 
 @pytest.mark.parametrize("seed", range(16))
 def test_compiled_is_the_same_to_the_last_bit(seed: int) -> None:
-    frames, phy, mac = mixed(seed, frames=300), PHYS[seed % 4], MACS[seed // 4]
+    frames, phy, mac = mixed_traffic(seed, frames=300), PHYS[seed % 4], MACS[seed // 4]
     interpreted, machine = open_air(6, phy, mac, seed=seed), open_air(6, phy, mac, seed=seed, compiled=True)
     assert bytes_of(run(machine, frames, UNTIL)) == bytes_of(run(interpreted, frames, UNTIL))
     assert bits(machine._state) == bits(interpreted._state)
@@ -28,13 +28,13 @@ def test_compiled_is_the_same_to_the_last_bit(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(2))
 def test_compiled_802_11n_is_the_same_to_the_last_bit(seed: int) -> None:
-    frames, phy = mixed(seed, frames=300), Ofdm(65e6)
+    frames, phy = mixed_traffic(seed, frames=300), Ofdm(65e6)
     interpreted, machine = open_air(6, phy, seed=seed), open_air(6, phy, seed=seed, compiled=True)
     assert bytes_of(run(machine, frames, UNTIL)) == bytes_of(run(interpreted, frames, UNTIL))
 
 
 def test_compiled_many_at_once_that_are_hidden_from_each_other() -> None:
-    levels = square(40, 300.0, 3.0, 1)
+    levels = square_levels(40, 300.0, 3.0, 1)
     frames = periodic(levels, 20.0, 1000 * MS)
     interpreted = run(open_air(40), frames, UNTIL)
     time_ns, sender, number = (np.array([getattr(each, it) for each in frames]) for it in ("time_ns", "sender", "number"))

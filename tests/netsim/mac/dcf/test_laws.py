@@ -1,4 +1,4 @@
-"""802.11 with many radios: the laws of every run, closed forms, and ns-3 with the same positions and the same traffic."""
+"""Networks of many 802.11 radios: laws of every run, closed forms, and ns-3 with the same positions and traffic."""
 
 from bisect import bisect
 
@@ -16,11 +16,11 @@ from tests.support.netsim.dcf_runs import (
     all_equal,
     bytes_of,
     frame,
-    mixed,
+    mixed_traffic,
     open_air,
     periodic,
     run,
-    square,
+    square_levels,
 )
 from vcmvsp.cosim.reproduction.validation.medium_access import EDGES_M, NS3, sending_chance
 from vcmvsp.netsim.interfaces.layers import Floats
@@ -35,8 +35,8 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_what_is_received_took_its_time_and_a_radio_sends_one_frame_at_a_time(seed: int) -> None:
-    phy, frames = Dsss(11e6), mixed(seed, frames=200)
+def test_receptions_take_their_air_time_and_a_radio_sends_one_frame_at_a_time(seed: int) -> None:
+    phy, frames = Dsss(11e6), mixed_traffic(seed, frames=200)
     decided = run(open_air(6, phy, seed=seed), frames, UNTIL)
     busy: dict[int, int] = {}
     for each in sorted(decided, key=lambda one: one.start_ns):
@@ -55,7 +55,7 @@ def test_what_is_received_took_its_time_and_a_radio_sends_one_frame_at_a_time(se
     assert len(received) > 20
 
 
-@pytest.mark.parametrize("seed", [142, 149, 160])  # who overslept gets up at the very end of a frame that it does not hear
+@pytest.mark.parametrize("seed", [142, 149, 160])  # a late access ends exactly with a frame that the radio cannot hear
 def test_time_never_goes_back(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
     times: list[int] = []
     upcoming = access.upcoming
@@ -66,7 +66,9 @@ def test_time_never_goes_back(monkeypatch: pytest.MonkeyPatch, seed: int) -> Non
         return what, who, now
 
     monkeypatch.setattr(access, "upcoming", watched)
-    frames = [msgspec.structs.replace(each, time_ns=each.time_ns // (20 * US) * (20 * US)) for each in mixed(seed, frames=100)]
+    frames = [
+        msgspec.structs.replace(each, time_ns=each.time_ns // (20 * US) * (20 * US)) for each in mixed_traffic(seed, frames=100)
+    ]
     run(open_air(6, Ofdm(54e6), Dcf(cw_min=7, cca_threshold_dbm=-70.0), seed=seed), frames, UNTIL)
     assert len(times) > 300
     assert times == sorted(times)
@@ -79,7 +81,7 @@ def test_time_never_goes_back(monkeypatch: pytest.MonkeyPatch, seed: int) -> Non
 def test_every_frame_is_decided_once_in_its_step_however_time_is_cut(
     phy: Dsss | Ofdm, cuts: list[int], seed: int, peek: bool
 ) -> None:
-    frames = mixed(seed, frames=40)
+    frames = mixed_traffic(seed, frames=40)
     whole = run(open_air(6, phy, seed=seed), frames, UNTIL)
     assert sorted(each.number for each in whole) == list(range(40))
     assert [each.end_ns for each in whole] == sorted(each.end_ns for each in whole)
@@ -102,7 +104,7 @@ def test_every_frame_is_decided_once_in_its_step_however_time_is_cut(
 
 @pytest.mark.parametrize("seed", range(4))
 def test_the_predicted_time_is_never_late_and_progress_never_stalls(seed: int) -> None:
-    frames = mixed(seed)
+    frames = mixed_traffic(seed)
     whole = run(open_air(6, seed=seed), frames, UNTIL)
     medium, idle = open_air(6, seed=seed), 0
     decided: list[Decided] = []
@@ -143,9 +145,12 @@ def test_for_broadcasts_in_one_domain_the_predicted_time_is_exact() -> None:
 @settings(max_examples=15)
 @given(cuts=st.lists(st.integers(0, 300 * MS), max_size=6), seed=st.integers(0, 9))
 def test_frames_offered_as_arrays_fare_as_one_by_one(cuts: list[int], seed: int) -> None:
-    """With levels that are others behind every cut, and queues that overflow."""
+    """With levels that change after every cut, and queues that overflow."""
     mac, n = Dcf(queue_frames=3, lifetime_s=0.02), 6
-    levels, frames = square(n, 200.0, 3.0, seed), periodic(square(n, 200.0, 3.0, seed), 60.0, 300 * MS, size=1000, seed=seed)
+    levels, frames = (
+        square_levels(n, 200.0, 3.0, seed),
+        periodic(square_levels(n, 200.0, 3.0, seed), 60.0, 300 * MS, size=1000, seed=seed),
+    )
     singly, together = open_air(n, mac=mac, seed=seed), open_air(n, mac=mac, seed=seed)
     decided: list[Decided] = []
     arrays: list[Decided] = []
@@ -173,7 +178,7 @@ def test_frames_offered_as_arrays_fare_as_one_by_one(cuts: list[int], seed: int)
 
 @pytest.mark.parametrize("count", [3, 10])
 def test_saturated_unicast_is_bianchis(count: int) -> None:
-    """Equal levels: nothing is received in a collision, whose end is followed by DIFS."""
+    """Equal levels: no frame survives a collision, whose end is followed by DIFS."""
     medium = open_air(count, Dsss(11e6), Dcf(lifetime_s=1e6, queue_frames=10**6))
     level = np.full(count, 1e-6)
     frames = [frame(k, 0, k % count, level, to=(k + 1) % count, size=1000, patience=1.0) for k in range(9000)]
@@ -221,10 +226,10 @@ def traffic(count: int, hz: float, seconds: int, seed: int) -> tuple[list[int], 
     return times.tolist(), rng.integers(0, count, frames).tolist()
 
 
-@pytest.mark.parametrize("name", [name for name in NS3 if name != "802.11b, 50 in one domain"])  # that: `vcmvsp validate`
-def test_delivery_and_delays_are_those_of_ns_3(name: str) -> None:
+@pytest.mark.parametrize("name", [name for name in NS3 if name != "802.11b, 50 in one domain"])  # demanded by `vcmvsp validate`
+def test_delivery_and_delays_agree_with_ns_3(name: str) -> None:
     judged = NS3[name]
-    n, levels = judged.radios, square(judged.radios, judged.side_m, judged.exponent, 1)
+    n, levels = judged.radios, square_levels(judged.radios, judged.side_m, judged.exponent, 1)
     place = np.random.default_rng(1).uniform(0.0, judged.side_m, (n, 2))
     bins = np.digitize(np.linalg.norm(place[:, None] - place, axis=-1), EDGES_M[1:])
     delay_ms: list[Floats] = []

@@ -1,9 +1,19 @@
-"""Rate control of 802.11: which rate a frame has by the SNR of the one before, and what ns-3 delivers with it."""
+"""Rate control of 802.11: rate of a frame by the SNR of the previous one, and delivery as in ns-3."""
 
 import numpy as np
 import pytest
 
-from tests.support.netsim.dcf_runs import MS, UNTIL, all_equal, bytes_of, frame, mixed, open_air, run, saturated
+from tests.support.netsim.dcf_runs import (
+    MS,
+    UNTIL,
+    all_equal,
+    bytes_of,
+    frame,
+    mixed_traffic,
+    open_air,
+    run,
+    saturated_receptions,
+)
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.interfaces.medium import Fate
@@ -50,8 +60,10 @@ def test_after_a_frame_that_was_given_up_the_rate_is_the_lowest() -> None:
     assert [times[k] for k in (0, 1, 3, 4)] == [Ofdm(rate).air_time_ns(100) for rate in (6e6, 54e6, 6e6, 54e6)]
 
 
-def test_rts_tells_the_snr_as_well() -> None:
-    """The first frame has 6 Mbit/s, chosen before its RTS; its retry, without an acknowledgement, what the RTS said."""
+def test_rts_also_reports_the_snr() -> None:
+    """The first frame has 6 Mbit/s, chosen before its RTS; its retry, without an acknowledgement, the rate for the SNR of the
+    RTS.
+    """
     mac = Dcf(rate_control="ideal", rts_threshold_bytes=0)
     frames = [frame(0, LATER, 0, level(40.0), to=1, patience=np.array([0.0, 0.0]))]
     (decided,) = run(open_air(2, Ofdm(), mac), frames, UNTIL)
@@ -66,7 +78,7 @@ def test_802_11b_has_no_rate_control() -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_compiled_is_the_same_to_the_last_bit_with_rate_control(seed: int) -> None:
-    frames, phy = mixed(seed, frames=300), (Ofdm(), Ofdm(65e6), Ofdm(86e6), Ofdm(6e6, "5GHz"))[seed]
+    frames, phy = mixed_traffic(seed, frames=300), (Ofdm(), Ofdm(65e6), Ofdm(86e6), Ofdm(6e6, "5GHz"))[seed]
     mac = Dcf(rate_control="ideal", rts_threshold_bytes=None if seed < 2 else 500)
     interpreted, machine = open_air(6, phy, mac, seed=seed), open_air(6, phy, mac, seed=seed, compiled=True)
     decided = run(interpreted, frames, UNTIL)
@@ -87,5 +99,5 @@ def test_a_saturated_link_carries_as_much_as_in_ns_3(phy: Ofdm) -> None:
     loss_db = 46.684 if phy.band == "5GHz" else 40.052  # at 1 m
     for distance_m, expected_bps in NS3_BPS[phy].items():
         power = 10.0 ** ((16.0206 - loss_db - 30.0 * np.log10(distance_m)) / 10.0)
-        received = saturated(np.array([[0.0, power], [power, 0.0]]), phy, IDEAL, (-1, 0), 1000, 1)
+        received = saturated_receptions(np.array([[0.0, power], [power, 0.0]]), phy, IDEAL, (-1, 0), 1000, 1)
         assert 8000.0 * received == pytest.approx(expected_bps, rel=0.02)

@@ -1,9 +1,21 @@
-"""RTS and CTS of IEEE 802.11: the exchange, silence of other radios, hidden terminals. Times: 802.11g at 54 Mbit/s."""
+"""RTS and CTS of IEEE 802.11: exchange, silence of other radios, hidden terminals. Times: 802.11g at 54 Mbit/s."""
 
 import numpy as np
 import pytest
 
-from tests.support.netsim.dcf_runs import MS, STRONG, UNTIL, US, all_equal, bytes_of, frame, mixed, open_air, run, saturated
+from tests.support.netsim.dcf_runs import (
+    MS,
+    STRONG,
+    UNTIL,
+    US,
+    all_equal,
+    bytes_of,
+    frame,
+    mixed_traffic,
+    open_air,
+    run,
+    saturated_receptions,
+)
 from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.interfaces.medium import Decided, Fate
 from vcmvsp.netsim.mac.dcf.medium import DcfMedium
@@ -53,7 +65,7 @@ def test_broadcasts_have_no_rts() -> None:
 
 @pytest.mark.parametrize(("near", "known_after"), [(0, RTS), (1, RTS + SIFS + CTS)])
 def test_a_radio_that_hears_one_of_both_is_silent_until_the_end_of_the_acknowledgement(near: int, known_after: int) -> None:
-    """Radio 2 hears the sender alone, or the destination alone; its frame comes when it knows of the reservation."""
+    """Radio 2 hears the sender alone, or the destination alone; its frame follows the reservation."""
     levels = by_link(3, (0, 1), (near, 2))
     exchange = RTS + SIFS + CTS + SIFS + DATA + SIFS + ACK
     frames = [
@@ -67,7 +79,7 @@ def test_a_radio_that_hears_one_of_both_is_silent_until_the_end_of_the_acknowled
 
 
 def test_a_reservation_by_rts_ends_early_if_no_frame_follows() -> None:
-    """IEEE 802.11-2016, 10.3.2.4: after 2 SIFS, CTS, preamble and header, and 2 slots; the destination is out of reach."""
+    """IEEE 802.11-2016, 10.3.2.4: after 2 SIFS, CTS, preamble and header, and 2 slots; the destination is out of range."""
     levels = by_link(3, (0, 2))
     rts_end = LATER + DIFS + RTS
     frames = [frame(0, LATER, 0, levels[0], to=1, size=1000), frame(1, rts_end + 2 * US, 2, levels[2])]
@@ -77,7 +89,7 @@ def test_a_reservation_by_rts_ends_early_if_no_frame_follows() -> None:
 
 
 def test_a_destination_with_a_reservation_does_not_answer() -> None:
-    """Radio 2 hears the exchange of 0 and 1, that radio 3 does not hear; it answers the first RTS of 3 behind that exchange."""
+    """Radio 2 hears the exchange of 0 and 1, which radio 3 cannot hear; it answers the first RTS of 3 after that exchange."""
     levels = by_link(4, (0, 1), (1, 2), (2, 3))
     begin = LATER + DIFS + RTS + SIFS + CTS
     end = begin + SIFS + DATA + SIFS + ACK
@@ -86,10 +98,10 @@ def test_a_destination_with_a_reservation_does_not_answer() -> None:
     assert decided[0].fate[1] == Fate.RECEIVED
     assert decided[1].fate[2] == Fate.RECEIVED
     assert decided[1].attempts > 1
-    assert decided[1].start_ns - 2 * SIFS - RTS - CTS >= end - RTS  # the RTS ends behind the reservation
+    assert decided[1].start_ns - 2 * SIFS - RTS - CTS >= end - RTS  # the RTS ends after the reservation
 
 
-def test_rts_that_nobody_answers_count_as_attempts() -> None:
+def test_unanswered_rts_count_as_attempts() -> None:
     levels = np.zeros((2, 2))
     (decided,) = run(air(levels), [frame(0, LATER, 0, levels[0], to=1, size=1000)], UNTIL)
     assert (decided.attempts, decided.fate[1]) == (7, Fate.UNDETECTED)
@@ -97,7 +109,7 @@ def test_rts_that_nobody_answers_count_as_attempts() -> None:
 
 
 def square(count: int) -> Floats:
-    """Levels (n, n) of the positions of ``bench.ns3.cases.Case``, by free space: all in reach."""
+    """Levels (n, n) of the positions of ``bench.ns3.cases.Case``, by free space: all in range."""
     place = np.random.default_rng(count).uniform(0.0, 200.0, (count, 3)).round(3)[:, :2]
     distance = np.linalg.norm(place[:, None] - place, axis=-1)
     levels = 10.0 ** ((16.0206 - 40.052) / 10.0 - 2.0 * np.log10(np.maximum(distance, 1.0)))
@@ -108,13 +120,15 @@ def square(count: int) -> Floats:
 @pytest.mark.parametrize(
     ("phy", "size", "without_bps", "with_bps"), [(Dsss(1e6), 1000, 0.3595e6, 0.8042e6), (Ofdm(6e6), 2000, 2.202e6, 5.069e6)]
 )
-def test_rts_more_than_doubles_what_hidden_terminals_deliver_as_in_ns_3(
+def test_rts_more_than_doubles_delivery_of_hidden_terminals_as_in_ns_3(
     phy: Dsss | Ofdm, size: int, without_bps: float, with_bps: float
 ) -> None:
-    """Radios 1 and 2 do not hear each other; ns-3.44, 10 runs of 5 s (``bench.ns3.compare --core sink``): 1.3 and 0.2 %."""
+    """Radios 1 and 2 are hidden from each other; ns-3.44, 10 runs of 5 s (``bench.ns3.compare --core sink``): 1.3 and 0.2 %."""
     levels = by_link(3, (0, 1), (0, 2))
     for threshold, expected_bps, tolerance in ((None, without_bps, 0.06), (500, with_bps, 0.02)):
-        received = saturated(levels, phy, Dcf(queue_frames=10**6, rts_threshold_bytes=threshold), (-1, 0, 0), size, 10)
+        received = saturated_receptions(
+            levels, phy, Dcf(queue_frames=10**6, rts_threshold_bytes=threshold), (-1, 0, 0), size, 10
+        )
         assert 8.0 * size * received / 10 == pytest.approx(expected_bps, rel=tolerance)
 
 
@@ -130,15 +144,15 @@ def test_rts_more_than_doubles_what_hidden_terminals_deliver_as_in_ns_3(
     ],
 )
 def test_saturated_radios_with_rts_receive_as_much_as_in_ns_3(phy: Dsss | Ofdm, count: int, expected_bps: float) -> None:
-    """Frames of 1000 bytes to the next radio, all in reach; ns-3.44, 5 runs of 1 s (``bench.ns3.compare --core rts500``)."""
+    """Frames of 1000 bytes to the next radio, all in range; ns-3.44, 5 runs of 1 s (``bench.ns3.compare --core rts500``)."""
     mac, to = Dcf(queue_frames=10**6, rts_threshold_bytes=500), [(i + 1) % count for i in range(count)]
-    received = saturated(square(count), phy, mac, to, 1000, 1)
+    received = saturated_receptions(square(count), phy, mac, to, 1000, 1)
     assert 8000.0 * received == pytest.approx(expected_bps, rel=0.02)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_compiled_is_the_same_to_the_last_bit_with_rts(seed: int) -> None:
-    frames, mac = mixed(seed, frames=300), Dcf(rts_threshold_bytes=(0, 500)[seed % 2])
+    frames, mac = mixed_traffic(seed, frames=300), Dcf(rts_threshold_bytes=(0, 500)[seed % 2])
     interpreted, machine = open_air(6, PHY, mac, seed=seed), open_air(6, PHY, mac, seed=seed, compiled=True)
     decided = run(interpreted, frames, UNTIL)
     assert sorted(each.number for each in decided) == list(range(300))
@@ -147,7 +161,7 @@ def test_compiled_is_the_same_to_the_last_bit_with_rts(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_predicted_time_is_never_late_with_rts(seed: int) -> None:
-    frames = mixed(seed)
+    frames = mixed_traffic(seed)
     whole = run(open_air(6, PHY, ALWAYS, seed=seed), frames, UNTIL)
     medium = open_air(6, PHY, ALWAYS, seed=seed)
     decided: list[Decided] = []

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.special import jv
 
-from tests.support.netsim.ray_worlds import field, rays_among, traced
+from tests.support.netsim.ray_worlds import field, rays_among, trace_paths
 from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.propagation.path_loss import SPEED_OF_LIGHT
 from vcmvsp.netsim.propagation.rays.coefficients import MATERIALS
@@ -70,10 +70,10 @@ def round_edge(rays: Rays, edge: int, radius_m: float) -> tuple[Floats, Callable
 
 
 def boundaries(rays: Rays, source: Floats, places: Callable[[Floats], Floats], end_m: float) -> list[float]:
-    """Arcs before which the number of paths changes by more than those over edges, to `STEP_M`."""
+    """Arcs before which the number of paths other than those over edges changes, to `STEP_M`."""
 
     def changes(arcs: Floats) -> list[int]:
-        found = traced(rays, source, places(arcs)).table
+        found = trace_paths(rays, source, places(arcs)).table
         return np.flatnonzero(np.diff(np.bincount(found.pair, minlength=len(arcs)))).tolist()
 
     coarse = np.arange(0.02, end_m - 0.02, 0.05)
@@ -91,7 +91,7 @@ def test_field_is_continuous_across_all_boundaries(number: int) -> None:
     found = straight.world.surfaces
     run = found.end - found.start
     edges = {round(abs(float(each[2])) / math.hypot(*each)): k for k, each in enumerate(run)}
-    for edge in edges.values():  # level and upright
+    for edge in edges.values():  # level and vertical
         source, places = round_edge(straight, edge, 1.0)
         steps = boundaries(straight, source, places, math.pi * found.angle[edge])
         assert steps
@@ -114,7 +114,7 @@ def test_levels_are_equal_in_both_directions() -> None:
     rays = rays_among(*solids, ground="wet_ground")
     places = rng.uniform([-20.0, -20.0, 0.2], [50.0, 50.0, 14.0], (120, 3))
     places = places[[not holder for holder in rays.holder(places)]][:80]
-    there, back = (traced(rays, places[first : first + 40], places[40 - first : 80 - first]) for first in (0, 40))
+    there, back = (trace_paths(rays, places[first : first + 40], places[40 - first : 80 - first]) for first in (0, 40))
     powers = [np.bincount(each.table.pair, np.abs(each.table.gain) ** 2, 40) for each in (there, back)]
     assert np.bincount(there.table.pair, minlength=40).tolist() == np.bincount(back.table.pair, minlength=40).tolist()
     reached = powers[0] > 0.0
@@ -123,5 +123,5 @@ def test_levels_are_equal_in_both_directions() -> None:
 
 
 def test_an_edge_behind_the_metal_is_no_path() -> None:
-    found = traced(rays_among(CORNER), [5.0, 3.0, 0.0], [200.0, -3000.0, 0.0])
+    found = trace_paths(rays_among(CORNER), [5.0, 3.0, 0.0], [200.0, -3000.0, 0.0])
     assert not len(found.table.pair)

@@ -1,4 +1,4 @@
-"""Bullet's own: masses, inertia and loads of a robot's parts, and the release of Bullet's world."""
+"""Bullet: masses, inertia and wheel loads of a robot, and release of Bullet's memory."""
 
 import math
 
@@ -28,13 +28,13 @@ def test_mass_and_centre_are_those_of_the_parameters(robot: DifferentialDrive) -
     contacts = p.getContactPoints(bodyA=body, physicsClientId=client)
     assert sum(contact[9] for contact in contacts) == pytest.approx(
         9.81 * robot.mass_kg, rel=0.01
-    )  # the floor bears its weight
+    )  # the floor carries the weight
     on_caster = sum(contact[9] for contact in contacts if contact[3] == -1) / 9.81
     assert on_caster == pytest.approx(masses[0] * robot.mass_behind_m / robot.caster_behind_m, rel=0.02)
     moved.close()
 
 
-def test_closing_twice_is_harmless_and_gives_the_client_back() -> None:
+def test_closing_twice_has_no_effect_and_frees_the_client() -> None:
     moved = engine((P2DX(), (0.0, 0.0, 0.0)))
     client = moved._client
     moved.close()

@@ -1,4 +1,4 @@
-"""Vehicles that something else moves have bodies in Bullet: they stop and push others, and nothing moves them."""
+"""External vehicles as bodies in Bullet: they stop and push other bodies, and no body moves them."""
 
 from typing import Any
 
@@ -24,11 +24,11 @@ pytestmark = pytest.mark.slow
 
 BACK = 0.5 * P2DX().length_m + P2DX().axle_ahead_m  # m, from the reference point
 FRONT = 0.5 * P2DX().length_m - P2DX().axle_ahead_m
-DEEP_M = 0.002  # as far as a body gets into another one before Bullet has stopped it
+DEEP_M = 0.002  # greatest penetration of two bodies
 
 
 def track(events: list[Event], row: int) -> np.ndarray:
-    """Where the vehicle of a row was, (n, 3) m."""
+    """Positions of the vehicle of a row, (n, 3) m."""
     return np.array([states.position[row] for states in values(events, "world/states")])
 
 
@@ -37,12 +37,12 @@ def contacts(events: list[Event]) -> list[tuple[str, str | None]]:
 
 
 @pytest.mark.parametrize("v", [0.3, 1.0, 1.6])
-def test_a_robot_that_drives_into_one_stops_and_never_gets_in(v: float, kind: type[Physics]) -> None:
-    at = 6.0  # far enough to get that fast at 0.3 m/s2
+def test_a_robot_stops_at_one_without_penetration(v: float, kind: type[Physics]) -> None:
+    at = 6.0  # long enough to reach v at 0.3 m/s2
     physics = kind(world=World(), vehicles=[spec("car"), spec("real", at)], outside=Courses(real=straight(at)))
     events = run(physics, [(0.0, "car", v, 0.0)], round(2.0 + at / v + v / 0.6, 1))
     assert max(states.velocity[0, 0] for states in values(events, "world/states")) == pytest.approx(v, rel=0.02)
-    assert track(events, 0)[:, 0].max() < at - BACK - FRONT + DEEP_M + v / 120.0  # it is noticed after a step
+    assert track(events, 0)[:, 0].max() < at - BACK - FRONT + DEEP_M + v / 120.0  # detected one step later
     assert track(events, 0)[-1] == pytest.approx((at - BACK - FRONT, 0.0, 0.0), abs=DEEP_M)
     assert set(map(tuple, track(events, 1).tolist())) == {(at, 0.0, 0.0)}
     assert contacts(events) == [("car", "real")]
@@ -56,12 +56,12 @@ def test_one_that_moves_pushes_a_robot_ahead_of_it(names: tuple[str, str], kind:
     car, real = (track(events, names.index(name)) for name in ("car", "real"))
     assert real[:, 0] == pytest.approx(-1.0 + 0.05 * np.arange(61), abs=1e-12)
     apart = car[:, 0] - real[:, 0]
-    assert apart.min() > BACK + FRONT - DEEP_M - 0.5 / 120.0  # likewise
-    assert apart[-1] == pytest.approx(BACK + FRONT, abs=DEEP_M)  # pushed, its motors braking
-    assert contacts(events) == [names]  # once, the vehicle that the scenario names first
+    assert apart.min() > BACK + FRONT - DEEP_M - 0.5 / 120.0  # detected one step later
+    assert apart[-1] == pytest.approx(BACK + FRONT, abs=DEEP_M)  # pushed, with motors braking
+    assert contacts(events) == [names]  # once, the scenario's first vehicle first
 
 
-def test_it_pushes_things_and_is_a_body_whatever_its_kind(kind: type[Physics]) -> None:
+def test_it_pushes_things_and_is_a_body_of_any_kind(kind: type[Physics]) -> None:
     crate = Movable(name="crate", solid=Box(center=(0.0, 0.0, 0.2), size=(0.4, 0.4, 0.4)), mass_kg=3.0)
     for model in (Lag(), AmigoBot(), P2DX()):
         hull = model.hull
@@ -73,8 +73,8 @@ def test_it_pushes_things_and_is_a_body_whatever_its_kind(kind: type[Physics]) -
         assert crate_x > 0.5 + hull.offset[0] + 0.5 * hull.size[0] + 0.2 - DEEP_M - 0.5 / 120.0
 
 
-def test_contacts_tell_of_virtual_walls_and_of_each_other(kind: type[Physics]) -> None:
-    """That nothing stops them is no reason to keep it back."""
+def test_contacts_with_walls_and_each_other_count(kind: type[Physics]) -> None:
+    """External vehicles pass through the wall and each other; each contact is still published."""
     world = World(solids=(Box(center=(2.0, 0.0, 0.5), size=(0.2, 4.0, 1.0)),))
     courses = Courses(a=straight(0.0, 0.5), b=straight(-2.0, 1.2))
     events = run(kind(world=world, vehicles=[spec("a"), spec("b", -2.0)], outside=courses), seconds=4.0)
@@ -85,22 +85,22 @@ def test_contacts_tell_of_virtual_walls_and_of_each_other(kind: type[Physics]) -
 
 
 def test_a_quadrotor_bumps_into_one_as_into_a_solid_of_its_shape(kind: type[Physics]) -> None:
-    tall = Quadrotor(height_m=1.0)  # not to be slipped over
+    tall = Quadrotor(height_m=1.0)  # too tall to pass over
     solid = Cylinder(center=(3.0, 0.0, 1.5), radius=tall.radius_m, height=tall.height_m)
     uav, real = spec("uav", z=1.5, model=Quadrotor()), spec("real", 3.0, z=1.5, model=tall)
     physics = kind(world=World(), vehicles=[uav, real], outside=Courses(real=straight(3.0, z=1.5)))
     told = [(0.0, "uav", 1.5, 0.0)]
     shown, stood = run(physics, told, 2.7), run(kind(world=World(solids=(solid,)), vehicles=[uav]), told, 2.7)
-    once = slice(1) if kind is MujocoPhysics else slice(None)  # it bounces there
+    once = slice(1) if kind is MujocoPhysics else slice(None)  # in MuJoCo it bounces
     assert contacts(shown)[once] == [("uav", "real")]
     assert contacts(stood)[once] == [("uav", None)]
-    assert track(shown, 0)[:, 0].max() > 3.0 - 2.0 * tall.radius_m  # it is there, and tilts
+    assert track(shown, 0)[:, 0].max() > 3.0 - 2.0 * tall.radius_m  # close to the solid, tilted
     assert track(shown, 0) == pytest.approx(track(stood, 0), abs=2e-2 if kind is MujocoPhysics else 2e-3)
 
 
-def test_a_quadrotor_in_free_air_is_found_by_one_that_comes_to_it(kind: type[Physics]) -> None:
+def test_a_quadrotor_in_free_air_is_hit_by_an_external_one(kind: type[Physics]) -> None:
     courses = Courses(real=straight(-4.0, 1.0, z=3.0))
-    model = Quadrotor(height_m=1.0) if kind is MujocoPhysics else Quadrotor()  # not to be slipped over there
+    model = Quadrotor(height_m=1.0) if kind is MujocoPhysics else Quadrotor()  # too tall to pass over
     vehicles = [spec("real", -4.0, z=3.0, model=model), spec("uav", z=3.0, model=model)]
     events = run(kind(world=World(), vehicles=vehicles, outside=courses), (), 4.5)
     assert contacts(events)[0] == ("real", "uav")
@@ -117,8 +117,8 @@ def test_bumpers_of_both_feel_the_other(kind: type[Physics]) -> None:
         assert max(felt[-10:]) > 0.0
 
 
-def test_the_body_is_where_it_is_said_to_be_before_every_step() -> None:
-    """Also between instants, where it goes on as fast as it went; after a step, Bullet has moved it on by that step."""
+def test_the_body_is_at_its_published_pose_before_each_step() -> None:
+    """Also between instants, by extrapolation at constant velocity. After a step, Bullet has moved the body on by that step."""
     state = VehicleState(
         position=(1.0, 2.0, 0.0), velocity=(0.4, -0.3, 0.0), attitude=quaternion_from_yaw(0.5), angular_velocity=(0.0, 0.0, 0.7)
     )
@@ -135,19 +135,19 @@ def test_the_body_is_where_it_is_said_to_be_before_every_step() -> None:
     engine.close()
 
 
-def jumping(x: float, jump: float) -> Course:
-    """Stands, and after 1 s is said to stand elsewhere."""
+def jump_course(x: float, jump: float) -> Course:
+    """Course at rest that jumps after 1 s."""
     return lambda t: VehicleState(position=(x + (jump if t >= 1.0 else 0.0), 0.0, 0.0))
 
 
 @pytest.mark.parametrize("jump", [0.1, 0.3, 0.6, 0.95])
-def test_whoever_stands_where_an_estimate_jumps_to_is_pushed_aside_and_not_thrown(jump: float, kind: type[Physics]) -> None:
+def test_a_jumping_estimate_pushes_a_robot_aside_without_throwing_it(jump: float, kind: type[Physics]) -> None:
     real = -BACK - FRONT - 0.02
-    physics = kind(world=World(), vehicles=[spec("car"), spec("real", real)], outside=Courses(real=jumping(real, jump)))
+    physics = kind(world=World(), vehicles=[spec("car"), spec("real", real)], outside=Courses(real=jump_course(real, jump)))
     events = run(physics, seconds=4.0)
     speed = np.array([np.linalg.norm(states.velocity[0]) for states in values(events, "world/states")])
     assert speed.max() < 0.55
-    rolls_on_m = 0.02 if kind is MujocoPhysics else 0.0  # from 0.5 m/s, when the body behind it stops
+    rolls_on_m = 0.02 if kind is MujocoPhysics else 0.0  # from 0.5 m/s, after the body behind it has stopped
     assert track(events, 0)[-1] == pytest.approx((jump - 0.02, 0.0, 0.0), abs=DEEP_M + rolls_on_m)
     said = track(events, 1)[:, 0] - real
-    assert said.tolist() == pytest.approx([0.0] * 10 + [jump] * 31)  # rows jump as they were told
+    assert said.tolist() == pytest.approx([0.0] * 10 + [jump] * 31)  # published rows jump as the course does

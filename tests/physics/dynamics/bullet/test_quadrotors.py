@@ -1,4 +1,4 @@
-"""Quadrotors in a Bullet world: alone in the air, they fly as NumPy flies them; near things, bodies land, bounce and push."""
+"""Quadrotors in a Bullet world: NumPy dynamics in free air; near other bodies, they land, bounce and push in Bullet."""
 
 import math
 from collections.abc import Callable
@@ -31,12 +31,12 @@ def steps(moved: BulletEngine, count: int) -> None:
     moved.advance((moved._step + count) * SECOND_NS // round(1.0 / moved._step_s) + 1)
 
 
-def same(a: BodyMotion, b: BodyMotion) -> bool:
-    """Whether the first vehicles move alike to the last bit."""
+def equal_motion(a: BodyMotion, b: BodyMotion) -> bool:
+    """Whether the motions of the first vehicles are equal to the last bit."""
     return all(x[0].tobytes() == y[0].tobytes() for x, y in zip(a, b, strict=True))
 
 
-def test_free_air_is_numpys_alone_to_the_last_bit() -> None:
+def test_free_air_motion_is_numpys_to_the_bit() -> None:
     moved, fleet = engine((UAV, (0.0, 0.0, 5.0))), QuadrotorFleet([UAV], [(0.0, 0.0, 5.0)], [0.0], 9.81)
     moved.command(0, (2.0, 1.0, 0.3), 0.5)
     fleet.set_velocity(0, (2.0, 1.0, 0.3), 0.5)
@@ -52,7 +52,7 @@ def test_free_air_is_numpys_alone_to_the_last_bit() -> None:
     moved.close()
 
 
-def test_what_is_near_but_never_touches_changes_no_bit() -> None:
+def test_near_bodies_without_contact_change_no_bit() -> None:
     low = World(solids=(Box(center=(3.0, 0.0, 0.5), size=(0.5, 6.0, 1.0)),))
     over, alone = engine((UAV, (0.0, 0.0, 1.35)), world=low), engine((UAV, (0.0, 0.0, 1.35)))
     beside = engine((UAV, (0.0, 0.0, 1.35)), (UAV, (0.0, 0.6, 1.35)), (P2DX(), (3.0, 0.0, 0.0)))
@@ -64,8 +64,8 @@ def test_what_is_near_but_never_touches_changes_no_bit() -> None:
             moved.command(0, (1.5, 0.0, 0.0), 0.3)
             steps(moved, HZ // 10)
         nearby += bool(over._flyers.near[0])
-        assert same(over.read(), alone.read())
-        assert same(beside.read(), alone.read())
+        assert equal_motion(over.read(), alone.read())
+        assert equal_motion(beside.read(), alone.read())
     assert nearby > 10
     assert not alone._flyers.near.any()
     assert over.touching(passing=True) == beside.touching(passing=True) == []
@@ -84,7 +84,7 @@ def test_bodies_that_touch_nothing_move_in_bullet_as_in_numpy() -> None:
         off = (bullet.position - fleet.position, bullet.velocity - fleet.velocity, bullet.angular_velocity - fleet.rate)
         worst = max(worst, *(float(np.abs(each).max()) for each in off))
     assert moved._flyers.near.all()
-    assert worst < 1e-9  # what counts as a touch is 1e-7
+    assert worst < 1e-9  # the contact threshold is 1e-7
     moved.close()
 
 
@@ -103,7 +103,7 @@ def test_it_takes_off_and_lands(hz: int) -> None:
     assert landed.position[0] == pytest.approx((1.0, 2.0, 0.04), abs=2e-3)
     assert landed.attitude[0] == pytest.approx((1.0, 0.0, 0.0, 0.0), abs=2e-3)
     assert np.abs(landed.velocity).max() < 0.01
-    assert moved.touching(passing=True) == []  # standing on the floor is no contact
+    assert moved.touching(passing=True) == []  # standing on the floor is not a contact
     moved.close()
 
 
@@ -114,19 +114,19 @@ def test_a_wall_stops_it_and_is_named(either: Make) -> None:
     for _ in range(20):
         steps(moved, HZ // 10)
         seen += moved.touching(passing=True)
-        assert moved.read().position[0, 0] < 4.9 - 0.04 + 0.02  # not even on edge does it get in
+        assert moved.read().position[0, 0] < 4.9 - 0.04 + 0.02  # no penetration, even on edge
     assert {(touch.row, touch.other) for touch in seen} == {(0, None)}
     assert seen[0].place == pytest.approx((4.9, 0.0, 2.0), abs=0.1)
     moved.close()
 
 
-def test_a_bounce_between_two_looks_is_reported_once(either: Make) -> None:
+def test_a_bounce_between_two_reads_is_reported_once(either: Make) -> None:
     moved = either((UAV, (4.0, 0.0, 2.0)), world=WALL)
     moved._flyers.fleet.velocity[0] = 3.0, 0.0, 0.0
     moved.command(0, (-2.0, 0.0, 0.0), 0.0)
     steps(moved, HZ)
-    assert moved.read().position[0, 0] < 4.6  # touches nothing any more
-    assert moved.touching(passing=False) == []  # does not forget it either
+    assert moved.read().position[0, 0] < 4.6  # no contact any more
+    assert moved.touching(passing=False) == []  # does not clear the contact
     assert {(touch.row, touch.other) for touch in moved.touching(passing=True)} == {(0, None)}
     assert moved.touching(passing=True) == []
     moved.close()
@@ -134,8 +134,8 @@ def test_a_bounce_between_two_looks_is_reported_once(either: Make) -> None:
 
 @pytest.mark.parametrize("hz", [30, 40, 120])
 @pytest.mark.parametrize("speed", [12.0, 16.0, 20.0, 24.0, 28.0])
-def test_it_wakes_in_time_for_what_comes_fast_however_seldom_it_looks(hz: int, speed: float) -> None:
-    """At least a step before they touch: Bullet leaves a body out of the step in which it wakes."""
+def test_it_wakes_before_fast_bodies_at_any_check_rate(hz: int, speed: float) -> None:
+    """Awake at least one step before contact: Bullet leaves a body out of the step in which it wakes."""
     cube = Box(center=(0, 0, 0), size=(0.5, 0.5, 0.5))
     ram = Moving(name="ram", solid=cube, times_s=(0.0, 40.0 / speed), way=((-20.0, 0.0, 2.0, 0.0), (20.0, 0.0, 2.0, 0.0)))
     moved = engine((UAV, (0.0, 0.0, 2.0)), world=World(moving=(ram,)), hz=hz)
@@ -148,8 +148,8 @@ def test_it_wakes_in_time_for_what_comes_fast_however_seldom_it_looks(hz: int, s
 
 
 @pytest.mark.parametrize("speed", [2.0, 6.0, 12.0])
-def test_nobody_gets_through(speed: float, either: Make) -> None:
-    """From all sides into a pillar, a roof and a wall: centres stay outside, however the looks fall."""
+def test_no_penetration(speed: float, either: Make) -> None:
+    """From all sides into a pillar, a roof and a wall, at any phase of the proximity checks: centres stay outside."""
     world = World(
         solids=(
             Cylinder(center=(0.0, 0.0, 5.0), radius=0.6, height=10.0),
@@ -176,7 +176,7 @@ def test_nobody_gets_through(speed: float, either: Make) -> None:
     moved.close()
 
 
-def test_two_that_collide_are_both_named_and_keep_their_momentum(either: Make) -> None:
+def test_a_collision_names_both_and_conserves_momentum(either: Make) -> None:
     moved = either((UAV, (0.0, 0.0, 9.0)), (replace(UAV, mass_kg=1.6), (0.8, 0.0, 9.0)))
     steps(moved, 1)
     for row, speed in ((0, 1.5), (1, -0.5)):
@@ -190,7 +190,7 @@ def test_two_that_collide_are_both_named_and_keep_their_momentum(either: Make) -
     after = moved.read().velocity[:, 0]
     assert {(touch.row, touch.other) for touch in seen} == {(0, 1)}
     assert after[0] - after[1] < 0.5 * (before[0] - before[1])
-    assert 0.8 * after[0] + 1.6 * after[1] == pytest.approx(0.8 * before[0] + 1.6 * before[1], abs=0.05)  # rotors act too
+    assert 0.8 * after[0] + 1.6 * after[1] == pytest.approx(0.8 * before[0] + 1.6 * before[1], abs=0.05)  # thrust acts too
     assert after[0] < 0.5 * before[0]
     moved.close()
 
@@ -208,7 +208,7 @@ def test_it_can_stand_on_a_robot_and_press_on_a_movable(either: Make) -> None:
     moved.close()
 
 
-def test_the_map_misses_nothing_that_is_within_the_margin() -> None:
+def test_the_map_finds_everything_within_the_margin() -> None:
     rng = np.random.default_rng(5)
     solids = tuple(
         Box(center=(*rng.uniform(-40, 40, 2), 3.0), size=(*rng.uniform(0.2, 9.0, 2), 6.0), yaw_rad=float(rng.uniform(0, 3)))
@@ -226,11 +226,11 @@ def test_the_map_misses_nothing_that_is_within_the_margin() -> None:
         beyond = np.maximum(np.abs(local) - 0.5 * np.array(box.size), 0.0)
         distance = np.minimum(distance, np.sqrt((beyond * beyond).sum(axis=1)))
     assert near[distance < margin].all()
-    assert not near[distance > 1.75 * margin].any()  # at corners it errs on the safe side
+    assert not near[distance > 1.75 * margin].any()  # conservative at corners
     assert 0.05 < (distance < margin).mean() < 0.95
 
 
-def test_the_map_knows_meshes_too() -> None:
+def test_the_map_finds_meshes_too() -> None:
     rng = np.random.default_rng(7)
     middles = rng.uniform(-8.0, 8.0, (300, 1, 3))
     sizes = np.where(np.arange(300) % 3, 0.3, 2.0)[:, None, None]
@@ -238,13 +238,13 @@ def test_the_map_knows_meshes_too() -> None:
     places, margin = rng.uniform(-9.0, 9.0, (500, 3)), rng.uniform(0.1, 1.0, 500)
     near = SolidsMap(World(solids=(Mesh(triangles=triangles),)).shapes).near(places, margin)
     weights = rng.dirichlet((1.0, 1.0, 1.0), 60)
-    points = np.concatenate([(weights @ each) for each in triangles])  # many of each triangle
+    points = np.concatenate([(weights @ each) for each in triangles])  # 60 points per triangle
     distance = np.array([np.sqrt(np.square(points - place).sum(axis=1).min()) for place in places])
     assert near[distance < margin].all()
     assert not near[distance > margin + 4.0].any()
 
 
-def test_pairs_that_can_meet_before_the_next_look_are_near() -> None:
+def test_pairs_are_near_before_they_can_meet() -> None:
     rng = np.random.default_rng(6)
     position, velocity, radius = rng.uniform(0, 12, (60, 3)), rng.normal(0, 4, (60, 3)), rng.uniform(0.1, 0.3, 60)
     near = near_each_other(position, velocity, radius, 0.05, 0.1)

@@ -1,4 +1,4 @@
-"""Things in a Bullet world: movables are pushed and sleep, moving obstacles keep their time, zones change the grip."""
+"""Bodies of a Bullet world: movables are pushed and sleep, moving obstacles follow their timetable, zones change friction."""
 
 import gc
 import math
@@ -23,7 +23,7 @@ def crate(x: float, mass_kg: float, friction: float = 0.5) -> Movable:
     return Movable(name="crate", solid=Box(center=(x, 0.0, 0.2), size=(0.4, 0.4, 0.4)), mass_kg=mass_kg, friction=friction)
 
 
-def test_the_same_world_built_again_takes_no_further_memory() -> None:
+def test_rebuilding_a_world_takes_no_further_memory() -> None:
     x_m = 7.0625  # of corners
     world = World(solids=(Box(center=(x_m + 0.5, 0.0, 0.5), size=(1.0, 1.0, 1.0)),))
     corners = []
@@ -40,7 +40,7 @@ def test_a_movable_falls_asleep_and_wakes_when_it_is_pushed(either: Make) -> Non
     moved.advance(4 * SECOND_NS)
     rests = moved.movables()
     moved.advance(6 * SECOND_NS)
-    assert moved.movables().position.tobytes() == rests.position.tobytes()  # not even trembling: it is asleep
+    assert moved.movables().position.tobytes() == rests.position.tobytes()  # no tremor: the body sleeps
     assert rests.position[0] == pytest.approx((1.0, 0.0, 0.2), abs=2e-3)
     moved.command(0, (0.3, 0.0, 0.0), 0.0)
     moved.advance(12 * SECOND_NS)
@@ -52,7 +52,7 @@ def test_a_movable_falls_asleep_and_wakes_when_it_is_pushed(either: Make) -> Non
     moved.close()
 
 
-def test_what_is_too_heavy_stays(either: Make) -> None:
+def test_heavy_movables_stay(either: Make) -> None:
     moved = either((AmigoBot(), (0.0, 0.0, 0.0)), world=World(movables=(crate(0.6, 100.0),)))
     moved.command(0, (0.3, 0.0, 0.0), 0.0)
     moved.advance(5 * SECOND_NS)
@@ -76,8 +76,8 @@ def test_zones_change_nothing_for_movables(floor: float) -> None:
 
 
 def test_a_robot_has_the_friction_of_its_zone_on_any_floor(either: Make) -> None:
-    def spun(floor: float, *zones: Zone) -> float:
-        """How far it gets in 2 s as it starts with spinning wheels."""
+    def start_distance(floor: float, *zones: Zone) -> float:
+        """Distance in 2 s of a start with spinning wheels, m."""
         moved = either((P2DX(accel=10.0), (0.0, 0.0, 0.0)), world=World(floor_friction=floor, zones=zones))
         moved.command(0, (1.5, 0.0, 0.0), 0.0)
         moved.advance(2 * SECOND_NS)
@@ -86,8 +86,13 @@ def test_a_robot_has_the_friction_of_its_zone_on_any_floor(either: Make) -> None
         return way
 
     icy, far = (Zone(center=(x, 0.0), size=(20.0, 20.0), friction=0.05) for x in (0.0, 50.0))
-    assert [spun(1.0, icy), spun(0.3, icy), spun(0.0, icy), spun(0.05, far)] == pytest.approx([spun(0.05)] * 4, rel=1e-6)
-    assert spun(0.0, far) == pytest.approx(0.0, abs=1e-3)
+    assert [
+        start_distance(1.0, icy),
+        start_distance(0.3, icy),
+        start_distance(0.0, icy),
+        start_distance(0.05, far),
+    ] == pytest.approx([start_distance(0.05)] * 4, rel=1e-6)
+    assert start_distance(0.0, far) == pytest.approx(0.0, abs=1e-3)
 
 
 def gate(speed: float) -> Moving:
@@ -100,7 +105,7 @@ def gate(speed: float) -> Moving:
     )
 
 
-def test_a_moving_obstacle_keeps_its_time_and_pushes_what_it_meets() -> None:
+def test_a_moving_obstacle_keeps_its_timetable_and_pushes() -> None:
     world = World(moving=(gate(0.5),), movables=(crate(-1.0, 5.0),))
     moved = engine((P2DX(), (0.5, 0.0, 0.0)), (Quadrotor(), (0.0, 0.9, 0.04)), world=world)
     seen = set()
@@ -110,12 +115,12 @@ def test_a_moving_obstacle_keeps_its_time_and_pushes_what_it_meets() -> None:
         assert place == pytest.approx(world.moving[0].pose(0.1 * tick)[:3], abs=2e-3)
         seen |= {(touch.row, touch.other) for touch in moved.touching(passing=True)}
     face = world.moving[0].pose(12.0)[0] + 0.1
-    assert moved.movables().position[0, 0] - 0.2 > face - 0.02  # in front of it, though it was asleep
-    assert moved.read().position[0, 0] - 0.04 - 0.5 * 0.511 > face - 0.05  # the robot too, its motors braking
-    assert (1, 3) in seen  # the quadrotor that stood in its way: row 2 is the crate
+    assert moved.movables().position[0, 0] - 0.2 > face - 0.02  # pushed ahead, though asleep before
+    assert moved.read().position[0, 0] - 0.04 - 0.5 * 0.511 > face - 0.05  # the robot too, with motors braking
+    assert (1, 3) in seen  # the quadrotor in the obstacle's path; row 2 is the crate
 
 
-def test_speeds_of_moving_obstacles_are_those_of_their_time_table() -> None:
+def test_moving_obstacles_have_the_speeds_of_their_timetable() -> None:
     turning = Moving(
         name="door", solid=Box(center=(0, 0, 0), size=(1, 0.1, 2)), times_s=(0.0, 2.0), way=((0, 0, 1, 0.0), (1, 2, 1, 3.0))
     )
@@ -128,7 +133,7 @@ def test_speeds_of_moving_obstacles_are_those_of_their_time_table() -> None:
 
 
 @pytest.mark.parametrize("hz", [60.0, 120.0, 240.0])
-def test_an_obstacle_that_begins_again_keeps_its_speed(hz: float) -> None:
+def test_a_looping_obstacle_keeps_its_speed(hz: float) -> None:
     way = ((0.0, 0.0, 0.5, 0.0), (0.8, 0.0, 0.5, math.tau))
     mill = Moving(name="mill", solid=Box(center=(0, 0, 0), size=(1, 1, 1)), times_s=(0.0, 0.4), way=way, loop=True)
     for step in range(round(10.0 * hz)):
@@ -141,7 +146,7 @@ def test_grip_is_lost_on_ice_and_found_again_behind_it(either: Make) -> None:
     ice = Zone(center=(2.0, 0.0), size=(2.0, 4.0), friction=0.03)
 
     def stop_m(*zones: Zone, floor: float = 1.0) -> float:
-        """How far a robot slides from 1 m/s when it brakes as hard as it can at x = 1.5 m."""
+        """Braking distance of a robot, m, from 1 m/s with maximum deceleration from x = 1.5 m."""
         moved = either((abrupt, (0.0, 0.0, 0.0)), world=World(zones=zones, floor_friction=floor))
         moved.command(0, (1.0, 0.0, 0.0), 0.0)
         tick = 0
@@ -158,6 +163,6 @@ def test_grip_is_lost_on_ice_and_found_again_behind_it(either: Make) -> None:
     dry = stop_m()
     assert dry < 0.2
     assert stop_m(Zone(center=(50.0, 0.0), size=(1.0, 1.0), friction=0.0)) == pytest.approx(dry, abs=0.01)
-    assert stop_m(ice) > 1.2  # over the ice, and no further than behind it
+    assert stop_m(ice) > 1.2  # across the ice, and stopped behind it
     assert stop_m(ice) < 1.8
     assert stop_m(ice, Zone(center=(2.0, 0.0), size=(9.0, 9.0), yaw_rad=0.3, friction=1.0)) == pytest.approx(dry, abs=0.01)
