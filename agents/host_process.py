@@ -82,7 +82,7 @@ def host(
         return Hello(host_id, PROTOCOL, vehicles, kind=kind, folder=str(Path.cwd()), params=params or {}, token=token)
 
     with may_load, threadpool_limits(1):  # as in the run: sums come out the same on any number of cores
-        known = endpoints.given(secret, insecure=insecure or bool(token))
+        known = endpoints.secret_from(secret, insecure=insecure or bool(token))
         return serve(hello, Desk(AgentHost), endpoint, bundle=bundle, secret=known, on_state=on_state)
 
 

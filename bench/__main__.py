@@ -86,7 +86,7 @@ def federation_row() -> Row:
     rounds, scenario = 300, star(10, physics="kinematic", duration_s=10.0)
     scenario["agents"] = {"period_s": 0.1, "processes": 1}
     with _after_run(scenario, "inprocess") as (local, _, _), _after_run(scenario, "process") as (remote, inboxes, sizes):
-        asked, answered = sizes
+        query_size, reply_size = sizes
         ticks = itertools.count(len(inboxes) + 1)
 
         def ours() -> float:
@@ -102,8 +102,8 @@ def federation_row() -> Row:
             return (elsewhere_s - here_s) / rounds
 
         hub = Hub()
-        with bare.zenoh_echo(hub.endpoint, answered):
-            payload = bare.payload(asked)
+        with bare.zenoh_echo(hub.endpoint, reply_size):
+            payload = bare.payload(query_size)
 
             def other() -> float:
                 begin = time.perf_counter()
@@ -111,13 +111,13 @@ def federation_row() -> Row:
                     bare.ask(hub.session, payload)
                 return (time.perf_counter() - begin) / rounds
 
-            mine, its, ratio = in_turn(ours, other, 9)
+            our_s, other_s, ratio = in_turn(ours, other, 9)
         hub.close()
     name = (
         "federation round, 10 agents in one host process, less their step in this process; "
-        f"beside it a bare Zenoh request ({asked} B) and answer ({answered} B)"
+        f"beside it a bare Zenoh request ({query_size} B) and answer ({reply_size} B)"
     )
-    return Row(name, f"{1e6 * mine:.0f} us", f"{1e6 * its:.0f} us", ratio, "<= 2x", ratio <= 2.0)
+    return Row(name, f"{1e6 * our_s:.0f} us", f"{1e6 * other_s:.0f} us", ratio, "<= 2x", ratio <= 2.0)
 
 
 @contextlib.contextmanager
@@ -126,7 +126,7 @@ def _after_run(
 ) -> Iterator[tuple[RemoteHost | AgentHost, list[Sequence[Event]], tuple[int, int]]]:
     """Agent host after a run; its inbox at each tick; median size, bytes, of query and reply, if sent."""
     inboxes: list[Sequence[Event]] = []
-    asked, answered = [0], [0]
+    query_sizes, reply_sizes = [0], [0]
     parsed, source = scenarios.load(scenario)
     with assemble(parsed, source, runs=runs) as assembled:
         host = next(each for each in assembled.federates if isinstance(each, RemoteHost | AgentHost))
@@ -143,19 +143,19 @@ def _after_run(
                 link_ask, link_answer = link.ask, link.answer
 
                 def ask(question: bytes, deadline_s: float) -> None:
-                    asked.append(len(question))
+                    query_sizes.append(len(question))
                     link_ask(question, deadline_s)
 
                 def answer() -> bytes:
                     content = link_answer()
-                    answered.append(len(content))
+                    reply_sizes.append(len(content))
                     return content
 
                 stack.enter_context(mock.patch.multiple(link, ask=ask, answer=answer))
             kernel = Kernel(assembled.info, assembled.federates)
             kernel.start()
             kernel.run(lambda _: None)
-        yield host, inboxes, (round(statistics.median(asked)), round(statistics.median(answered)))
+        yield host, inboxes, (round(statistics.median(query_sizes)), round(statistics.median(reply_sizes)))
         kernel.close()
 
 
@@ -196,13 +196,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m bench", description="What the platform costs.")
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)} [all]")
     parser.add_argument("--json", action="store_true", help="print JSON")
-    given = parser.parse_args(arguments)
-    if unknown := [part for part in given.parts if part not in PARTS]:
+    options = parser.parse_args(arguments)
+    if unknown := [part for part in options.parts if part not in PARTS]:
         parser.error(f"there is no part {unknown[0]!r}; parts: {', '.join(PARTS)}")
     found: list[tuple[str, Row]] = []
     complete = True
     try:
-        for name in given.parts or PARTS:
+        for name in options.parts or PARTS:
             print(f"measuring: {name} ...", file=sys.stderr, flush=True)
             begin = time.monotonic()
             found.extend((name, row) for row in PARTS[name]())
@@ -211,9 +211,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("interrupted: this is what was measured until then", file=sys.stderr)
         complete = False
     machine = f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
-    if given.json:
-        told = [finite({"part": name, **row._asdict()}) for name, row in found]  # no ratio to a missing peer
-        print(json.dumps({"schema": "vcmvsp.bench/1", "machine": machine, "rows": told}, indent=2))
+    if options.json:
+        records = [finite({"part": name, **row._asdict()}) for name, row in found]  # no ratio to a missing peer
+        print(json.dumps({"schema": "vcmvsp.bench/1", "machine": machine, "rows": records}, indent=2))
     else:
         print(f"{machine}\n\n{table([row for _, row in found])}")
     return 0 if complete and all(row.holds or row.is_goal for _, row in found) else 1

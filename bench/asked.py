@@ -26,17 +26,17 @@ def program(module: str, python: Path, **options: Any) -> Iterator[Timed]:
     for name, value in options.items():
         if value:
             command += [f"--{name}"] if value is True else [f"--{name}", str(value)]
-    with tempfile.TemporaryFile("w+") as said, _process(command, said) as (asked, told):
+    with tempfile.TemporaryFile("w+") as error_output, _process(command, error_output) as (requests, answers):
 
         def stretch() -> float:
-            if not (answer := told.readline()):
-                said.seek(0)
-                raise SilentError((said.read().strip().splitlines() or ["no word"])[-1])
+            if not (answer := answers.readline()):
+                error_output.seek(0)
+                raise SilentError((error_output.read().strip().splitlines() or ["no word"])[-1])
             return float(answer)
 
         def timed() -> float:
-            asked.write("on\n")
-            asked.flush()
+            requests.write("on\n")
+            requests.flush()
             return stretch()
 
         stretch()
@@ -44,10 +44,10 @@ def program(module: str, python: Path, **options: Any) -> Iterator[Timed]:
 
 
 @contextlib.contextmanager
-def _process(command: list[str], said: Any) -> Iterator[tuple[Any, Any]]:
+def _process(command: list[str], error_output: Any) -> Iterator[tuple[Any, Any]]:
     """Pipes of a process; leaving the block ends it and its children."""
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-    child = subprocess.Popen(command, text=True, stderr=said, start_new_session=True, **pipes)  # type: ignore[call-overload]
+    child = subprocess.Popen(command, text=True, stderr=error_output, start_new_session=True, **pipes)  # type: ignore[call-overload]
     try:
         yield child.stdin, child.stdout
     finally:

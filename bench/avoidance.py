@@ -53,10 +53,12 @@ def _row(settings: Settings, room: View, beside: str, loop: Callable[[], object]
         assert loop() is not None
         return cpu(lambda: [loop() for _ in range(CALLS)]) / CALLS
 
-    mine, its, ratio = in_turn(ours, other, ROUNDS)
+    our_s, other_s, ratio = in_turn(ours, other, ROUNDS)
     kind = type(settings).__struct_config__.tag
     name = f"avoidance `{kind}`, one decision on {BEAMS} beams in a room; beside it {beside}"
-    return Row(name, f"{1e6 * mine:.0f} us", f"{1e6 * its:.0f} us", ratio, f"goal: <= {1e6 * LIMIT_S:.0f} us", mine <= LIMIT_S)
+    return Row(
+        name, f"{1e6 * our_s:.0f} us", f"{1e6 * other_s:.0f} us", ratio, f"goal: <= {1e6 * LIMIT_S:.0f} us", our_s <= LIMIT_S
+    )
 
 
 def loop_of_vfh(ranges: Sequence[float], bearings: Sequence[float], keep: float = 0.266, near: float = 1.2) -> float | None:

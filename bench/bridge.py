@@ -38,7 +38,7 @@ class Carried(NamedTuple):
     """Result of one run."""
 
     sent: int
-    heard: int
+    received: int
     about: dict[str, Any]  # about.json: bridge
     run_us: float  # CPU time per datagram
     process_us: float
@@ -47,7 +47,7 @@ class Carried(NamedTuple):
     def missing(self) -> int:
         """Datagrams sent and not received, without being counted anywhere."""
         counted = sum(sum(each.values()) for each in self.about["counts"].values())
-        return self.sent - self.heard - counted
+        return self.sent - self.received - counted
 
 
 def rows() -> list[Row]:
@@ -68,7 +68,7 @@ def jittered() -> Row:
 def much() -> Row:
     """The rate to be carried on one core."""
     load = Load("ideal, run and bridge on one core", RATES[0], 5.0, {}, one_core=True)
-    return _whole(load, "all arrive", lambda carried: carried.heard == carried.sent)
+    return _whole(load, "all arrive", lambda carried: carried.received == carried.sent)
 
 
 def too_much() -> Row:
@@ -86,8 +86,8 @@ def _on_time(load: Load) -> Row:
 
 def _whole(load: Load, demand: str, holds: Callable[[Carried], bool]) -> Row:
     carried = _carried(load)
-    counted = carried.sent - carried.heard - carried.missing
-    ours = f"{carried.heard} of {carried.sent} arrive, {counted} counted as dropped, {carried.missing} missing"
+    counted = carried.sent - carried.received - carried.missing
+    ours = f"{carried.received} of {carried.sent} arrive, {counted} counted as dropped, {carried.missing} missing"
     return _row(load, carried, ours, demand, holds=holds(carried))
 
 
@@ -122,8 +122,8 @@ def _carried(load: Load) -> Carried:
     first_port = _free_ports()
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "run"
-        given = {"first_port": first_port, "delay": load.delay, "seconds": load.seconds + 4.0, "out": str(out)}
-        run = _started("run", json.dumps(given), on=cores[:1] if load.one_core else cores)
+        settings = {"first_port": first_port, "delay": load.delay, "seconds": load.seconds + 4.0, "out": str(out)}
+        run = _started("run", json.dumps(settings), on=cores[:1] if load.one_core else cores)
         _wait_for_port(first_port)
         hearing = _started("hear", str(first_port + 100 + HEAR), on=cores[-1:])
         assert hearing.stdout is not None
@@ -136,9 +136,9 @@ def _carried(load: Load) -> Carried:
         time.sleep(1.0)
         run_s, process_s = (_cpu_s(pid) - earlier for pid, earlier in zip(pids, before, strict=True))
         run.communicate()
-        heard = int(hearing.communicate()[0])
+        received = int(hearing.communicate()[0])
         about = json.loads((out / "about.json").read_text())["bridge"]
-    return Carried(sent, heard, about, 1e6 * run_s / about["datagrams"], 1e6 * process_s / about["datagrams"])
+    return Carried(sent, received, about, 1e6 * run_s / about["datagrams"], 1e6 * process_s / about["datagrams"])
 
 
 def _cpu_s(pid: int) -> float:
@@ -182,37 +182,37 @@ def _wait_for_port(port: int) -> None:
 # The parts
 
 
-def run(given: str) -> None:
+def run(settings_json: str) -> None:
     """Two vehicles at rest, at wall pace."""
     import vcmvsp
 
-    wanted = json.loads(given)
+    settings = json.loads(settings_json)
     vehicle = {"kind": "kinematic"}
     scenario = {
         "name": "bridge-bench",
-        "duration_s": wanted["seconds"],
+        "duration_s": settings["seconds"],
         "physics": {"kind": "kinematic"},
-        "radio": {"preset": "ideal", "delay": wanted["delay"] or {"kind": "none"}},
+        "radio": {"preset": "ideal", "delay": settings["delay"] or {"kind": "none"}},
         "vehicle": [{"name": "a", **vehicle}, {"name": "b", "position": [5.0, 0.0, 0.0], **vehicle}],
-        "bridge": {"udp": {"first_port": wanted["first_port"]}},
+        "bridge": {"udp": {"first_port": settings["first_port"]}},
     }
-    vcmvsp.run(scenario, out=wanted["out"])
+    vcmvsp.run(scenario, out=settings["out"])
 
 
 def hear(port: str) -> None:
     """Count datagrams until none arrives for a while."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as heard:
-        heard.setsockopt(socket.SOL_SOCKET, 33, 64 * 2**20)  # SO_RCVBUFFORCE
-        heard.bind(("127.0.0.1", int(port)))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.setsockopt(socket.SOL_SOCKET, 33, 64 * 2**20)  # SO_RCVBUFFORCE
+        receiver.bind(("127.0.0.1", int(port)))
         print("ready", flush=True)
-        heard.settimeout(READY_S)
+        receiver.settimeout(READY_S)
         count = 0
         try:
             while True:
-                heard.recv(SIZE)
+                receiver.recv(SIZE)
                 count += 1
                 if count == 1:
-                    heard.settimeout(4.0)
+                    receiver.settimeout(4.0)
         except TimeoutError:
             print(count)
 

@@ -69,8 +69,8 @@ class Reached(NamedTuple):
         below, above = _around(self.measured)
         if not below:
             return f"fewer than {above} ({self.measured[above]:.2f})"
-        told = [f"{n}: {self.measured[n]:.2f}" for n in (below, above)]
-        return f"{self.number} ({', '.join(told)})"
+        measurements = [f"{n}: {self.measured[n]:.2f}" for n in (below, above)]
+        return f"{self.number} ({', '.join(measurements)})"
 
 
 def reach(cost: Callable[[int], float], first: int) -> Reached:

@@ -56,8 +56,8 @@ def _row(count: int, peer: Peer) -> Row:
     fleet = Fleet(0, count, rate_hz=RATE_HZ)
     name, demand = f"{count} quadrotors, {RATE_HZ:g} Hz; beside it {peer.name}", f"<= {most:g}"
     try:
-        with program(peer.module, installed(peer.python), agents=count, span_s=span_s) as its:
-            ours, other, ratio = in_turn(lambda: federate_cpu_s(fleet), lambda: its() / span_s, ROUNDS)
+        with program(peer.module, installed(peer.python), agents=count, span_s=span_s) as peer_stretch:
+            ours, other, ratio = in_turn(lambda: federate_cpu_s(fleet), lambda: peer_stretch() / span_s, ROUNDS)
     except SilentError as error:
         return missing(name, demand, error)
     return Row(name, f"{1.0 / ours:.1f}x real time", f"{1.0 / other:.2f}x", ratio, demand, ratio <= most)

@@ -52,12 +52,12 @@ class Star(NamedTuple):
     @property
     def name(self) -> str:
         """For the table."""
-        what = f"{self.agents} agents"
+        placement = f"{self.agents} agents"
         if self.processes == self.agents:
-            what = f"{self.agents} hosts x 1 agent"
+            placement = f"{self.agents} hosts x 1 agent"
         elif self.processes:
-            what = f"{self.processes} host x {self.agents} agents"
-        where = what if self.processes else f"{what} in-process"
+            placement = f"{self.processes} host x {self.agents} agents"
+        where = placement if self.processes else f"{placement} in-process"
         return where + (", scans" if self.scans else "") + (", commands a step later" if self.latency_s else "")
 
 
@@ -75,18 +75,18 @@ STARS = (
 
 def beside(star: Star) -> Iterator[Row]:
     """A row for each peer."""
-    asked, answered = ours.sizes(star.scans)
+    query_size, reply_size = ours.sizes(star.scans)
     same: dict[str, Any] = {"agents": star.agents, "processes": star.processes}
     same |= {"scans": star.scans, "latency_s": star.latency_s}
-    with program("ours", HERE, **same) as mine:
+    with program("ours", HERE, **same) as our_stretch:
         for peer, share in star.beside.items():
             print(f"measuring: federation, {star.name}, beside {peer.name} ...", file=sys.stderr, flush=True)
             name = f"agents elsewhere: {star.name}; beside it {peer.name}"
             demand = "none" if share == NONE else f"<= {share:.2g}x"
             try:
                 python = HERE if peer.module == "bare" else installed(PYTHON)
-                with program(peer.module, python, **same, way=peer.way, asked=asked, answered=answered) as its:
-                    one, other, ratio = in_turn(mine, its, ROUNDS)
+                with program(peer.module, python, **same, way=peer.way, asked=query_size, answered=reply_size) as peer_stretch:
+                    one, other, ratio = in_turn(our_stretch, peer_stretch, ROUNDS)
             except SilentError as error:
                 yield missing(name, demand, error)
             else:
@@ -110,10 +110,12 @@ def _computing(name: str, demanded: float, processes: int, **options: Any) -> Ro
     same: dict[str, Any] = {"agents": 2, "busy_s": 0.02, "stretch_s": 1.0, **options}
     with program("ours", HERE, **same, processes=processes) as apart, program("ours", HERE, **same) as together:
         pairs = [(apart(), together()) for _ in range(PAIRS)]
-    mine, its = (min(each) for each in zip(*pairs, strict=True))
-    ratio = mine / its
+    apart_s, together_s = (min(each) for each in zip(*pairs, strict=True))
+    ratio = apart_s / together_s
     name = f"agents elsewhere: {name}; beside it all in one process (least of {PAIRS})"
-    return Row(name, f"{2e3 * mine:.1f} ms a step", f"{2e3 * its:.1f} ms", ratio, f"<= {demanded}x", ratio <= demanded)
+    return Row(
+        name, f"{2e3 * apart_s:.1f} ms a step", f"{2e3 * together_s:.1f} ms", ratio, f"<= {demanded}x", ratio <= demanded
+    )
 
 
 def rows() -> list[Row]:

@@ -118,9 +118,9 @@ def _timed(federate: Any, spent: dict[str, float]) -> Any:
 
     def clocked(now_ns: int, inbox: Sequence[Event]) -> Any:
         begin = time.process_time()
-        done = step(now_ns, inbox)
+        result = step(now_ns, inbox)
         spent[part] += time.process_time() - begin
-        return done
+        return result
 
     federate.step = clocked
     return federate
@@ -159,13 +159,13 @@ def table_of(found: Mapping[str, Mapping[str, Sequence[float]]]) -> list[Row]:
         size = costs_of["event_bytes"]
         made.append(_row(f"{name}: bytes of run.mcap per event", size, " B", exponent(size), "~ N^1 at most", 1.0))
         each_mib = float(np.polyfit(COUNTS, costs_of["start_mib"], 1)[0])
-        what = f"{name}: memory after the start; ratio: MiB per vehicle"
-        made.append(_row(what, costs_of["start_mib"], " MiB", each_mib, "<= 1 MiB per vehicle", 1.0))
+        title = f"{name}: memory after the start; ratio: MiB per vehicle"
+        made.append(_row(title, costs_of["start_mib"], " MiB", each_mib, "<= 1 MiB per vehicle", 1.0))
     return made
 
 
-def _row(what: str, cost: Sequence[float], unit: str, ratio: float, demand: str, most: float) -> Row:
-    name = f"{what}; {COUNTS[-1]} vehicles beside {COUNTS[0]}"
+def _row(quantity: str, cost: Sequence[float], unit: str, ratio: float, demand: str, most: float) -> Row:
+    name = f"{quantity}; {COUNTS[-1]} vehicles beside {COUNTS[0]}"
     return Row(name, f"{cost[-1]:.3g}{unit}", f"{cost[0]:.3g}{unit}", ratio, demand, ratio <= most)
 
 

@@ -31,13 +31,13 @@ def column() -> Row:
     return _row("study-size", "20 kinematic vehicles", 20.0)
 
 
-def _row(scenario: str, what: str, duration_s: float) -> Row:
+def _row(scenario: str, fleet: str, duration_s: float) -> Row:
     def wall_s(**settings: Any) -> float:
-        done = api.run(scenario, set={"duration_s": duration_s, **settings})
-        return float(done.about["simulating_s"])
+        result = api.run(scenario, set={"duration_s": duration_s, **settings})
+        return float(result.about["simulating_s"])
 
     ours, other, ratio = in_turn(lambda: wall_s(**ELSEWHERE), lambda: wall_s(**{"agents.runs": "inprocess"}), ROUNDS)
-    name = f"`{scenario}`, {what}, {duration_s:g} s, agents in {HOSTS} host processes; beside it all in one process"
+    name = f"`{scenario}`, {fleet}, {duration_s:g} s, agents in {HOSTS} host processes; beside it all in one process"
     return Row(name, f"{ours:.2f} wall s", f"{other:.2f}", ratio, f"< {MOST:g}x", ratio < MOST)
 
 

@@ -61,8 +61,8 @@ def _beside_pyflyt(count: int) -> Iterator[Row]:
     steps = _stepping(count, CONTENTION)
     name = f"{count} quadrotors with contention, steps of an environment; beside it PyFlyt's MAQuadXHoverEnv, without a radio"
     try:
-        with program("pyflyt_env", installed(OLD), agents=count, span_s=STEPS) as its:
-            ours, other, ratio = in_turn(lambda: cpu(steps), its, ROUNDS)
+        with program("pyflyt_env", installed(OLD), agents=count, span_s=STEPS) as peer_stretch:
+            ours, other, ratio = in_turn(lambda: cpu(steps), peer_stretch, ROUNDS)
     except SilentError as error:
         yield missing(name, "<= 0.2", error)
         return
@@ -72,7 +72,7 @@ def _beside_pyflyt(count: int) -> Iterator[Row]:
     yield Row(f"the same {count}, simulated time", *figures, simulated, "<= 0.05", simulated <= 0.05)
 
 
-def _side_by_side(what: str, task: str, settings: dict[str, Any], least: float) -> Row:
+def _side_by_side(vehicles: str, task: str, settings: dict[str, Any], least: float) -> Row:
     """256 worlds of ten vehicles, loss and delay; beside it one world of ten."""
     from vcmvsp.env import parallel_env, vector_env
 
@@ -90,17 +90,17 @@ def _side_by_side(what: str, task: str, settings: dict[str, Any], least: float) 
         return cpu(lambda: [one.step(dict(zip(one.agents, each[0], strict=True))) for each in actions]) / 20
 
     ours, other, ratio = in_turn(together, alone, ROUNDS)
-    name = f"256 worlds of 10 {what}, loss and delay, steps of an environment; beside it one world"
+    name = f"256 worlds of 10 {vehicles}, loss and delay, steps of an environment; beside it one world"
     demand = f"goal: >= {least:g} steps / CPU s"
     return Row(name, f"{1.0 / ours:.0f} steps / CPU s", f"{1.0 / other:.0f}", ratio, demand, 1.0 / ours >= least)
 
 
-def _reset(what: str, task: str, settings: dict[str, Any], most_ms: float) -> Row:
+def _reset(vehicles: str, task: str, settings: dict[str, Any], most_ms: float) -> Row:
     from vcmvsp.env import parallel_env
 
     env = parallel_env(_task(task, 10), set=settings)
     cost_s, steps_s, ratio = in_turn(lambda: cpu(env.reset), lambda: cpu(lambda: _ten_steps(env)), ROUNDS)
-    name = f"reset of an environment of 10 {what}; beside it ten steps of it"
+    name = f"reset of an environment of 10 {vehicles}; beside it ten steps of it"
     demand = f"goal: <= {most_ms:g} ms"
     return Row(name, f"{1e3 * cost_s:.1f} ms", f"{1e3 * steps_s:.1f} ms", ratio, demand, 1e3 * cost_s <= most_ms)
 

@@ -61,8 +61,8 @@ class Section(NamedTuple):
         return [self._row(line) for line in self.lines]
 
     def _row(self, line: Sequence[str]) -> Row:
-        told = "; ".join(f"{column}: {cell}" for column, cell in zip(self.columns[1:], line[1:], strict=True))
-        return Row(f"limits, {self.name}: {line[0]}", told, "", math.nan, "none", True)
+        figures = "; ".join(f"{column}: {cell}" for column, cell in zip(self.columns[1:], line[1:], strict=True))
+        return Row(f"limits, {self.name}: {line[0]}", figures, "", math.nan, "none", True)
 
 
 def vehicles() -> Section:
@@ -128,8 +128,8 @@ def frames() -> Section:
     return Section("frames", (f"{TALKING} vehicles, 10 Hz each", "frames / CPU s", "receptions decided / CPU s"), lines)
 
 
-def _speeds(what: str, count: int, seconds: float) -> tuple[str, str, str]:
-    return what, f"{count / seconds:,.0f}", f"{count * (TALKING - 1) / seconds / 1e6:.2f} million"
+def _speeds(label: str, count: int, seconds: float) -> tuple[str, str, str]:
+    return label, f"{count / seconds:,.0f}", f"{count * (TALKING - 1) / seconds / 1e6:.2f} million"
 
 
 def files() -> Section:
@@ -171,7 +171,7 @@ def buildings() -> Section:
 
 def changes() -> Section:
     """Gain of each way past the limits."""
-    lines = [(way.what, way.ours, way.other, f"{way.ratio:.2f}") for way in ways(_tell)]
+    lines = [(way.label, way.ours, way.other, f"{way.ratio:.2f}") for way in ways(_tell)]
     return Section("changes", ("", "so", "beside it", "ratio"), lines)
 
 
@@ -203,8 +203,8 @@ def _machine() -> str:
     return f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}, {when}."
 
 
-def _tell(what: str) -> None:
-    print(f"measuring: limits, {what} ...", file=sys.stderr, flush=True)
+def _tell(label: str) -> None:
+    print(f"measuring: limits, {label} ...", file=sys.stderr, flush=True)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -213,15 +213,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     names = {section.__name__: section for section in SECTIONS}
     parser.add_argument("sections", nargs="*", metavar="SECTION", help=f"of {', '.join(names)} [all]")
     parser.add_argument("--markdown", action="store_true", help=f"put the tables into {DOCUMENT.name}")
-    given = parser.parse_args(arguments)
-    if unknown := [name for name in given.sections if name not in names]:
+    options = parser.parse_args(arguments)
+    if unknown := [name for name in options.sections if name not in names]:
         parser.error(f"there is no section {unknown[0]!r}; sections: {', '.join(names)}")
-    found = [names[name]() for name in given.sections or names]
+    found = [names[name]() for name in options.sections or names]
     for section in found:
         print(f"{section.markdown}\n")
-    if given.markdown:
+    if options.markdown:
         contents = {section.name: section.markdown for section in found}
-        if not given.sections:
+        if not options.sections:
             contents["machine"] = _machine()
         DOCUMENT.write_text(placed(DOCUMENT.read_text("utf-8"), contents), "utf-8")
 

@@ -24,7 +24,7 @@ SCANNERS = 20
 class Way(NamedTuple):
     """A line: with the way, without it, and the median of the ratios."""
 
-    what: str
+    label: str
     ours: str
     other: str
     ratio: float
@@ -78,8 +78,8 @@ def processes() -> Way:
     same: dict[str, Any] = {"agents": 2, "busy_s": 0.02, "stretch_s": 0.5}
     with program("ours", HERE, **same, processes=2) as apart, program("ours", HERE, **same) as together:
         ours, other, ratio = in_turn(apart, together, ROUNDS)
-    what = "2 agents that compute 20 ms each, in 2 host processes, a step; beside it in the run's"
-    return Way(what, f"{2e3 * ours:.1f} wall ms", f"{2e3 * other:.1f}", ratio)
+    label = "2 agents that compute 20 ms each, in 2 host processes, a step; beside it in the run's"
+    return Way(label, f"{2e3 * ours:.1f} wall ms", f"{2e3 * other:.1f}", ratio)
 
 
 def jobs() -> Way:
@@ -91,8 +91,8 @@ def jobs() -> Way:
 def workers() -> Way:
     """Studies on a Dask cluster."""
     ours, other = _cluster_s(JOBS), _cluster_s(1)
-    what = f"the same on a Dask cluster of this machine with {JOBS} workers; beside it 1"
-    return Way(what, f"{ours:.1f} wall s", f"{other:.1f}", ours / other)
+    label = f"the same on a Dask cluster of this machine with {JOBS} workers; beside it 1"
+    return Way(label, f"{ours:.1f} wall s", f"{other:.1f}", ours / other)
 
 
 def _cluster_s(count: int) -> float:
@@ -113,9 +113,9 @@ def _study_s(runs: int, **where: Any) -> float:
     return seconds
 
 
-def _runs(what: str, ours: Mapping[str, Any], other: Mapping[str, Any]) -> Way:
-    mine, its, ratio = in_turn(lambda: _run_s(ours), lambda: _run_s(other), ROUNDS)
-    return Way(f"{what}, {RUN_S:g} s", _s(mine), _s(its), ratio)
+def _runs(label: str, ours: Mapping[str, Any], other: Mapping[str, Any]) -> Way:
+    our_s, other_s, ratio = in_turn(lambda: _run_s(ours), lambda: _run_s(other), ROUNDS)
+    return Way(f"{label}, {RUN_S:g} s", _s(our_s), _s(other_s), ratio)
 
 
 def _run_s(scenario: Mapping[str, Any], *, mcap: bool = True) -> float:

@@ -16,7 +16,7 @@ import numpy as np
 from bench.asked import SilentError, installed, program
 from bench.measure import Row, cpu, in_turn, missing, table
 from bench.peers.pace import MESSAGE
-from bench.workloads import Kept, run_cpu_s
+from bench.workloads import Recording, run_cpu_s
 from vcmvsp.cosim.agent import Agent, Observation, Radio
 from vcmvsp.cosim.assembly.run import assemble
 from vcmvsp.cosim.scenario import loader as scenarios
@@ -39,11 +39,11 @@ class Counter(Agent):
     """Stays in place, broadcasts, and counts receptions."""
 
     def __init__(self) -> None:
-        self.heard = 0
+        self.received = 0
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
         """Ten times a second."""
-        self.heard += len(obs.heard)
+        self.received += len(obs.heard)
         radio.send(MESSAGE.encode())
         return STILL
 
@@ -62,35 +62,39 @@ def talk(count: int, radio: dict[str, Any], duration_s: float) -> dict[str, Any]
     }
 
 
-def beside(count: int, radio: dict[str, Any], kept: Kept, what: str, peer: str, python: Path, demand: str = "none") -> Row:
+def beside(
+    count: int, radio: dict[str, Any], recording: Recording, name: str, peer: str, python: Path, demand: str = "none"
+) -> Row:
     """CPU seconds for each simulated second."""
     print(f"measuring: messages, {count} beside {peer} ...", file=sys.stderr, flush=True)
     span_s = max(2.0, round(WORK / (10 * count * (count - 1)), 1))
     scenario = talk(count, radio, span_s)
     least = None if demand == "none" else float(demand.split()[-3])
     try:
-        with program(peer, installed(python), agents=count, span_s=span_s, loss=LOSS) as its:
-            ours, other, ratio = in_turn(lambda: run_cpu_s(scenario, kept), its, ROUNDS)
+        with program(peer, installed(python), agents=count, span_s=span_s, loss=LOSS) as peer_stretch:
+            ours, other, ratio = in_turn(lambda: run_cpu_s(scenario, recording), peer_stretch, ROUNDS)
     except SilentError as error:
-        return missing(what, demand, error)
-    cost, its_cost = f"{1e3 * ours / span_s:.1f} CPU ms a simulated s", f"{1e3 * other / span_s:.1f}"
-    return Row(what, cost, its_cost, ratio, demand, least is None or ratio <= 1.0 / least)
+        return missing(name, demand, error)
+    our_cost, other_cost = f"{1e3 * ours / span_s:.1f} CPU ms a simulated s", f"{1e3 * other / span_s:.1f}"
+    return Row(name, our_cost, other_cost, ratio, demand, least is None or ratio <= 1.0 / least)
 
 
-def decisions(radio: dict[str, Any], what: str) -> Row:
+def decisions(radio: dict[str, Any], case: str) -> Row:
     """A hundred radios that send in turn; all move between two of their frames."""
-    print(f"measuring: messages, decisions, {what} ...", file=sys.stderr, flush=True)
+    print(f"measuring: messages, decisions, {case} ...", file=sys.stderr, flush=True)
     count, ticks = COUNTS[-1], 10
-    name = f"decisions of the channel (frame and receiver), {count} radios, {what}, by `Channel.send`; beside it gradysim's"
+    name = f"decisions of the channel (frame and receiver), {count} radios, {case}, by `Channel.send`; beside it gradysim's"
     demand = "goal: >= 1 million / CPU s"
     ours = sends(count, radio, ticks)
     try:
-        with program("gradysim_broadcast", installed(PEERS), agents=count, span_s=0.1 * ticks, loss=LOSS, way="decide") as its:
-            mine, other, ratio = in_turn(ours, its, ROUNDS)
+        with program(
+            "gradysim_broadcast", installed(PEERS), agents=count, span_s=0.1 * ticks, loss=LOSS, way="decide"
+        ) as peer_stretch:
+            our_s, other_s, ratio = in_turn(ours, peer_stretch, ROUNDS)
     except SilentError as error:
         return missing(name, demand, error)
     made = 1e-6 * count * (count - 1) * ticks
-    return Row(name, f"{made / mine:.2f} million / CPU s", f"{made / other:.2f}", ratio, demand, made / mine >= 1.0)
+    return Row(name, f"{made / our_s:.2f} million / CPU s", f"{made / other_s:.2f}", ratio, demand, made / our_s >= 1.0)
 
 
 def sends(count: int, radio: dict[str, Any], ticks: int) -> Callable[[], float]:

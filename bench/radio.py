@@ -45,8 +45,8 @@ def _beside_ns3(phy: str, *, least: float) -> Row:
         ours, other, ratio = _hundred(phy)
     except MissingError as error:
         return missing(name, demand, error)
-    cost, its = f"{1e6 * ours / frames:.0f} us a frame", f"{1e6 * other / frames:.0f} us"
-    return Row(name, cost, its, ratio, demand, ratio <= 1.0 / least)
+    our_cost, other_cost = f"{1e6 * ours / frames:.0f} us a frame", f"{1e6 * other / frames:.0f} us"
+    return Row(name, our_cost, other_cost, ratio, demand, ratio <= 1.0 / least)
 
 
 @functools.cache

@@ -45,9 +45,9 @@ def rows() -> list[Row]:
             Path(folder, file).write_text(text, "utf-8")
         Path(folder, "points.json").write_text(json.dumps(points))
         try:
-            with program("sionna_paths", installed(PYTHON), at=folder) as its:
+            with program("sionna_paths", installed(PYTHON), at=folder) as peer_stretch:
                 ours, other, ratio = in_turn(
-                    lambda: cpu(lambda: rays.traced(links[:, 0].copy(), links[:, 1].copy())), its, ROUNDS
+                    lambda: cpu(lambda: rays.traced(links[:, 0].copy(), links[:, 1].copy())), peer_stretch, ROUNDS
                 )
         except SilentError as error:
             return [missing(name, demand, error)]

@@ -53,9 +53,11 @@ def _row(name: str, sensor: RangeScanner, scene: Scene, rays: "BulletRays", at_o
     def other() -> float:
         return cpu(lambda: [rays.cast(each) for each in directions]) / len(places)
 
-    mine, its, ratio = in_turn(ours, other, ROUNDS)
+    our_s, other_s, ratio = in_turn(ours, other, ROUNDS)
     demand = f"<= {limit:g}x" if limit < math.inf else "-"
-    return Row(f"{name}; beside it rayTestBatch", f"{1e6 * mine:.0f} us", f"{1e6 * its:.0f} us", ratio, demand, ratio <= limit)
+    return Row(
+        f"{name}; beside it rayTestBatch", f"{1e6 * our_s:.0f} us", f"{1e6 * other_s:.0f} us", ratio, demand, ratio <= limit
+    )
 
 
 def town(buildings: int) -> Scene:

@@ -46,10 +46,10 @@ def carriers(fleet: Fleet, cameras: int, *, bare: bool = False) -> list[VehicleS
 def _looked_at(name: str, fleet: Fleet, cameras: int, least: float) -> Row:
     """All scans and pictures are read."""
     fitted, without = carriers(fleet, cameras), carriers(fleet, cameras, bare=True)
-    wanted = tuple(f"{spec.name}/{sensor}" for spec in fitted for sensor in spec.sensors)
+    requested_keys = tuple(f"{spec.name}/{sensor}" for spec in fitted for sensor in spec.sensors)
     world = town(BUILDINGS)
     ours, other, ratio = in_turn(
-        lambda: federate_cpu_s(fleet, fitted, world, wanted), lambda: federate_cpu_s(fleet, without, world), ROUNDS
+        lambda: federate_cpu_s(fleet, fitted, world, requested_keys), lambda: federate_cpu_s(fleet, without, world), ROUNDS
     )
     words = f"{name}, all looked at, among {BUILDINGS} buildings, {fleet.rate_hz:g} Hz, {fleet.iterations} iterations; "
     speed = 1.0 / ours

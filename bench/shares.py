@@ -30,7 +30,7 @@ CALLS = 20_000  # that measure the cost of the clock
 class Case(NamedTuple):
     """A built-in scenario, with a few keys changed."""
 
-    what: str
+    description: str
     settings: Mapping[str, Any] = {}
     study: bool = False  # tables and metrics alone
 
@@ -149,8 +149,8 @@ def rows() -> list[Row]:
 def _row(name: str, seconds: Mapping[str, float]) -> Row:
     whole = sum(seconds.values())
     shares = ", ".join(f"{part} {100 * seconds[part] / whole:.0f} %" for part in PARTS if seconds[part] >= 0.005 * whole)
-    what = f"`{name}`, {CASES[name].what}: where CPU time goes; beside it all of it (ratio: Bullet's share)"
-    return Row(what, shares, f"{whole:.1f} CPU s", seconds["Bullet"] / whole, "none", True)
+    title = f"`{name}`, {CASES[name].description}: where CPU time goes; beside it all of it (ratio: Bullet's share)"
+    return Row(title, shares, f"{whole:.1f} CPU s", seconds["Bullet"] / whole, "none", True)
 
 
 def write(found: Mapping[str, Mapping[str, float]], folder: Path) -> list[Path]:

@@ -47,7 +47,7 @@ def run(agent: str) -> None:
     names = [f"car{number}" for number in range(CARS)]
     driven = {"agents": {"kind": f"bench.stacks:{agent}"}} if agent else {}
     stack = {} if agent else {"stack": {"ros2": {"vehicles": names, "endpoint": f"tcp/127.0.0.1:{PORT}"}}}
-    given: dict[str, Any] = {"agent": {}} if agent else {}
+    agent_keys: dict[str, Any] = {"agent": {}} if agent else {}
     vcmvsp.run(
         {
             "name": "stacks",
@@ -55,7 +55,7 @@ def run(agent: str) -> None:
             "world": {"kind": "boxes", "boxes": [{"center": [6.0, 0.0, 0.5], "size": [0.2, 40.0, 1.0]}]},
             "radio": {"preset": "ideal"},
             "vehicles": {"kind": "p2dx", "sensors": {"scan": {"kind": "lms", "rate_hz": 10.0}}},
-            "vehicle": [{"name": name, "pose": [0.0, 2.0 * n, 0.0], **given} for n, name in enumerate(names)],
+            "vehicle": [{"name": name, "pose": [0.0, 2.0 * n, 0.0], **agent_keys} for n, name in enumerate(names)],
             **driven,
             **stack,
         },
@@ -87,29 +87,33 @@ def subscribe() -> None:
     node.close()
 
 
-def loads(agent: str, *, heard: bool) -> tuple[float, float, str]:
+def loads(agent: str, *, has_subscriber: bool) -> tuple[float, float, str]:
     """Shares of a core of a run with nodes and of one with agents, at the same time, and the node's receptions."""
-    runs = [subprocess.Popen([sys.executable, "-m", "bench.stacks", "run", who]) for who in ("", agent)]
-    node = subprocess.Popen([sys.executable, "-m", "bench.stacks", "subscribe"], stdout=subprocess.PIPE) if heard else None
+    runs = [subprocess.Popen([sys.executable, "-m", "bench.stacks", "run", kind]) for kind in ("", agent)]
+    node = (
+        subprocess.Popen([sys.executable, "-m", "bench.stacks", "subscribe"], stdout=subprocess.PIPE)
+        if has_subscriber
+        else None
+    )
     time.sleep(STARTS_S)
     before = [_cpu_s(each.pid) for each in runs]
     time.sleep(SPAN_S)
     ours, other = ((_cpu_s(each.pid) - begin) / SPAN_S for each, begin in zip(runs, before, strict=True))
-    words = node.communicate()[0].decode().strip() if node is not None else ""
+    receptions = node.communicate()[0].decode().strip() if node is not None else ""
     for each in runs:
         each.wait()
-    return ours, other, words
+    return ours, other, receptions
 
 
 def rows() -> Iterator[Row]:
     """Both rows; each is measured when it is requested."""
-    for agent, heard, most in (("Standing", False, 0.01), ("Looking", True, 0.10)):
-        what = "a node hears all scans and odometry" if heard else "no topic has subscribers"
-        print(f"measuring: stacks, {what} ...", file=sys.stderr, flush=True)
-        pairs = [loads(agent, heard=heard) for _ in range(ROUNDS)]
-        ours, beside, ratio = medians([(mine, other) for mine, other, _ in pairs])
-        more = statistics.median(mine - other for mine, other, _ in pairs)
-        name = f"stack.ros2, {CARS} p2dx with scanners of 10 Hz, {what}; beside it agents"
+    for agent, has_subscriber, most in (("Standing", False, 0.01), ("Looking", True, 0.10)):
+        case = "a node hears all scans and odometry" if has_subscriber else "no topic has subscribers"
+        print(f"measuring: stacks, {case} ...", file=sys.stderr, flush=True)
+        pairs = [loads(agent, has_subscriber=has_subscriber) for _ in range(ROUNDS)]
+        ours, beside, ratio = medians([(our_share, other_share) for our_share, other_share, _ in pairs])
+        more = statistics.median(our_share - other_share for our_share, other_share, _ in pairs)
+        name = f"stack.ros2, {CARS} p2dx with scanners of 10 Hz, {case}; beside it agents"
         cost = f"{100 * ours:.1f} % of a core, {100 * more:+.1f} {pairs[-1][2]}"
         yield Row(name, cost, f"{100 * beside:.1f} %", ratio, f"<= {100 * most:.0f} % of a core more", more <= most)
 

@@ -64,7 +64,7 @@ def run() -> list[Row]:
     name = f"vcmvsp run of {DURATION_S:g} s of {SCENARIO}, with its files and figures; beside it python -c '{IMPORTS}'"
     found = []
     for clock, place in (("CPU", 0), ("wall", 1)):
-        ours, other, ratio = medians([(mine[place], its[place]) for mine, its in pairs])
+        ours, other, ratio = medians([(our_times[place], other_times[place]) for our_times, other_times in pairs])
         found.append(Row(name, f"{ours:.2f} {clock} s", f"{other:.2f}", ratio, "none", True))
     return found
 

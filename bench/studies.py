@@ -87,12 +87,12 @@ def overhead() -> Row:
             succeeded(work, number)
         return (time.monotonic() - begin) / runs
 
-    mine, its, _ = in_turn(ours, other, 3)
-    added = 1000.0 * (mine - its)
+    our_s, other_s, _ = in_turn(ours, other, 3)
+    added = 1000.0 * (our_s - other_s)
     name = (
         "study: a run of 0.1 s in one worker; beside it the same run in a loop, in this process (ratio: ms that the study adds)"
     )
-    return Row(name, f"{1000 * mine:.1f} ms", f"{1000 * its:.1f} ms", added, "goal: <= 50 ms a run", added <= 50.0)
+    return Row(name, f"{1000 * our_s:.1f} ms", f"{1000 * other_s:.1f} ms", added, "goal: <= 50 ms a run", added <= 50.0)
 
 
 def efficiency() -> Row:

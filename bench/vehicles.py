@@ -52,15 +52,15 @@ class Fleet(NamedTuple):
 
 
 def federate_cpu_s(
-    fleet: Fleet, vehicles: Sequence[VehicleSpec] = (), world: World | None = None, wanted: tuple[str, ...] = ()
+    fleet: Fleet, vehicles: Sequence[VehicleSpec] = (), world: World | None = None, requested_keys: tuple[str, ...] = ()
 ) -> float:
     """CPU seconds per simulated second of the federate: commands and publications ten times a second.
 
     Args: fleet: numbers of vehicles. vehicles: their starts and equipment; default: without equipment. world: default: only a
-    floor. wanted: keys of readings that are read as soon as they are published.
+    floor. requested_keys: keys of readings that are read as soon as they are published.
     """
-    physics = _started(fleet, vehicles or fleet.specs(), world or World(), wanted)
-    spans, looked_at = range(1, int(10 * fleet.duration_s) + 1), frozenset(wanted)
+    physics = _started(fleet, vehicles or fleet.specs(), world or World(), requested_keys)
+    spans, looked_at = range(1, int(10 * fleet.duration_s) + 1), frozenset(requested_keys)
 
     def work() -> None:
         for k in spans:
@@ -104,7 +104,7 @@ def _quadrotor(client: int, position: tuple[float, float, float]) -> None:
     p.setCollisionFilterGroupMask(body, -1, SOLID, FLOOR | SOLID, client)
 
 
-def _started(fleet: Fleet, vehicles: Sequence[VehicleSpec], world: World, wanted: tuple[str, ...]) -> Physics:
+def _started(fleet: Fleet, vehicles: Sequence[VehicleSpec], world: World, requested_keys: tuple[str, ...]) -> Physics:
     physics = fleet.kind(world=world, vehicles=vehicles, rate_hz=fleet.rate_hz, iterations=fleet.iterations)
     run = RunInfo(
         scenario="bench",
@@ -112,7 +112,7 @@ def _started(fleet: Fleet, vehicles: Sequence[VehicleSpec], world: World, wanted
         duration_ns=1000 * SECOND_NS,
         vehicles=tuple(spec.name for spec in vehicles),
         instants=(Instants(Ticks.every(0.1)),),
-        wanted=wanted,
+        wanted=requested_keys,
     )
     physics.start(run)
     physics.step(STEADY_NS, fleet.commands(0))

@@ -78,9 +78,9 @@ def _scenery() -> Any:
     return scenery_of(*scenarios.load(_scenario()), live=True)
 
 
-def _row(what: str, viewer: Viewing, clock: Callable[[], float]) -> Row:
+def _row(case: str, viewer: Viewing, clock: Callable[[], float]) -> Row:
     ours, other, ratio = in_turn(lambda: _run_s(viewer.feed.on, clock), lambda: _run_s(None, clock), ROUNDS)
-    name = f"{VEHICLES} kinematic vehicles, 10 Hz, recorded, shown thirty times a second {what}; beside it unseen"
+    name = f"{VEHICLES} kinematic vehicles, 10 Hz, recorded, shown thirty times a second {case}; beside it unseen"
     return Row(name, f"{RUN_S / ours:.0f} sim s / s", f"{RUN_S / other:.0f}", ratio, f"<= {MOST:g}x", ratio <= MOST)
 
 

@@ -82,10 +82,10 @@ def circling(fleet: Fleet) -> dict[str, Any]:
 def _speed(name: str, scenario: dict[str, Any], other: Callable[[], float], least: float) -> Row:
     """Speed of a run; ``other`` is the CPU time, s, of the peer for the same duration."""
     duration_s = scenario["duration_s"]
-    ours, its, ratio = in_turn(lambda: run_cpu_s(scenario), other, ROUNDS)
-    speed = duration_s / ours
+    our_s, other_s, ratio = in_turn(lambda: run_cpu_s(scenario), other, ROUNDS)
+    speed = duration_s / our_s
     demand = f"goal: >= {least:g}x real time"
-    return Row(name, f"{speed:.3g}x real time", f"{duration_s / its:.3g}x", ratio, demand, speed >= least)
+    return Row(name, f"{speed:.3g}x real time", f"{duration_s / other_s:.3g}x", ratio, demand, speed >= least)
 
 
 def _swarm(report_s: float) -> Row:

@@ -8,7 +8,7 @@ from vcmvsp.cosim.assembly.run import assemble
 from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.scenario import loader as scenarios
 
-Kept = Literal["mcap", "tables", "nothing"]
+Recording = Literal["mcap", "tables", "nothing"]
 """What a run keeps in memory: all, with the file that Foxglove opens; tables and metrics, as in a study; or nothing."""
 
 
@@ -31,18 +31,18 @@ def star(vehicles: int, *, physics: str, duration_s: float) -> dict[str, Any]:
     }
 
 
-def run_cpu_s(scenario: dict[str, Any], kept: Kept = "mcap") -> float:
+def run_cpu_s(scenario: dict[str, Any], recording: Recording = "mcap") -> float:
     """CPU seconds of one run in this process: kernel, radio, agents, physics and recording; neither set-up nor files."""
     parsed, source = scenarios.load(scenario)
     with assemble(parsed, source) as assembled:
         kernel = Kernel(assembled.info, assembled.federates)
         kernel.start()
-        recorder = assembled.recorder(io.BytesIO() if kept == "mcap" else None)
+        recorder = assembled.recorder(io.BytesIO() if recording == "mcap" else None)
 
         def work() -> None:
-            kernel.run((lambda _: None) if kept == "nothing" else recorder.on)
+            kernel.run((lambda _: None) if recording == "nothing" else recorder.on)
             recorder.close(kernel.now_ns)
-            if kept == "tables":
+            if recording == "tables":
                 recorder.metrics(window=(0.0, None))
 
         seconds = cpu(work)

@@ -219,7 +219,7 @@ class LiveClock:
 
     def wait_until(self, due_ns: int) -> int:
         """Wait until the viewer's pace lets ``due_ns`` begin; returns the lag, ns."""
-        while (left := self._left_ns(due_ns)) > 0:
+        while (left := self._remaining_ns(due_ns)) > 0:
             self._sleep(min(left, LISTEN_NS) / SECOND_NS)
         self._logical_ns = due_ns
         return -left
@@ -230,7 +230,7 @@ class LiveClock:
         self._anchor = logical_ns, wall_ns + by_ns
         self.slipped_ns += by_ns
 
-    def _left_ns(self, due_ns: int) -> int:
+    def _remaining_ns(self, due_ns: int) -> int:
         """Remaining wait as known now; <= 0: no wait."""
         now_ns = self._now()
         if now_ns - self._heard_ns >= LISTEN_NS:

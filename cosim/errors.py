@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 
-def said_by(error: BaseException) -> str:
+def text_of(error: BaseException) -> str:
     """The text of an error; user-defined errors may fail to give one."""
     try:
         return str(error)
@@ -25,7 +25,7 @@ def said_by(error: BaseException) -> str:
 
 def words_of(error: BaseException) -> str:
     """Type and text of an error, as the middle of a message."""
-    return f"{type(error).__name__}: {said_by(error)}"
+    return f"{type(error).__name__}: {text_of(error)}"
 
 
 def place_of(error: BaseException) -> str:

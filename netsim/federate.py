@@ -133,7 +133,9 @@ class RadioFederate:
                 self._states = self._of_members(event.value)
             elif isinstance(event.value, _ORDERS):
                 reports += self._apply(event.value, event.time_ns)
-        reports += self._named(self._channel.advance(now_ns))  # events of the medium precede messages of the same instant
+        reports += self._with_networks(
+            self._channel.advance(now_ns)
+        )  # events of the medium precede messages of the same instant
         if self._network is not None:
             return self._step_routed(self._network, now_ns, inbox, reports)
         posts = list(self._posts(inbox, now_ns))
@@ -176,7 +178,7 @@ class RadioFederate:
             return None
         for _, message, _, datagram in posts:
             self._open[self._number()] = message, datagram
-        return self._named(reports)
+        return self._with_networks(reports)
 
     def _put(self, sent_ns: int, frame: Message, handover_ns: int) -> tuple[int, list[FrameReport]]:
         """Hand a frame to the channel; returns its number and the reports of decided frames."""
@@ -189,12 +191,12 @@ class RadioFederate:
         reports = self._channel.send(
             sent_ns, frame, states.names, states.position, attitude=states.attitude, handover_ns=handover_ns
         )
-        return number, self._named(reports)
+        return number, self._with_networks(reports)
 
     def _decided(self, now_ns: int) -> list[FrameReport]:
         """Reports of frames that are decided by now; at the end of the run, of all frames."""
         reports = self._channel.advance(now_ns)
-        return self._named(reports + self._channel.finish() if now_ns == self._end_ns else reports)
+        return self._with_networks(reports + self._channel.finish() if now_ns == self._end_ns else reports)
 
     def levels_dbm(self, states: States) -> Array:
         """Mean levels, (n, n) dBm: sender by row, receiver by column, NaN at the sender and without a radio."""
@@ -238,7 +240,7 @@ class RadioFederate:
 
     def _apply(self, order: Outage | Changed, at_ns: int) -> list[FrameReport]:
         """Apply an operator's order at its time; returns the reports of frames that were decided before."""
-        reports = self._named(self._channel.advance(at_ns - 1))
+        reports = self._with_networks(self._channel.advance(at_ns - 1))
         if isinstance(order, Outage):
             self._channel.cut_off(order.vehicles, at_ns, order.until_ns)
         else:
@@ -329,11 +331,11 @@ class RadioFederate:
         number = self._numbered[frame] = next(self._numbers)
         return number
 
-    def _named(self, reports: list[FrameReport]) -> list[FrameReport]:
+    def _with_networks(self, reports: list[FrameReport]) -> list[FrameReport]:
         """The reports with the names of their networks, at the vehicles of these alone, and the numbers of the run."""
-        return [self._named_one(report) for report in reports] if self._networks else reports
+        return [self._with_network(report) for report in reports] if self._networks else reports
 
-    def _named_one(self, report: FrameReport) -> FrameReport:
+    def _with_network(self, report: FrameReport) -> FrameReport:
         name = self._network_of[report.sender]
         if len(self._networks) > 1:
             is_member = np.array([each in self._networks[name] for each in report.receivers], np.bool_)

@@ -139,12 +139,12 @@ def _measure(scene: Scene, fitted: Sequence[FittedSensor], rngs: Sequence[np.ran
     except (VcmvspError, KeyboardInterrupt):
         raise
     except BaseException as error:  # of a user-defined sensor
-        raise FederateError("physics", f"{_named(fitted)}: {words_of(error)}{place_of(error)}") from error
+        raise FederateError("physics", f"{_sensor_words(fitted)}: {words_of(error)}{place_of(error)}") from error
     if wrong := [each for each in readings if not isinstance(each, Reading)]:
-        raise FederateError("physics", f"{_named(fitted)}: measure must return a reading, not {show(wrong[0])}")
+        raise FederateError("physics", f"{_sensor_words(fitted)}: measure must return a reading, not {show(wrong[0])}")
     return readings
 
 
-def _named(fitted: Sequence[FittedSensor]) -> str:
+def _sensor_words(fitted: Sequence[FittedSensor]) -> str:
     keys = ", ".join(each.key for each in fitted[:3]) + (", ..." if len(fitted) > 3 else "")
     return f"sensor{'s' if len(fitted) > 1 else ''} {keys} ({type(fitted[0].sensor).__name__})"

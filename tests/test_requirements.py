@@ -7,12 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from tests.support import requirements
 from tests.support.paths import ROOT
 
 pytestmark = pytest.mark.processes
 
 TESTS = """
+import subprocess
+
 import pytest
 from tests.support import requirements
 
@@ -37,6 +38,15 @@ def test_library(): pytest.importorskip("no_such_library")
 def test_expected(): assert False
 
 def test_whole(): pass
+
+def test_unmarked():
+    with pytest.raises(AssertionError, match="mark this test as one of browser, processes"):
+        subprocess.run(["true"])
+
+@pytest.mark.processes
+def test_a_marked_one():
+    with pytest.raises(FileNotFoundError):
+        subprocess.run(["no-such-program"])
 """
 
 
@@ -50,7 +60,7 @@ def test_skipped_tests_are_named_and_fail_with_ci_set(ci: str, workers: str, tmp
     command = [sys.executable, "-m", "pytest", "-q", "-n", workers, "-p", "no:cacheprovider", "--rootdir", ".", "test_some.py"]
     done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=500, cwd=tmp_path, env=environment)
     counts = set(done.stdout.strip().rpartition("\n")[2].partition(" in ")[0].split(", "))
-    assert counts == {"1 passed", "1 xfailed", *(("2 skipped", "1 failed", "3 errors") if ci else ("6 skipped",))}
+    assert counts == {"3 passed", "1 xfailed", *(("2 skipped", "1 failed", "3 errors") if ci else ("6 skipped",))}
     assert done.returncode == bool(ci)
     summary = done.stdout.partition(" not tested ")[2]
     assert "1 test: this machine does not allow IPv6\n" in summary
@@ -59,7 +69,3 @@ def test_skipped_tests_are_named_and_fail_with_ci_set(ci: str, workers: str, tmp
     assert ("As root, .ci/debian-packages installs" in summary) == (not ci)
     assert "there is no sshd: install the Debian package openssh-server" in done.stdout
     assert "could not import 'no_such_library'" in done.stdout
-
-
-def test_make_quick_selects_the_tests_without_processes() -> None:
-    assert f'-m "{requirements.QUICK}"' in (ROOT / "Makefile").read_text("utf-8")

@@ -54,7 +54,7 @@ class DynamicWindow(Settings, frozen=True, kw_only=True, tag="dynamic_window"):
         """Method for a vehicle on wheels; `ValueError`: the vehicle flies, so it does not move along arcs."""
         if body.flies:
             raise ValueError('avoidance.kind = "dynamic_window" is for vehicles on wheels; choose another kind for flying ones')
-        return _DynamicWindow(self, self.kept_m(body), period_s)
+        return _DynamicWindow(self, self.clearance_m(body), period_s)
 
 
 def clearances(points: Array, curvatures: Array, keep: float) -> Array:

@@ -88,14 +88,14 @@ def gaps_ahead(view: View, bearing: float, lookahead_m: float) -> tuple[Gaps, Ar
     else:
         unseen, ranges = max(-begin, 0), view.ranges[max(begin, 0) : end]
     candidates = gaps(ranges, lookahead_m, first + (begin + unseen) * view.step, view.step)
-    width = _whole_widths(view, candidates, begin + unseen, len(ranges), lookahead_m)
+    width = _full_widths(view, candidates, begin + unseen, len(ranges), lookahead_m)
     order = np.argsort(-width, kind="stable")
     candidates = Gaps(candidates.begin[order], candidates.end[order], width[order], candidates.bearing[order])
     more = (candidates.end == len(ranges)) * (end - begin - unseen - len(ranges)) - (candidates.begin == 0) * unseen
     return candidates, candidates.bearing + 0.5 * view.step * more
 
 
-def _whole_widths(view: View, candidates: Gaps, begin: int, count: int, lookahead_m: float) -> Array:
+def _full_widths(view: View, candidates: Gaps, begin: int, count: int, lookahead_m: float) -> Array:
     """Widths, m, of gaps among ``count`` beams from beam ``begin`` on; cut gaps are measured whole.
 
     A gap of half a turn or more is no door, so its width is not used.
@@ -162,7 +162,7 @@ class GapMethod:
     def __init__(self, settings: Gap, body: Body, period_s: float) -> None:
         self._settings, self._flies, self._period_s = settings, body.flies, period_s
         # Half a lane is at least the distance to keep: otherwise the vehicle gets stuck at level 2.
-        self._half_m = max(0.5 * body.width_m + settings.margin_m, settings.kept_m(body))
+        self._half_m = max(0.5 * body.width_m + settings.margin_m, settings.clearance_m(body))
         self._speed = 0.0  # of the task, when it last had one
         self._away = False  # from the task
         self._side = 0  # side of the turn on the spot: 1 left, -1 right, 0 none

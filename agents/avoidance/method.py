@@ -70,7 +70,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     braking: Positive = 0.3  # m/s2 that the vehicle can do for sure: how far ahead level 2 begins
     stale_s: Positive = 0.5  # a scan older than that is none: more than the period of the scanner
 
-    def kept_m(self, body: Body) -> float:
+    def clearance_m(self, body: Body) -> float:
         """Distance to keep from all obstacles, m from the reference point."""
         return self.keep_m if self.keep_m is not None else self.default_keep_m(body)
 

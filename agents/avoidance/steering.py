@@ -38,7 +38,7 @@ class ObstacleLevels:
     """Level of nearness, 0, 1 or 2, of obstacles to a vehicle that keeps ``keep_m`` from them; updated once a tick."""
 
     def __init__(self, settings: Settings, body: Body, latency_s: float = 0.0) -> None:
-        self.level, self.keep_m = 0, settings.kept_m(body)
+        self.level, self.keep_m = 0, settings.clearance_m(body)
         self._settings, self._latency_s, self._flies = settings, latency_s, body.flies
         self._lane_m = min(self.keep_m, 0.5 * body.width_m + BESIDE_M)  # half of it
         self._clear_ns: int | None = None  # since when it is far enough from everything to leave level 2
@@ -182,7 +182,9 @@ class AvoidanceSteering:
     ) -> Decision:
         """Steered speeds of a vehicle on wheels, m/s and rad/s; ``aim`` and ``leader`` are m, world."""
         v, w = speeds
-        return self.steer(obs, Task((v, 0.0), w, _seen(obs, aim), _seen(obs, leader), self.settings.max_speed))
+        return self.steer(
+            obs, Task((v, 0.0), w, _in_body_frame(obs, aim), _in_body_frame(obs, leader), self.settings.max_speed)
+        )
 
     def limit(self, obs: Observation, speeds: tuple[float, float]) -> Decision:
         """Limited speed of a vehicle on wheels without a destination that is not yet at rest."""
@@ -252,14 +254,18 @@ def around(
         return SteeredMotion(requested, yaw_rate, "task")
     yaw = obs.state.yaw
     task = Task(
-        rotate2(requested[0], requested[1], -yaw), yaw_rate, _seen(obs, aim), _seen(obs, leader), steering.settings.max_speed
+        rotate2(requested[0], requested[1], -yaw),
+        yaw_rate,
+        _in_body_frame(obs, aim),
+        _in_body_frame(obs, leader),
+        steering.settings.max_speed,
     )
     decision = steering.steer(obs, task)
     climb = 0.0 if decision.mode == "blind" else requested[2]
     return SteeredMotion((*rotate2(*decision.velocity, yaw), climb), decision.yaw_rate, decision.mode)
 
 
-def _seen(obs: Observation, place: Point | None) -> Point | None:
+def _in_body_frame(obs: Observation, place: Point | None) -> Point | None:
     """A world point in the body frame, m."""
     if place is None:
         return None

@@ -51,7 +51,7 @@ class Vfh(Settings, frozen=True, kw_only=True, tag="vfh"):
 
     def method(self, body: Body, period_s: float) -> Method:
         """Method of this kind for a vehicle on wheels or in the air; `ValueError`: the distances contradict each other."""
-        keep = self.kept_m(body)
+        keep = self.clearance_m(body)
         if self.freed_m < self.blocked_m:
             raise ValueError(f"freed_m = {self.freed_m:g} must not be less than blocked_m = {self.blocked_m:g}")
         if keep >= self.blocked_m:
@@ -134,7 +134,7 @@ class _Vfh:
             return Decision(task.velocity, task.yaw_rate, "task")
         if v:
             self._cruise = v
-        visible = _seen(len(view.ranges), float(view.bearings[0]), view.step, self._set.sectors, cyclic=view.cyclic)
+        visible = _covered_sectors(len(view.ranges), float(view.bearings[0]), view.step, self._set.sectors, cyclic=view.cyclic)
         free, target = visible & ~self._blocked, self._target(task)
         if free.sum() == visible.sum():  # also with the aim out of view
             self._previous = target
@@ -248,7 +248,7 @@ def _apart(count: int, first: float, step: float, sectors: int) -> Array:
 
 
 @lru_cache(maxsize=16)
-def _seen(count: int, first: float, step: float, sectors: int, *, cyclic: bool) -> Array:
+def _covered_sectors(count: int, first: float, step: float, sectors: int, *, cyclic: bool) -> Array:
     """Sectors with beams in them, (sectors,) bool."""
     middle = first + 0.5 * (count - 1) * step
     return frozen(cyclic | (np.abs(wrapped(_directions(sectors) - middle)) <= 0.5 * count * step))

@@ -73,7 +73,7 @@ def check_flies(info: VehicleInfo) -> None:
         raise ValueError(f"{info.name} drives on wheels, but this agent is for vehicles that fly (point, quadrotor)")
 
 
-def told(obs: Observation, velocity: Vec3) -> dict[str, float]:
+def report_keys(obs: Observation, velocity: Vec3) -> dict[str, float]:
     """Additional keys of a report of a vehicle that moves at ``velocity`` m/s, world."""
     return dict(zip(KEYS, (*velocity, obs.state.position[2]), strict=True))
 
@@ -178,7 +178,7 @@ class AerialRoute(Leader):
             if arrived:
                 self.note(status="arrived")
         more: dict[str, Any] = {} if self._team is None else self._lead(self._team, obs)
-        self._reporter.tell(radio, obs, along(velocity, obs.state.yaw), w, **more, **told(obs, velocity))
+        self._reporter.tell(radio, obs, along(velocity, obs.state.yaw), w, **more, **report_keys(obs, velocity))
         return Velocity(linear=velocity, yaw_rate=w)
 
     def aim(self, obs: Observation) -> tuple[float, float] | None:
@@ -269,7 +269,7 @@ class AerialFollower(FormationFollower):
         """Follow the newest report, around obstacles."""
         newest, velocity = self._hear(obs), obs.state.velocity
         speed, yaw_rate = along(velocity, obs.state.yaw), obs.state.angular_velocity[2]
-        self._tell(obs, radio, speed, yaw_rate, **told(obs, velocity))
+        self._tell(obs, radio, speed, yaw_rate, **report_keys(obs, velocity))
         age_s = self._age_s(obs.clock_ns, newest)
         lead = None if newest is None or age_s >= self.timeout_s else self._airborne.flight(newest, age_s)
         if lead is None:

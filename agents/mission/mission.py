@@ -17,7 +17,7 @@ from typing import Any
 from vcmvsp.agents.avoidance import Avoidance
 from vcmvsp.agents.avoidance.avoid import GetAround
 from vcmvsp.agents.factory import build_nested
-from vcmvsp.agents.formation.aerial import along, told
+from vcmvsp.agents.formation.aerial import along, report_keys
 from vcmvsp.agents.formation.reports.report import send_report
 from vcmvsp.agents.mission.runner import AlgorithmRunner, Guard
 from vcmvsp.agents.reconnaissance.roster import Claim, Roster, members_of
@@ -66,7 +66,7 @@ class SearchMission(Agent):
         report_s: Positive = 1.0,
         clock_bound_s: NonNegative = 0.0,
     ) -> None:
-        self._tasks = self._algorithms = _built(algorithms)
+        self._tasks = self._algorithms = _build_algorithms(algorithms)
         self._watch = None if watching is None else Watch(watching)
         self.avoidance, self.members, self.sectors = avoidance, members, sectors
         self._limits = {"acceleration": acceleration, "yaw_acceleration": yaw_acceleration}
@@ -80,7 +80,7 @@ class SearchMission(Agent):
         }
         self.period = self._tasks["search"].period
         self._around = None if avoidance is None else GetAround(avoidance)
-        self._runner = self._made_runner()
+        self._runner = self._make_runner()
         task_sensors, own_sensors = self._runner.sensors, () if self._watch is None else self._watch.sensors
         self.sensors = None if task_sensors is None else tuple(dict.fromkeys((*task_sensors, *own_sensors)))
         self._state, self._seq = MissionState(), 0
@@ -102,7 +102,7 @@ class SearchMission(Agent):
             for what, value in (("roster", self._roster), ("watch", self._watch)):
                 if hasattr(algorithm, what):
                     setattr(algorithm, what, value)
-        self._runner = self._made_runner()
+        self._runner = self._make_runner()
         self._state, self._seq = MissionState(), 0
         self._runner.start(info)
         self.note(task=self._state.task, task_why=self._state.task_why)
@@ -136,7 +136,7 @@ class SearchMission(Agent):
         """Close all algorithms."""
         self._runner.close()
 
-    def _made_runner(self) -> AlgorithmRunner:
+    def _make_runner(self) -> AlgorithmRunner:
         guard = None if self.avoidance is None else Guard(self.avoidance)
         around = {} if self._around is None else dict.fromkeys(("avoid1", "avoid2"), self._around)
         return AlgorithmRunner({**self._tasks, **around}, guard=guard, **self._limits)
@@ -171,11 +171,11 @@ class SearchMission(Agent):
         velocity, rate = obs.state.velocity, obs.state.angular_velocity[2]
         if isinstance(command, Velocity):
             velocity, rate = command.linear, command.yaw_rate
-        send_report(radio, self._seq, obs, along(velocity, obs.state.yaw), rate, **told(obs, velocity))
+        send_report(radio, self._seq, obs, along(velocity, obs.state.yaw), rate, **report_keys(obs, velocity))
         self._seq += 1
 
 
-def _built(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, Agent]:
+def _build_algorithms(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, Agent]:
     for task in tables:
         if task not in TASKS:
             raise ScenarioError(unknown("task", task, TASKS), key=f"algorithms.{task}")

@@ -83,7 +83,7 @@ class Sheet:
         self._laid_ns = frame.time_ns
         self._warp(frame.image.pixels, frame.nadir, np.array(corners))
 
-    def shown(self, now_ns: int) -> Mosaic | None:
+    def due_mosaic(self, now_ns: int) -> Mosaic | None:
         """The present mosaic; None: it is not due, or still empty."""
         if self._laid_ns is None or (self._shown_ns is not None and now_ns - self._shown_ns < self._every_ns):
             return None

@@ -106,7 +106,7 @@ class Grid:
 
     def within(self, x: float, y: float, radius: float) -> Array:
         """Cells with centres at most ``radius`` from a point, ascending."""
-        return self._where(
+        return self._cells_in(
             x - radius, y - radius, x + radius, y + radius, lambda u, w: (u - x) ** 2 + (w - y) ** 2 <= radius**2
         )
 
@@ -120,9 +120,9 @@ class Grid:
         if len(corners) < 3 or not np.isfinite(corners).all():
             return np.empty(0, np.intp)
         (left, bottom), (right, top) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
-        return self._where(left, bottom, right, top, lambda u, w: _in_polygon(corners, u, w))
+        return self._cells_in(left, bottom, right, top, lambda u, w: _in_polygon(corners, u, w))
 
-    def _where(self, left: float, bottom: float, right: float, top: float, test: Callable[[Array, Array], Array]) -> Array:
+    def _cells_in(self, left: float, bottom: float, right: float, top: float, test: Callable[[Array, Array], Array]) -> Array:
         """Cells in a box with centres that pass a test: x (1, n) and y (m, 1) to (m, n)."""
         if not all(map(math.isfinite, (left, bottom, right, top))):
             return np.empty(0, np.intp)

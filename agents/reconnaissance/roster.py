@@ -141,7 +141,7 @@ class Roster:
             if each.claim is not None and self._silent_ns(name, now_ns) < self._claim_ns
         }
 
-    def taken(self, claim: Claim, now_ns: int) -> bool:
+    def has_prior_claim(self, claim: Claim, now_ns: int) -> bool:
         """Whether another member has priority for that target.
 
         Priority: a member with an identified target, then the earlier begin, then the first name.
@@ -153,7 +153,7 @@ class Roster:
         """Ignore a place, m, world, for a while: its target was lost, or another member tracks it."""
         self._given_up.append((now_ns, place))
 
-    def given_up(self, now_ns: int) -> list[Point]:
+    def abandoned_places(self, now_ns: int) -> list[Point]:
         """Places given up in the last minute."""
         self._given_up = [each for each in self._given_up if now_ns - each[0] < GIVEN_UP_NS]
         return [place for _, place in self._given_up]

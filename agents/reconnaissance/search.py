@@ -161,7 +161,7 @@ class Search(Agent):
         """Facts for the mission: whether the sector is shared, and the surest unclaimed place."""
         roster = self._tick(obs)
         claims = roster.claims(obs.clock_ns).values()
-        likely, place = self.map.surest([*(claim.place for claim in claims), *roster.given_up(obs.clock_ns)])
+        likely, place = self.map.surest([*(claim.place for claim in claims), *roster.abandoned_places(obs.clock_ns)])
         return {"shared": roster.shared(obs.clock_ns), "probability": likely, "place": place}
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
@@ -200,7 +200,7 @@ class Search(Agent):
             self._note_found()
         if obs.clock_ns >= self._show_at_ns:
             self._show_at_ns = obs.clock_ns + SHOW_NS
-            self.show(self.map.shown())
+            self.show(self.map.for_recording())
         return self.roster
 
     def _camera(self, obs: Observation) -> tuple[Array, Array] | None:

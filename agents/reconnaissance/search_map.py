@@ -94,7 +94,7 @@ class SearchMap:
         cells = self.grid.inside(np.array(corners))
         return len(cells) > 0 and bool(np.mean(decisions(self.odds).ravel()[cells] == 0) > OPEN)
 
-    def shown(self) -> ProbabilityMap:
+    def for_recording(self) -> ProbabilityMap:
         """The map as it is recorded."""
         area, shape = self.grid.area, (self.grid.rows, self.grid.columns)
         return ProbabilityMap(

@@ -145,12 +145,12 @@ class TrackTarget(Agent):
         self._candidate = None
         if frame is not None:
             self._take(obs, frame, roster)
-        if self._sheet is not None and (mosaic := self._sheet.shown(obs.clock_ns)) is not None:
+        if self._sheet is not None and (mosaic := self._sheet.due_mosaic(obs.clock_ns)) is not None:
             self.show(mosaic)
         if self.claim is not None:
             self._aim(obs.clock_ns, watch)
             self._note_target()
-            return {"seen_ns": self._tracker.seen_ns, "taken": roster.taken(self.claim, obs.clock_ns)}
+            return {"seen_ns": self._tracker.seen_ns, "taken": roster.has_prior_claim(self.claim, obs.clock_ns)}
         return {} if self._candidate is None else {"recognised": True, "place": self._candidate.place}
 
     def begin(self, obs: Observation, place: Point | None) -> None:
@@ -176,7 +176,7 @@ class TrackTarget(Agent):
         watch, roster = self._ready()
         claim = self.claim
         lost = self._tracker.phase(obs.clock_ns) in ("spiral", "lost")
-        if claim is not None and (lost or roster.taken(claim, obs.clock_ns)):
+        if claim is not None and (lost or roster.has_prior_claim(claim, obs.clock_ns)):
             roster.give_up(claim.place, obs.clock_ns)
         self._tracker.end()
         self._forget()
@@ -253,7 +253,7 @@ class TrackTarget(Agent):
                 continue  # it was not looked at
             place = confirmation.frame(each.place for each in frame.sightings if each.target == name)
             since_ns = self._since_ns if name == self._target and self._since_ns is not None else obs.clock_ns
-            if place is not None and not roster.taken(Claim(name, place, since_ns), obs.clock_ns):
+            if place is not None and not roster.has_prior_claim(Claim(name, place, since_ns), obs.clock_ns):
                 claims.append((name in self._found, math.dist(place, (x, y)), Claim(name, place, frame.time_ns)))
         return min(claims)[2] if claims else None
 

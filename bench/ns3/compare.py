@@ -29,7 +29,7 @@ ATOM_NS = 2_000  # most frames do not wait: their delays differ by the time of f
 class Row(NamedTuple):
     """One figure."""
 
-    what: str
+    quantity: str
     expected: float
     ours: float
     error: float  # standard error of the difference
@@ -47,13 +47,13 @@ class Row(NamedTuple):
 def compare(case: Case, judge: Sequence[Sample], ours: Sequence[Sample], *, paired: bool) -> Iterator[Row]:
     """All figures of a scenario; paired: runs of the same seed have the same phases."""
 
-    def row(what: str, figure: Callable[[Sample], float], tolerance: float, *, relative: bool = False) -> Row:
+    def row(quantity: str, figure: Callable[[Sample], float], tolerance: float, *, relative: bool = False) -> Row:
         a, b = (np.array([figure(sample) for sample in samples]) for samples in (judge, ours))
         allowed = tolerance * abs(a.mean()) if relative else tolerance
         error = _error(b - a) if paired else float(np.hypot(_error(a), _error(b)))
-        return Row(what, a.mean(), b.mean(), error, allowed)
+        return Row(quantity, a.mean(), b.mean(), error, allowed)
 
-    yield row("delivery ratio", lambda sample: sample.received.sum() / sample.wanted.sum(), 0.01)
+    yield row("delivery ratio", lambda sample: sample.received.sum() / sample.intended.sum(), 0.01)
     if case.saturated:
         yield row(
             "throughput, kbit/s", lambda sample: 8e-3 * case.size * sample.received.sum() / case.duration_s, 0.03, relative=True
@@ -86,11 +86,11 @@ def _by_distance(judge: Sequence[Sample], ours: Sequence[Sample]) -> Row:
 
 def _ratios(samples: Sequence[Sample]) -> tuple[Floats, Floats]:
     """Delivery ratio in each bin, (BINS,), and its standard error."""
-    wanted = np.array([sample.wanted for sample in samples], np.float64)
+    intended = np.array([sample.intended for sample in samples], np.float64)
     received = np.array([sample.received for sample in samples], np.float64)
     with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = received.sum(axis=0) / wanted.sum(axis=0)
-        return ratio, np.std(received / wanted, axis=0, ddof=1) / np.sqrt(len(samples))
+        ratio = received.sum(axis=0) / intended.sum(axis=0)
+        return ratio, np.std(received / intended, axis=0, ddof=1) / np.sqrt(len(samples))
 
 
 def _error(values: Floats) -> float:
@@ -110,7 +110,7 @@ def main(words: Sequence[str]) -> int:
     missed = 0
     for case in chosen:
         judge = [ns3(case, seed) for seed in range(1, case.seeds + 1)]
-        frames = sum(int(sample.wanted.sum()) for sample in judge) / (1 if case.unicast else case.nodes - 1)
+        frames = sum(int(sample.intended.sum()) for sample in judge) / (1 if case.unicast else case.nodes - 1)
         print(
             f"\n{case.name}: {case.seeds} runs, {frames:.0f} frames, ns-3 {sum(sample.cpu_s for sample in judge):.1f} s of CPU",
             flush=True,
@@ -125,7 +125,7 @@ def main(words: Sequence[str]) -> int:
         for row in compare(case, judge, ours, paired=paired):
             missed += row.verdict == "MISSED"
             figures = f"{row.expected:12.5f} {row.ours:12.5f} {row.ours - row.expected:+10.5f} ± {row.error:.5f}"
-            print(f"  {row.what:56} {figures} allowed {row.tolerance:.5f} {row.verdict}")
+            print(f"  {row.quantity:56} {figures} allowed {row.tolerance:.5f} {row.verdict}")
     return 1 if missed else 0
 
 

@@ -47,14 +47,14 @@ class Outcome(NamedTuple):
     def pdr(self, network: Network) -> float:
         """Share of received frames x intended receivers."""
         unicast = int((network.offers[:, 2] >= 0).sum())
-        meant = unicast + (len(self.end_ns) - unicast) * (len(network.positions) - 1)
-        return self.received(network).size / meant
+        intended = unicast + (len(self.end_ns) - unicast) * (len(network.positions) - 1)
+        return self.received(network).size / intended
 
     def received(self, network: Network) -> Floats:
         """Delays of all receptions at intended receivers, s."""
         to = network.offers[:, 2:3]
-        meant = (self.received_ns >= 0) & ((to < 0) | (to == np.arange(len(network.positions))))
-        delay_ns: Ints = (self.received_ns - network.offers[:, :1])[meant]
+        arrived = (self.received_ns >= 0) & ((to < 0) | (to == np.arange(len(network.positions))))
+        delay_ns: Ints = (self.received_ns - network.offers[:, :1])[arrived]
         return delay_ns / 1e9
 
 
@@ -79,9 +79,9 @@ def judge(network: Network, seed: int) -> Outcome:
     frames.write_text("".join(f"{a},{b},{c},{d}\n" for a, b, c, d in network.offers.tolist()))
     words = [f"--positions={nodes}", f"--offers={frames}", f"--out={out}", f"--seed={seed}"]
     words += [f"--exponent={network.exponent}", f"--sensitivity={network.sensitivity_dbm}"]
-    done = subprocess.run([str(_program()), *words], check=True, text=True, stdout=subprocess.PIPE)
+    result = subprocess.run([str(_program()), *words], check=True, text=True, stdout=subprocess.PIPE)
     rows = np.fromfile(out, np.int64).reshape(-1, 7 + len(network.positions))
-    return Outcome(rows[:, 3], rows[:, 4], rows[:, 5], rows[:, 7:], json.loads(done.stdout)["cpu_s"])
+    return Outcome(rows[:, 3], rows[:, 4], rows[:, 5], rows[:, 7:], json.loads(result.stdout)["cpu_s"])
 
 
 def ours(network: Network, seed: int, mac: Csma154 | None = None) -> Outcome:
@@ -112,8 +112,8 @@ def ours(network: Network, seed: int, mac: Csma154 | None = None) -> Outcome:
     for each in decided:
         start_ns[each.number], end_ns[each.number], attempts[each.number] = each.start_ns, each.end_ns, each.attempts
         to = int(network.offers[each.number, 2])
-        mine = each.fate == Fate.RECEIVED if to < 0 else (np.arange(count) == to) & (each.fate == Fate.RECEIVED)
-        received_ns[each.number, mine] = each.end_ns
+        received = each.fate == Fate.RECEIVED if to < 0 else (np.arange(count) == to) & (each.fate == Fate.RECEIVED)
+        received_ns[each.number, received] = each.end_ns
     return Outcome(start_ns, end_ns, attempts, received_ns, cpu_s)
 
 
@@ -140,11 +140,11 @@ def main() -> None:
         duration_s = max(4.0, min(60.0, 4000.0 / (nodes * hz)))
         offers = periodic(nodes, hz, size, duration_s, seed, unicast=unicast)
         network = Network(square(nodes, side_m), offers, exponent)
-        theirs, mine = judge(network, seed + 1), ours(network, seed)
-        delays = [1e3 * float(each.received(network).mean()) for each in (theirs, mine)]
-        costs = [1e6 * each.cpu_s / max(1, int(each.attempts.sum())) for each in (theirs, mine)]
+        judge_outcome, our_outcome = judge(network, seed + 1), ours(network, seed)
+        delays = [1e3 * float(each.received(network).mean()) for each in (judge_outcome, our_outcome)]
+        costs = [1e6 * each.cpu_s / max(1, int(each.attempts.sum())) for each in (judge_outcome, our_outcome)]
         print(
-            f"| {name} | {nodes} | {hz:g} | {size} | {theirs.pdr(network):.4f} | {mine.pdr(network):.4f} "
+            f"| {name} | {nodes} | {hz:g} | {size} | {judge_outcome.pdr(network):.4f} | {our_outcome.pdr(network):.4f} "
             f"| {delays[0]:.3f} | {delays[1]:.3f} | {costs[0]:.0f} | {costs[1]:.0f} |",
             flush=True,
         )

@@ -57,10 +57,10 @@ def run(positions: Floats, options: Mapping[str, str | float]) -> Result:
     """
     lines = "".join(f"{x!r},{y!r},{z!r}\n" for x, y, z in positions.tolist())
     words = [f"--{name}={value}" for name, value in sorted(options.items())]
-    kept = folder() / hashlib.sha256("\n".join([RESULTS, lines, *words]).encode()).hexdigest()[:24]
-    result = kept.with_suffix(".npz")
+    stem = folder() / hashlib.sha256("\n".join([RESULTS, lines, *words]).encode()).hexdigest()[:24]
+    result = stem.with_suffix(".npz")
     if not result.exists():
-        rows, places, part = (kept.with_suffix(f".{os.getpid()}.{kind}") for kind in ("bin", "csv", "npz"))
+        rows, places, part = (stem.with_suffix(f".{os.getpid()}.{kind}") for kind in ("bin", "csv", "npz"))
         places.write_text(lines)
         command = [str(program()), f"--positions={places}", f"--out={rows}", *words]
         totals = subprocess.run(command, check=True, text=True, stdout=subprocess.PIPE).stdout

@@ -71,14 +71,14 @@ def replay(case: Case, duration_s: float, seed: int = 1) -> tuple[int, int]:
 
 def _same(ours: Decided, frames: Frames, number: int, last_ns: int) -> bool:
     received = frames.delay_ns[number] >= 0
-    meant = (
+    intended = (
         np.arange(len(received)) == frames.to[number]
         if frames.to[number] >= 0
         else np.arange(len(received)) != frames.sender[number]
     )
     if ours.attempts != frames.attempts[number] or abs(ours.start_ns - last_ns) > NEAR_NS:
         return False
-    return bool(((ours.fate == Fate.RECEIVED) & meant == received).all())
+    return bool(((ours.fate == Fate.RECEIVED) & intended == received).all())
 
 
 def _judge(case: Case, duration_s: float, seed: int) -> Judged:
@@ -95,25 +95,25 @@ def _judge(case: Case, duration_s: float, seed: int) -> Judged:
     window, on_air, acked_ns = [0] * n, [-1] * n, [-SECOND_NS] * n
     ack_ns = Dcf().rules(Air(case, seed).phy, 1.0).cts_air_ns  # of the same length
     for line in log.splitlines():
-        time, name, what, *more = line.split()
+        time, name, event, *more = line.split()
         node = int(name)
-        if what == "cw":
+        if event == "cw":
             window[node] = int(more[0])
-        elif what == "backoff":
+        elif event == "backoff":
             judged.draws[node].append((int(more[0]) + 0.5) / (window[node] + 1))
             judged.doubts[node].append(UNLUCKY)
-        elif [what, *more] == ["tx", "control"]:  # the core also draws the success of an acknowledgement
+        elif [event, *more] == ["tx", "control"]:  # the core also draws the success of an acknowledgement
             judged.draws[node].append(0.5)
             judged.doubts[node].append(UNLUCKY)
             acked_ns[node] = int(time)
-        elif what == "tx":
+        elif event == "tx":
             on_air[node] = numbers[node, int(more[0])]
             judged.patience[on_air[node]].append(np.full(n, UNLUCKY))
-        elif [what, *more] == ["decoded", "control"]:
+        elif [event, *more] == ["decoded", "control"]:
             answerer = (node + 1) % n
             if int(time) - acked_ns[answerer] < ack_ns + AT_ONCE_NS:  # else another frame's
                 judged.doubts[answerer][-1] = LUCKY
-        elif what == "decoded":
+        elif event == "decoded":
             judged.patience[on_air[int(more[0])]][-1][node] = np.inf
     return judged
 

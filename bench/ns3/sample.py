@@ -24,7 +24,7 @@ class Sample(NamedTuple):
     """One run: frames that were offered in the measured time."""
 
     delay_ns: Ints  # (r,) of every reception
-    wanted: Ints  # (BINS,) frames times intended receivers, by distance
+    intended: Ints  # (BINS,) frames times intended receivers, by distance
     received: Ints  # (BINS,)
     cpu_s: float
 
@@ -40,13 +40,13 @@ def tally(positions: Floats, frames: Frames, cpu_s: float) -> Sample:
     n = len(positions)
     distance = np.linalg.norm(positions[:, None] - positions[None], axis=2)
     place = np.minimum(distance // BIN_M, BINS - 1).astype(np.int64)
-    meant: NDArray[np.bool_] = (frames.to[:, None] == np.arange(n)) | (
+    intended: NDArray[np.bool_] = (frames.to[:, None] == np.arange(n)) | (
         (frames.to[:, None] < 0) & (frames.sender[:, None] != np.arange(n))
     )
     where = place[frames.sender]
-    arrived = meant & (frames.delay_ns >= 0)
+    arrived = intended & (frames.delay_ns >= 0)
     delay_ns = frames.delay_ns[arrived].astype(np.int64)
-    return Sample(delay_ns, np.bincount(where[meant], minlength=BINS), np.bincount(where[arrived], minlength=BINS), cpu_s)
+    return Sample(delay_ns, np.bincount(where[intended], minlength=BINS), np.bincount(where[arrived], minlength=BINS), cpu_s)
 
 
 def command(case: Case, seed: int) -> Sample:
@@ -65,11 +65,11 @@ def command(case: Case, seed: int) -> Sample:
         words += ["--duration", f"{case.warmup_s + case.duration_s + case.drain_s}", "--seed", f"{seed}", "--out", str(out)]
         words += [word for key, value in keys.items() for word in ("--set", f"{key}={json.dumps(value)}")]
         program_ = Path(sys.executable).with_name("vcmvsp")
-        done = subprocess.run(
+        result = subprocess.run(
             [str(program_), "channel", *words, "--json", "--quiet"], check=True, text=True, stdout=subprocess.PIPE
         )
         table = pq.read_table(out, columns=["sent_ns", "distance_m", "delay_ns", "received_ns"])
-        totals = json.loads(done.stdout)
+        totals = json.loads(result.stdout)
     sent_ns = table["sent_ns"].to_numpy()
     counts = (sent_ns >= case.warmup_s * SECOND_NS) & (sent_ns < (case.warmup_s + case.duration_s) * SECOND_NS)
     arrived = counts & ~table["received_ns"].is_null().to_numpy()

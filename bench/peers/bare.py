@@ -29,10 +29,10 @@ def opened(**more: Any) -> zenoh.Session:
     return zenoh.open(zenoh.Config.from_json5(json.dumps({**CONFIG, **more})))
 
 
-def hub(wanted: Options) -> None:
+def hub(settings: Options) -> None:
     """Query all clients before any is awaited."""
-    pace, groups = Pace(wanted), wanted.processes
-    question = bytes(wanted.asked * wanted.agents // groups)
+    pace, groups = Pace(settings), settings.processes
+    question = bytes(settings.asked * settings.agents // groups)
     answers: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
     admin = {"enabled": True, "permissions": {"read": True, "write": False}}
     with opened(mode="router", listen={"endpoints": ["tcp/127.0.0.1:0"]}, adminspace=admin) as session:
@@ -40,12 +40,12 @@ def hub(wanted: Options) -> None:
         endpoint = json.loads(replies[0].payload.to_string())["locators"][0]
         session.declare_subscriber("bench/*/answer", Callback(answers.put, indirect=False))
         asks = [session.declare_publisher(f"bench/{n}/ask", congestion_control=BLOCK) for n in range(groups)]
-        common = ["--way", wanted.way, "--answered", str(wanted.answered * wanted.agents // groups)]
+        common = ["--way", settings.way, "--answered", str(settings.answered * settings.agents // groups)]
         children = [child("bench.peers.bare", "--at", f"{endpoint} bench/{n}", *common) for n in range(groups)]
         for _ in asks:
             answers.get(timeout=WAIT_S)
         while pace.step():
-            if wanted.way == "query":
+            if settings.way == "query":
                 for handler in [session.get(ask.key_expr, payload=question, timeout=WAIT_S) for ask in asks]:
                     (reply,) = handler
                     assert reply.ok
@@ -65,13 +65,13 @@ def leave(questions: "queue.SimpleQueue[zenoh.Sample | zenoh.Query | None]") -> 
     questions.put(None)
 
 
-def client(wanted: Options) -> None:
+def client(settings: Options) -> None:
     """Answer until the hub ends; the first, unsolicited answer announces the client."""
-    endpoint, _, key = wanted.at.partition(" ")
-    answer = bytes(wanted.answered)
+    endpoint, _, key = settings.at.partition(" ")
+    answer = bytes(settings.answered)
     questions: queue.SimpleQueue[zenoh.Sample | zenoh.Query | None] = queue.SimpleQueue()
     with opened(mode="client", connect={"endpoints": [endpoint]}, listen={"endpoints": []}) as session:
-        declare = session.declare_queryable if wanted.way == "query" else session.declare_subscriber
+        declare = session.declare_queryable if settings.way == "query" else session.declare_subscriber
         declare(f"{key}/ask", Callback(questions.put, indirect=False))
         answers = session.declare_publisher(f"{key}/answer", congestion_control=BLOCK)
         threading.Thread(target=leave, args=(questions,), daemon=True).start()
@@ -86,5 +86,5 @@ def client(wanted: Options) -> None:
 
 
 if __name__ == "__main__":
-    given = options()
-    (client if given.at else hub)(given)
+    settings = options()
+    (client if settings.at else hub)(settings)

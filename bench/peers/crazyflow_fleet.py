@@ -15,7 +15,7 @@ RATE_HZ = 250
 SPEED = 0.3  # m/s; its controller tips over if 1 m/s are reversed at once, which costs as much
 
 
-def fleet(wanted: Options) -> Callable[[], None]:
+def fleet(settings: Options) -> Callable[[], None]:
     """A fleet in the air; each call continues the flight."""
     os.environ["JAX_PLATFORMS"] = "cpu"
     os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
@@ -25,23 +25,23 @@ def fleet(wanted: Options) -> Callable[[], None]:
     from crazyflow.sim import Sim  # type: ignore[import-not-found]
 
     rates = dict.fromkeys(("freq", "attitude_freq", "body_rate_freq", "force_torque_freq"), RATE_HZ)
-    air = Sim(n_drones=wanted.agents, control=Control.state, device="cpu", **rates)
+    air = Sim(n_drones=settings.agents, control=Control.state, device="cpu", **rates)
     air.reset()
-    told = np.zeros((1, wanted.agents, 16), np.float32)  # position, velocity, acceleration, attitude x y z w, rates
-    told[..., :3], told[..., 12] = np.asarray(air.data.states.pos), 1.0
-    told[..., 2] = 1.0  # from the floor
+    setpoints = np.zeros((1, settings.agents, 16), np.float32)  # position, velocity, acceleration, attitude x y z w, rates
+    setpoints[..., :3], setpoints[..., 12] = np.asarray(air.data.states.pos), 1.0
+    setpoints[..., 2] = 1.0  # from the floor
     tenths = 0
 
     def fly() -> None:
         nonlocal tenths
-        for _ in range(round(10 * wanted.span_s)):
+        for _ in range(round(10 * settings.span_s)):
             turn = SPEED if tenths // 10 % 2 else -SPEED
-            told[..., 3:5] = turn, 0.5 * turn
-            told[..., :2] += 0.1 * told[..., 3:5]
-            air.state_control(told)
+            setpoints[..., 3:5] = turn, 0.5 * turn
+            setpoints[..., :2] += 0.1 * setpoints[..., 3:5]
+            air.state_control(setpoints)
             air.step(RATE_HZ // 10)
             tenths += 1
-        missed = np.asarray(air.data.states.pos) - told[..., :3]
+        missed = np.asarray(air.data.states.pos) - setpoints[..., :3]
         assert np.all(abs(missed) < 0.5), missed  # they do fly
 
     return fly

@@ -39,7 +39,7 @@ class Counter(IProtocol):  # type: ignore[misc]
 
     def handle_packet(self, message: str) -> None:
         """Count."""
-        Counter.heard += 1
+        Counter.received += 1
 
     def handle_telemetry(self, telemetry: object) -> None:
         """Nodes are at rest: there is no telemetry."""
@@ -48,41 +48,41 @@ class Counter(IProtocol):  # type: ignore[misc]
         """Nothing."""
 
 
-def built(wanted: Options) -> tuple[Any, CommunicationHandler]:
+def built(settings: Options) -> tuple[Any, CommunicationHandler]:
     """A simulation without physics, and its channel."""
-    medium = CommunicationMedium(transmission_range=1e6, failure_rate=wanted.loss)
+    medium = CommunicationMedium(transmission_range=1e6, failure_rate=settings.loss)
     radio = CommunicationHandler(medium)
-    duration_s = wanted.span_s - 0.5 / RATE_HZ  # without the broadcast at its end
+    duration_s = settings.span_s - 0.5 / RATE_HZ  # without the broadcast at its end
     builder = SimulationBuilder(SimulationConfiguration(duration=duration_s, execution_logging=False))
     builder.add_handler(radio).add_handler(TimerHandler())
-    for number in range(wanted.agents):
+    for number in range(settings.agents):
         builder.add_node(Counter, (3.0 * (number % 10), 3.0 * (number // 10), 0.0))
     return builder.build(), radio
 
 
-def work(wanted: Options) -> Callable[[], None]:
+def work(settings: Options) -> Callable[[], None]:
     """Each call builds and makes a run of its own, or the same number of decisions."""
-    return deciding(wanted) if wanted.way == "decide" else lambda: run(wanted)
+    return deciding(settings) if settings.way == "decide" else lambda: run(settings)
 
 
-def run(wanted: Options) -> None:
+def run(settings: Options) -> None:
     """From the first to the last broadcast."""
-    Counter.heard = 0
-    simulation, _ = built(wanted)
+    Counter.received = 0
+    simulation, _ = built(settings)
     simulation.start_simulation()
-    sent = wanted.agents * round(RATE_HZ * wanted.span_s)
-    share = Counter.heard / (sent * (wanted.agents - 1))
-    assert abs(share - (1.0 - wanted.loss)) < 0.05, share
+    sent = settings.agents * round(RATE_HZ * settings.span_s)
+    share = Counter.received / (sent * (settings.agents - 1))
+    assert abs(share - (1.0 - settings.loss)) < 0.05, share
 
 
-def deciding(wanted: Options) -> Callable[[], None]:
+def deciding(settings: Options) -> Callable[[], None]:
     """The channel's work on a message alone."""
-    simulation, radio = built(wanted)
+    simulation, radio = built(settings)
     command, events = BroadcastMessageCommand(MESSAGE), simulation._event_loop
-    nodes = [simulation.get_node(number) for number in range(wanted.agents)]
+    nodes = [simulation.get_node(number) for number in range(settings.agents)]
 
     def decide() -> None:
-        for _ in range(round(RATE_HZ * wanted.span_s)):
+        for _ in range(round(RATE_HZ * settings.span_s)):
             for node in nodes:
                 radio.handle_command(command, node)
             events.clear()

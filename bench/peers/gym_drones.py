@@ -14,9 +14,9 @@ from bench.peers.pace import Options, stretches
 CONTROL_HZ = 48
 
 
-def fleet(wanted: Options) -> Callable[[], None]:
+def fleet(settings: Options) -> Callable[[], None]:
     """A fleet in the air; each call continues the flight."""
-    count = wanted.agents
+    count = settings.agents
     places = np.array([(3.0 * (n % 10), 3.0 * (n // 10), 5.0) for n in range(count)])
     air = VelocityAviary(DroneModel.CF2X, count, initial_xyzs=places, pyb_freq=240, ctrl_freq=CONTROL_HZ)
     air.reset(seed=1)
@@ -24,11 +24,11 @@ def fleet(wanted: Options) -> Callable[[], None]:
 
     def fly() -> None:
         nonlocal steps
-        for _ in range(round(CONTROL_HZ * wanted.span_s)):
+        for _ in range(round(CONTROL_HZ * settings.span_s)):
             turn = 1.0 if steps // CONTROL_HZ % 2 else -1.0
-            seen, *_ = air.step(np.tile((turn, 0.5 * turn, 0.0, 1.0), (count, 1)))
+            observations, *_ = air.step(np.tile((turn, 0.5 * turn, 0.0, 1.0), (count, 1)))
             steps += 1
-        assert np.all(abs(seen[:, 2] - 5.0) < 1.0), seen[:, 2]  # they do fly
+        assert np.all(abs(observations[:, 2] - 5.0) < 1.0), observations[:, 2]  # they do fly
 
     return fly
 

@@ -28,7 +28,7 @@ from bench.peers.pace import Options, Pace, busy, child, options
 CORE = "zmq"
 
 
-def told(port: int, federates: int = 1, offset_s: float = 0.0) -> Any:
+def federate_info(port: int, federates: int = 1, offset_s: float = 0.0) -> Any:
     """Federate information: steps once a second, at an offset, in a core with this number of federates."""
     info = h.helicsCreateFederateInfo()
     h.helicsFederateInfoSetCoreTypeFromString(info, CORE)
@@ -41,49 +41,51 @@ def told(port: int, federates: int = 1, offset_s: float = 0.0) -> Any:
 
 def both(own: Any, numbers: Sequence[int], says: str, hears: str) -> tuple[list[Any], list[Any]]:
     """Publications and subscriptions for these agents."""
-    said = [h.helicsFederateRegisterGlobalPublication(own, f"{n}/{says}", h.HELICS_DATA_TYPE_STRING, "") for n in numbers]
-    return said, [h.helicsFederateRegisterSubscription(own, f"{n}/{hears}", "") for n in numbers]
+    publications = [
+        h.helicsFederateRegisterGlobalPublication(own, f"{n}/{says}", h.HELICS_DATA_TYPE_STRING, "") for n in numbers
+    ]
+    return publications, [h.helicsFederateRegisterSubscription(own, f"{n}/{hears}", "") for n in numbers]
 
 
-def world(wanted: Options) -> None:
+def world(settings: Options) -> None:
     """Publish to all agents, and read their answers."""
-    pace, groups = Pace(wanted), wanted.processes
-    port, federates = free_port(), 1 + (groups if wanted.way == "all" else wanted.agents)
-    keeps = "" if wanted.way == "plain" else "--globaltime"
+    pace, groups = Pace(settings), settings.processes
+    port, federates = free_port(), 1 + (groups if settings.way == "all" else settings.agents)
+    keeps = "" if settings.way == "plain" else "--globaltime"
     h.helicsCreateBroker(CORE, "broker", f"-f {federates} {keeps} --port={port} --loglevel=no_print")
-    given = ["--agents", str(wanted.agents), "--processes", str(groups), "--answered", str(wanted.answered)]
-    given += ["--latency_s", str(wanted.latency_s), "--busy_s", str(wanted.busy_s), "--way", wanted.way]
-    children = [child("bench.peers.helics_star", "--at", f"{port} {n}", *given) for n in range(groups)]
-    own = h.helicsCreateValueFederate("world", told(port))
-    said, heard = both(own, range(wanted.agents), "seen", "command")
+    arguments = ["--agents", str(settings.agents), "--processes", str(groups), "--answered", str(settings.answered)]
+    arguments += ["--latency_s", str(settings.latency_s), "--busy_s", str(settings.busy_s), "--way", settings.way]
+    children = [child("bench.peers.helics_star", "--at", f"{port} {n}", *arguments) for n in range(groups)]
+    own = h.helicsCreateValueFederate("world", federate_info(port))
+    publications, subscriptions = both(own, range(settings.agents), "seen", "command")
     h.helicsFederateEnterExecutingMode(own)
-    seen, now = bytes(wanted.asked), 0.0
+    observation, now = bytes(settings.asked), 0.0
     while pace.step():
-        for each in said:
-            h.helicsPublicationPublishBytes(each, seen)
+        for each in publications:
+            h.helicsPublicationPublishBytes(each, observation)
         now = h.helicsFederateRequestTime(own, now + 1.0)
-        for each in heard:
+        for each in subscriptions:
             command = h.helicsInputGetBytes(each)
-        assert now < 3.0 or len(command) == wanted.answered
+        assert now < 3.0 or len(command) == settings.answered
     for process in children:
         process.kill()
     os._exit(0)  # not disconnected: callback federates hang there now and then
 
 
-def host(wanted: Options) -> None:
+def host(settings: Options) -> None:
     """Answer every value until the world is gone."""
-    port, number = map(int, wanted.at.split())
-    numbers = range(number, wanted.agents, wanted.processes)
-    groups: list[Sequence[int]] = [numbers] if wanted.way == "all" else [[n] for n in numbers]
-    first = 1.0 if wanted.latency_s else 0.5
-    info = told(port, len(groups), first % 1.0)
-    create = h.helicsCreateValueFederate if wanted.way == "plain" else h.helicsCreateCallbackFederate
+    port, number = map(int, settings.at.split())
+    numbers = range(number, settings.agents, settings.processes)
+    groups: list[Sequence[int]] = [numbers] if settings.way == "all" else [[n] for n in numbers]
+    first = 1.0 if settings.latency_s else 0.5
+    info = federate_info(port, len(groups), first % 1.0)
+    create = h.helicsCreateValueFederate if settings.way == "plain" else h.helicsCreateCallbackFederate
     federates = [create(f"agents{group[0]}", info) for group in groups]
-    if wanted.way == "plain":
+    if settings.way == "plain":
         for own, group in zip(federates, groups, strict=True):
-            threading.Thread(target=block, args=(own, group, wanted, first), daemon=True).start()
+            threading.Thread(target=block, args=(own, group, settings, first), daemon=True).start()
     else:
-        steps = [stepping(own, group, wanted, first) for own, group in zip(federates, groups, strict=True)]
+        steps = [stepping(own, group, settings, first) for own, group in zip(federates, groups, strict=True)]
         for own, step in zip(federates, steps, strict=True):
             h.helicsCallbackFederateNextTimeCallback(own, step, h.ffi.NULL)
             h.helicsFederateEnterInitializingMode(own)
@@ -91,35 +93,35 @@ def host(wanted: Options) -> None:
     os._exit(0)
 
 
-def block(own: Any, numbers: Sequence[int], wanted: Options, first: float) -> None:
+def block(own: Any, numbers: Sequence[int], settings: Options, first: float) -> None:
     """Request one time after the other, without end."""
-    said, heard = both(own, numbers, "command", "seen")
+    publications, subscriptions = both(own, numbers, "command", "seen")
     h.helicsFederateEnterExecutingMode(own)
-    command, now = bytes(wanted.answered), first - 1.0
+    command, now = bytes(settings.answered), first - 1.0
     while True:
         now = h.helicsFederateRequestTime(own, now + 1.0)
-        answer(said, heard, command, wanted.busy_s)
+        answer(publications, subscriptions, command, settings.busy_s)
 
 
-def stepping(own: Any, numbers: Sequence[int], wanted: Options, first: float) -> Any:
+def stepping(own: Any, numbers: Sequence[int], settings: Options, first: float) -> Any:
     """Callback for HELICS; it returns the next time."""
-    said, heard = both(own, numbers, "command", "seen")
-    command = bytes(wanted.answered)
+    publications, subscriptions = both(own, numbers, "command", "seen")
+    command = bytes(settings.answered)
 
     def step(now: float, _: Any) -> float:
         if now >= first:
-            answer(said, heard, command, wanted.busy_s)
+            answer(publications, subscriptions, command, settings.busy_s)
         return max(now + 1.0, first)
 
     return h.ffi.callback("double(double, void *)", step)
 
 
-def answer(said: Sequence[Any], heard: Sequence[Any], command: bytes, busy_s: float) -> None:
+def answer(publications: Sequence[Any], subscriptions: Sequence[Any], command: bytes, busy_s: float) -> None:
     """Read the inputs of these agents, and publish their answers."""
-    for mine, its in zip(said, heard, strict=True):
-        h.helicsInputGetBytes(its)
+    for publication, subscription in zip(publications, subscriptions, strict=True):
+        h.helicsInputGetBytes(subscription)
         busy(busy_s)
-        h.helicsPublicationPublishBytes(mine, command)
+        h.helicsPublicationPublishBytes(publication, command)
 
 
 def free_port() -> int:

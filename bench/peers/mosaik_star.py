@@ -31,7 +31,7 @@ class World(mosaik_api_v3.Simulator):  # type: ignore[misc]
     def init(self, sid: str, time_resolution: float, *, pace: Pace, scans: bool) -> Any:
         """Time 0."""
         self._pace = pace
-        self._seen: dict[str, Any] = {**STATE, **({"scan": [0.1 + n / 51.0 for n in range(BEAMS)]} if scans else {})}
+        self._observation: dict[str, Any] = {**STATE, **({"scan": [0.1 + n / 51.0 for n in range(BEAMS)]} if scans else {})}
         return self.meta
 
     def create(self, num: int, model: str) -> Any:
@@ -48,7 +48,7 @@ class World(mosaik_api_v3.Simulator):  # type: ignore[misc]
 
     def get_data(self, outputs: Any) -> Any:
         """Equal values for all."""
-        return {each: {"seen": self._seen} for each in outputs}
+        return {each: {"seen": self._observation} for each in outputs}
 
 
 class Still(mosaik_api_v3.Simulator):  # type: ignore[misc]
@@ -69,9 +69,9 @@ class Still(mosaik_api_v3.Simulator):  # type: ignore[misc]
 
     def step(self, time: int, inputs: Any, max_advance: int) -> int:
         """Read the inputs."""
-        for its in inputs.values():
-            (seen,) = its["seen"].values()
-            assert seen["position"]
+        for attributes in inputs.values():
+            (observation,) = attributes["seen"].values()
+            assert observation["position"]
             busy(self._busy_s)
         return time + 1
 
@@ -80,20 +80,20 @@ class Still(mosaik_api_v3.Simulator):  # type: ignore[misc]
         return {each: {"command": COMMAND} for each in outputs}
 
 
-def main(wanted: Options) -> None:
+def main(settings: Options) -> None:
     """Run until the parent ends the program."""
-    pace, groups = Pace(wanted), max(1, wanted.processes)
+    pace, groups = Pace(settings), max(1, settings.processes)
     elsewhere = {"cmd": f"{sys.executable} -m {STILL} %(addr)s"}
     config = {
         "World": {"python": f"{__name__}:World"},
-        "Still": elsewhere if wanted.processes else {"python": f"{__name__}:Still"},
+        "Still": elsewhere if settings.processes else {"python": f"{__name__}:Still"},
     }
     star = mosaik.World(config, skip_greetings=True, configure_logging=False)
-    vehicles = star.start("World", pace=pace, scans=wanted.scans).Vehicle.create(wanted.agents)
-    hosts = [star.start("Still", busy_s=wanted.busy_s) for _ in range(groups)]
+    vehicles = star.start("World", pace=pace, scans=settings.scans).Vehicle.create(settings.agents)
+    hosts = [star.start("Still", busy_s=settings.busy_s) for _ in range(groups)]
     for number, host in enumerate(hosts):
-        mine = vehicles[number::groups]
-        for vehicle, agent in zip(mine, host.Agent.create(len(mine)), strict=True):
+        group = vehicles[number::groups]
+        for vehicle, agent in zip(group, host.Agent.create(len(group)), strict=True):
             star.connect(vehicle, agent, "seen")
             star.connect(agent, vehicle, "command", time_shifted=True, initial_data={"command": COMMAND})
     with contextlib.suppress(EnoughError):

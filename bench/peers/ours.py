@@ -31,8 +31,8 @@ class World:
 
     def __init__(self, world: Any, vehicles: Any, outside: Any = None, busy_s: NonNegative = 0.0) -> None:
         self._busy_s = busy_s
-        self._said = [(f"{each.name}/estimate", STATE_SEEN) for each in vehicles]
-        self._said += [(f"{each.name}/scan", SCAN_SEEN) for each in vehicles if each.sensors]  # type: ignore[misc]
+        self._publications = [(f"{each.name}/estimate", STATE_SEEN) for each in vehicles]
+        self._publications += [(f"{each.name}/scan", SCAN_SEEN) for each in vehicles if each.sensors]  # type: ignore[misc]
 
     def start(self, run: RunInfo) -> int | None:
         """Publish at once."""
@@ -41,7 +41,7 @@ class World:
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
         """Publish."""
         busy(self._busy_s)
-        return Step([Event(key, now_ns, value) for key, value in self._said], now_ns + PERIOD_NS)
+        return Step([Event(key, now_ns, value) for key, value in self._publications], now_ns + PERIOD_NS)
 
     def close(self) -> None:
         """Nothing to close."""
@@ -59,44 +59,44 @@ class Still(Agent):
         return SAID
 
 
-def scenario(wanted: Options) -> dict[str, Any]:
+def scenario(settings: Options) -> dict[str, Any]:
     """The star."""
-    seen = (
+    scanner = (
         {"sensors": {"scan": {"kind": "range_scanner", "beams": BEAMS, "field_of_view": 4.0, "range_max": 10.0}}}
-        if wanted.scans
+        if settings.scans
         else {}
     )
     return {
         "name": "bench",
         "duration_s": 1e6,
-        "physics": {"kind": "bench.peers.ours:World", "busy_s": wanted.world_s},
+        "physics": {"kind": "bench.peers.ours:World", "busy_s": settings.world_s},
         "radio": {"preset": "ideal"},
         "vehicles": {"kind": "point"},
         "agents": {
             "kind": "bench.peers.ours:Still",
-            "runs": "process" if wanted.processes else "inprocess",
+            "runs": "process" if settings.processes else "inprocess",
             "period_s": PERIOD_NS / 1e9,
-            "latency_s": wanted.latency_s,
-            "busy_s": wanted.busy_s,
+            "latency_s": settings.latency_s,
+            "busy_s": settings.busy_s,
             "deadline_s": 30.0,
-            **({"processes": wanted.processes} if wanted.processes else {}),
+            **({"processes": settings.processes} if settings.processes else {}),
         },
-        "vehicle": [{"name": f"car{n:02}", "agent": {}, **seen} for n in range(wanted.agents)],
+        "vehicle": [{"name": f"car{n:02}", "agent": {}, **scanner} for n in range(settings.agents)],
     }
 
 
 def sizes(scans: bool) -> tuple[int, int]:
     """Bytes of an agent's observation and answer on the wire."""
     late_ns = 1000 * PERIOD_NS
-    seen = [Event("car00/estimate", late_ns, STATE_SEEN), *([Event("car00/scan", late_ns, SCAN_SEEN)] if scans else [])]
-    return sum(len(encode(each)) for each in seen), len(encode(Event("car00/command", late_ns, SAID)))
+    observation = [Event("car00/estimate", late_ns, STATE_SEEN), *([Event("car00/scan", late_ns, SCAN_SEEN)] if scans else [])]
+    return sum(len(encode(each)) for each in observation), len(encode(Event("car00/command", late_ns, SAID)))
 
 
 def main() -> None:
     """Run until the parent ends the program."""
-    wanted = options()
-    pace = Pace(wanted)
-    parsed, source = scenarios.load(scenario(wanted))
+    settings = options()
+    pace = Pace(settings)
+    parsed, source = scenarios.load(scenario(settings))
     with assemble(parsed, source) as assembled:
         kernel = Kernel(assembled.info, assembled.federates)
         kernel.start()

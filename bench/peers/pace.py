@@ -60,9 +60,9 @@ class Pace:
     The first stretch warms up: its result is ignored.
     """
 
-    def __init__(self, wanted: Options) -> None:
+    def __init__(self, settings: Options) -> None:
         self._answers = _answers()
-        self._agents, self._stretch_s = wanted.agents, wanted.stretch_s
+        self._agents, self._stretch_s = settings.agents, settings.stretch_s
         self._steps = -1  # finished steps of this stretch
         self._begin = 0.0
 

@@ -11,9 +11,9 @@ from PyFlyt.pz_envs.quadx_envs.ma_quadx_hover_env import MAQuadXHoverEnv  # type
 from bench.peers.pace import Options, stretches
 
 
-def environment(wanted: Options) -> Callable[[], None]:
+def environment(settings: Options) -> Callable[[], None]:
     """Reset; each call continues, and resets at the end of an episode."""
-    count = wanted.agents
+    count = settings.agents
     places = np.array([(3.0 * (n % 10), 3.0 * (n // 10), 5.0) for n in range(count)])
     env = MAQuadXHoverEnv(start_pos=places, start_orn=np.zeros((count, 3)), flight_dome_size=1e3)
     env.reset(seed=1)
@@ -21,7 +21,7 @@ def environment(wanted: Options) -> Callable[[], None]:
     actions = {agent: env.action_space(agent) for agent in env.possible_agents}
 
     def steps() -> None:
-        for _ in range(round(wanted.span_s)):
+        for _ in range(round(settings.span_s)):
             if not env.agents:
                 env.reset()
             env.step({agent: _hover(actions[agent], rng) for agent in env.agents})

@@ -38,7 +38,7 @@ class Node:
     def __init__(self, env: simpy.Environment, number: int, air: "Air") -> None:
         self.place = (3.0 * (number % 10), 3.0 * (number // 10), 0.0)
         self.inbox = simpy.Store(env)
-        self.heard = 0
+        self.received = 0
         self._env, self._air = env, air
         self._begin = number / RATE_HZ / 100.0  # in turn, so that few overlap
         env.process(self._send())
@@ -53,7 +53,7 @@ class Node:
     def _receive(self) -> Waits:
         while True:
             yield self.inbox.get()
-            self.heard += 1
+            self.received += 1
 
 
 class Air:
@@ -89,11 +89,11 @@ def level(sender: Node, receiver: Node) -> float:
     return float(POWER_W * 10.0 ** (-(40.0 + 30.0 * math.log10(distance_m)) / 10.0))
 
 
-def work(wanted: Options) -> Callable[[], None]:
+def work(settings: Options) -> Callable[[], None]:
     """Each call is a run of its own."""
 
     def run() -> None:
-        assert any(node.heard for node in talked(wanted.agents, wanted.span_s, wanted.loss))
+        assert any(node.received for node in talked(settings.agents, settings.span_s, settings.loss))
 
     return run
 

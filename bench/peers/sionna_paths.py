@@ -15,7 +15,7 @@ FREQUENCY_HZ, REFLECTIONS, RAYS = 2.437e9, 2, 2_000_000
 LLVM = sorted(Path("/usr/lib").glob("*-linux-gnu/libLLVM*.so*"), key=lambda path: path.name.rpartition("LLVM")[2])
 
 
-def links(wanted: Options) -> Callable[[], None]:
+def links(settings: Options) -> Callable[[], None]:
     """The scene; each call finds the paths of all links."""
     newest = next((path for path in reversed(LLVM) if ".so.19" in path.name or "-15" in path.name), None)
     if newest is not None:
@@ -25,10 +25,10 @@ def links(wanted: Options) -> Callable[[], None]:
     mitsuba.set_variant("llvm_ad_mono_polarized")
     from sionna import rt  # type: ignore[import-not-found]
 
-    scene = rt.load_scene(str(Path(wanted.at, "scene.xml")), merge_shapes=False)
+    scene = rt.load_scene(str(Path(settings.at, "scene.xml")), merge_shapes=False)
     scene.frequency = FREQUENCY_HZ
     scene.tx_array = scene.rx_array = rt.PlanarArray(num_rows=1, num_cols=1, pattern="iso", polarization="V")
-    points = json.loads(Path(wanted.at, "points.json").read_text())
+    points = json.loads(Path(settings.at, "points.json").read_text())
     solver = rt.PathSolver()
 
     def find() -> None:

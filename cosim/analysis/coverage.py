@@ -250,13 +250,13 @@ def to_table(found: Map) -> dict[str, Any]:
         "vehicles": {name: list(place) for name, place in found.places.items()},
         "at_vehicles": {name: {"level_dbm": level, "success": success} for name, (level, success) in found.others.items()},
         **({"not_executed": list(found.not_executed)} if found.not_executed else {}),
-        "heard_share": heard_share(found),
+        "heard_share": covered_share(found),
         "mean_success": float(found.success.mean()),
         **{f"{name}_m" if name in ("x", "y") else name: getattr(found, name).tolist() for name in arrays},
     }
 
 
-def heard_share(found: Map) -> float:
+def covered_share(found: Map) -> float:
     """Share of the area with a mean level at or above the detection floor."""
     return float((found.level_dbm >= found.floor_dbm).mean())
 
@@ -266,7 +266,7 @@ def summary(found: Map) -> str:
     width, height = (float(np.ptp(axis)) for axis in (found.x, found.y))
     lines = [
         f"{found.scenario}: the level of {found.vehicle} is {found.floor_dbm:.1f} dBm or more in "
-        f"{100.0 * heard_share(found):.1f} % of {width:g} x {height:g} m; "
+        f"{100.0 * covered_share(found):.1f} % of {width:g} x {height:g} m; "
         f"{100.0 * found.success.mean():.1f} % of its frames of {found.size_bytes} bytes arrive, averaged over all places, "
         "without random loss (radio.loss) and collisions"
     ]

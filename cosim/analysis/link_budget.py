@@ -42,7 +42,7 @@ def frame_report(log: Log, pair: Pair, which: str, *, with_scenario: bool = True
         UsageError: the link has no such frame.
     """
     frames = log.frames(pair)
-    frame = frames.where(np.arange(len(frames)) == _find(log, frames, pair, which))
+    frame = frames.select(np.arange(len(frames)) == _find(log, frames, pair, which))
     row: dict[str, Any] = {name: frame[name].tolist()[0] for name in NUMBERS}
     outcome, materials = frame.words("outcome")[0], frame.words("wall_materials")[0]
     with only(None if trust else NO_CODE):

@@ -98,10 +98,10 @@ class Log:
                 outcome, names = self.column("outcome"), self.names["outcome"]
                 self._columns[name] = outcome == code_of(names, UNDER_WAY)
             else:
-                self._columns[name] = self._whole(name)[self._order]
+                self._columns[name] = self._column(name)[self._order]
         return self._columns[name]
 
-    def _whole(self, name: str) -> Array:
+    def _column(self, name: str) -> Array:
         """A column in table order: numbers, or codes of names."""
         try:
             table = self._read(name)
@@ -115,8 +115,8 @@ class Log:
 
     def _by_link(self) -> tuple[dict[Pair, tuple[int, int]], Array]:
         """The span of rows of each link, and all rows sorted by link, in table order within each link."""
-        link = self._whole("sender").astype(np.int32)  # of at most `limits.VEHICLES` squared
-        senders, receiver = self.names["sender"], self._whole("receiver")
+        link = self._column("sender").astype(np.int32)  # of at most `limits.VEHICLES` squared
+        senders, receiver = self.names["sender"], self._column("receiver")
         receivers = self.names["receiver"]
         link *= max(1, len(receivers))
         link += receiver
@@ -141,7 +141,7 @@ class LinkFrames:
         """A column: numbers, or codes of names; received_ns and delay_ns are -1 and sinr_db is NaN without a value."""
         return self._log.column(name)[self._rows]
 
-    def where(self, chosen: Array) -> "LinkFrames":
+    def select(self, chosen: Array) -> "LinkFrames":
         """The rows for which ``chosen`` (n,) is true."""
         return LinkFrames(self._log, self._rows[chosen])
 
@@ -158,12 +158,12 @@ class LinkFrames:
     @property
     def decided(self) -> "LinkFrames":
         """The frames received or lost before the run ended."""
-        return self.where(~self["under_way"])
+        return self.select(~self["under_way"])
 
     @property
     def arrived(self) -> "LinkFrames":
         """The frames received before the run ended."""
-        return self.decided.where(self.decided["received_ns"] >= 0)
+        return self.decided.select(self.decided["received_ns"] >= 0)
 
 
 def overview(log: Log, link: str = "*/*") -> list[dict[str, Any]]:
@@ -171,7 +171,7 @@ def overview(log: Log, link: str = "*/*") -> list[dict[str, Any]]:
     rows = []
     for pair in log.pairs(link):
         frames = log.frames(pair)
-        sent, gaps = frames.where(frames["air_time_ns"] > 0), _receptions(frames.arrived["received_ns"])
+        sent, gaps = frames.select(frames["air_time_ns"] > 0), _receptions(frames.arrived["received_ns"])
         medians = {name: float(np.median(sent[name])) if len(sent) else None for name in ("rssi_dbm", "distance_m")}
         rows.append({**_counts(pair, frames), **medians, "longest_gap_s": gaps["longest_gap_s"]})
     return sorted(rows, key=lambda row: math.inf if row["delivery_ratio"] is None else row["delivery_ratio"])
@@ -180,7 +180,7 @@ def overview(log: Log, link: str = "*/*") -> list[dict[str, Any]]:
 def link_report(log: Log, pair: Pair) -> dict[str, Any]:
     """All statistics of one link."""
     frames = log.frames(pair)
-    sent, arrived = frames.where(frames["air_time_ns"] > 0), frames.arrived
+    sent, arrived = frames.select(frames["air_time_ns"] > 0), frames.arrived
     sinr = sent["sinr_db"]
     return {
         **_counts(pair, frames),

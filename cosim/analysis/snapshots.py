@@ -84,7 +84,7 @@ class Snapshots:
     ) -> None:
         parsed, self._source = scenarios.load(scenario, settings=settings)
         self._scenario, self._seed = parsed, seed
-        table_, key = self._found(vehicle)
+        table_, key = self._camera_vehicle(vehicle)
         self.vehicle = table_.name
         params = self._params(table_)
         search, self.table = _search_of(params)
@@ -92,7 +92,7 @@ class Snapshots:
         self.world, _ = worlds.build(parsed.world, self._source, seed=parsed.seed)
         self.height_m = self._height(height_m, search, table_, key)
         self.area = self._area(search)
-        self.cell_m = float(self._said(search, "cell_m", Positive, CELL_M)) if cell_m is None else cell_m
+        self.cell_m = float(self._search_value(search, "cell_m", Positive, CELL_M)) if cell_m is None else cell_m
         self._grid = self._cells()
         names = self._watch.names
         self._targets = [each for each in self.world.targets if each.name in names]
@@ -120,7 +120,7 @@ class Snapshots:
         shown = tuple(each for each in targets if each is not None)
         return Snapshot(image.pixels, shown, frame.sightings, cells, hits)
 
-    def _found(self, name: str | None) -> tuple[VehicleTable, str]:
+    def _camera_vehicle(self, name: str | None) -> tuple[VehicleTable, str]:
         vehicles = {each.name: each for each in self._scenario.vehicle}
         if name is not None and name not in vehicles:
             raise ScenarioError(binding.unknown("vehicle", name, vehicles), key="vehicle", source=self._source.name)
@@ -156,14 +156,14 @@ class Snapshots:
             raise self._source.error("must be a camera", f"{where}.{settings.camera}.kind")
         self._watch.start(VehicleInfo(name=vehicle.name, vehicles=(vehicle.name,), period_s=1.0, latency_s=0.0, seed=0))
 
-    def _said(self, search: Mapping[str, Any], name: str, annotation: object, default: object) -> Any:
+    def _search_value(self, search: Mapping[str, Any], name: str, annotation: object, default: object) -> Any:
         if name not in search:
             return default
         return binding.convert(search[name], annotation, key=f"{self.table}.{name}", origin=self._source)
 
     def _height(self, height_m: float | None, search: Mapping[str, Any], vehicle: VehicleTable, key: str) -> float:
         if height_m is None:
-            height_m = float(self._said(search, "height", float, vehicle.start[0][2]))
+            height_m = float(self._search_value(search, "height", float, vehicle.start[0][2]))
             if "height" not in search and not height_m > 0.0:
                 problem = f"{self.vehicle} starts on the ground, and its search has no height: set one"
                 raise ScenarioError(problem, key=f"vehicle.{self.vehicle}.position", source=self._source.name)
@@ -174,7 +174,7 @@ class Snapshots:
         return height_m
 
     def _area(self, search: Mapping[str, Any]) -> Area:
-        found = self._said(search, "area", tuple[float, float, float, float], self.world.bounds)
+        found = self._search_value(search, "area", tuple[float, float, float, float], self.world.bounds)
         if found is None:
             problem = f"is missing: {self.vehicle} has no search area, and the world has no bounds"
             raise ScenarioError(problem, key=f"{self.table}.area", source=self._source.name)

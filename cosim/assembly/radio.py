@@ -190,7 +190,7 @@ def _own_radio(vehicle: VehicleTable, source: Source) -> "Radio":
     from vcmvsp.netsim.propagation.antennas import pattern_of
 
     key = f"vehicle.{vehicle.name}.radio"
-    radio: Radio = binding.call(Radio, registry.found(Radio, vehicle.radio, source, key), key=key, origin=source)
+    radio: Radio = binding.call(Radio, registry.with_real_paths(Radio, vehicle.radio, source, key), key=key, origin=source)
     try:
         pattern_of(radio)
     except ScenarioError as error:
@@ -260,7 +260,7 @@ def build(
         for name in LAYERS:
             where, own = binding.join(key, name), radio.get(name, {})
             if not isinstance(own, dict):
-                raise source.error(f"must be a table, not {binding.show(own)}{_meant(name, base[name], own, where)}", where)
+                raise source.error(f"must be a table, not {binding.show(own)}{_proposal(name, base[name], own, where)}", where)
             content, guard = _merged(name, base[name], own), partial(user_layers.guarded, name)
             layers[name], resolved[name] = registry.build(
                 name, content, key=where, source=source, portable=portable, offered=offered, keep=keep, guard=guard
@@ -295,7 +295,7 @@ def _check_rays(base: dict[str, dict[str, Any]], radio: Mapping[str, Any], key: 
         raise source.error(problem, binding.join(key, "fading.kind"))
 
 
-def _meant(layer: str, base: Mapping[str, Any], own: object, where: str) -> str:
+def _proposal(layer: str, base: Mapping[str, Any], own: object, where: str) -> str:
     """A proposal for a value in place of a layer's table: its first key that may have such a value; empty if it has none."""
     content = _merged(layer, base, {})
     kinds = [kind for kind in (content["kind"], *builtin_kinds.KINDS[layer]) if kind != "none"]

@@ -38,12 +38,12 @@ def world_in(folder: Path, scenario: Scenario, source: Source) -> World:
     if registry.may_import("world", scenario.world.get("kind", "empty")):
         return worlds.build(scenario.world, source, seed=scenario.seed)[0]
     try:
-        return drawn_in(folder / FILE)
+        return world_of_drawing(folder / FILE)
     except (OSError, ValueError, IndexError) as error:
         raise UsageError(f"{folder / FILE}: cannot read the world: {error}") from error
 
 
-def drawn_in(recording: Path) -> World:
+def world_of_drawing(recording: Path) -> World:
     """The world as a recording draws it: meshes without material, obstacles at their start, targets.
 
     Raises:

@@ -121,7 +121,7 @@ class Resolution:
             **self.tables,
             "agents": {
                 **_present(period_s=agents.period_s, latency_s=agents.latency_s, on_lost=agents.on_lost, hold_s=agents.hold_s),
-                **{name: self._kept(value, files) for name, value in of_agents.items()},
+                **{name: self._keep_files_of(value, files) for name, value in of_agents.items()},
             },
             **({"clock": binding.plain(scenario.clock)} if scenario.clock != ClockTable() else {}),
             **({"safety": binding.plain(scenario.safety)} if any("driver" in each for each in self.real.values()) else {}),
@@ -183,8 +183,8 @@ class Resolution:
         """A radio table, complete, with its file kept."""
         from vcmvsp.netsim.interfaces.layers import Radio
 
-        located = registry.found(Radio, content, self._source, "radio")
-        return binding.complete(Radio, registry.kept(Radio, located, self.keep))
+        located = registry.with_real_paths(Radio, content, self._source, "radio")
+        return binding.complete(Radio, registry.with_kept_files(Radio, located, self.keep))
 
     def _station(self, vehicle: VehicleTable) -> dict[str, Any]:
         """The table of a station, to which no shared default applies."""
@@ -213,15 +213,17 @@ class Resolution:
             hold_s=own.hold_s if own else None,
         )
         taken = {name for name in info.taken if name in shared and info.params.get(name) == shared[name]}
-        params = {name: self._kept(value, info.files, foreign) for name, value in info.params.items() if name not in taken}
+        params = {
+            name: self._keep_files_of(value, info.files, foreign) for name, value in info.params.items() if name not in taken
+        }
         return {"agent": {**full, **params}}
 
-    def _kept(self, value: Any, files: Collection[str] = (), foreign: bool = False) -> Any:
+    def _keep_files_of(self, value: Any, files: Collection[str] = (), foreign: bool = False) -> Any:
         """A parameter of an agent; keeps the Python files (``file.py:Class``) and members of ``files`` that it names."""
         if isinstance(value, dict):
-            return {name: self._kept(each, files, foreign) for name, each in value.items()}
+            return {name: self._keep_files_of(each, files, foreign) for name, each in value.items()}
         if isinstance(value, list):
-            return [self._kept(each, files, foreign) for each in value]
+            return [self._keep_files_of(each, files, foreign) for each in value]
         if isinstance(value, str) and value in files:
             path = registry.located(value, self._source.folder)
             return self.keep(path) if path.is_file() and not (foreign and self._lies_elsewhere(path)) else value

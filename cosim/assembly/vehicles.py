@@ -70,7 +70,7 @@ class Fleet:
         """The parameters of a vehicle; defaults of ``[vehicles]`` apply only to kinds that take them."""
         known = binding.parameters(self._class(vehicle))
         defaults = self._scenario.vehicles
-        params = self._source.kept(vehicle.params, f"vehicle.{vehicle.name}", known)
+        params = self._source.parameters(vehicle.params, f"vehicle.{vehicle.name}", known)
         return {n: v for n, v in params.items() if n in known or n not in defaults}
 
     def _model(self, vehicle: VehicleTable) -> "Vehicle":
@@ -79,10 +79,12 @@ class Fleet:
         if vehicle.firmware is not None and "frame" in binding.parameters(kind):
             content = {"frame": "x", **content}
         own, also = (
-            registry.found(kind, content, self._source, key),
+            registry.with_real_paths(kind, content, self._source, key),
             {*binding.parameters(VehicleTable)} - {"params"},
         )
-        self._resolution.vehicles[vehicle.name] = registry.kept(kind, binding.complete(kind, own), self._resolution.keep)
+        self._resolution.vehicles[vehicle.name] = registry.with_kept_files(
+            kind, binding.complete(kind, own), self._resolution.keep
+        )
         return binding.call(kind, own, key=key, origin=self._source, also=also)
 
     def _fit(self, vehicle: VehicleTable) -> "dict[str, Sensor]":
@@ -240,7 +242,7 @@ class Placement:
             key = f"vehicle.{vehicle.name}.agent.kind"
             raise self._source.error("is missing, and [agents] has no kind for all", key)
         defaults = {name: value for name, value in agents.defaults.items() if name != "kind"}
-        params = self._source.kept(own.params, f"vehicle.{vehicle.name}.agent", ()) if own else {}
+        params = self._source.parameters(own.params, f"vehicle.{vehicle.name}.agent", ()) if own else {}
         if own and len(params) < len(own.params):  # not the file's class: only parameters that it takes
             defaults |= {name: value for name, value in own.params.items() if name not in params}
         parameters = ((f"agents.{n}", n) for n in defaults), ((f"vehicle.{vehicle.name}.agent.{n}", n) for n in params)

@@ -56,7 +56,7 @@ class WorldBatch:
         from vcmvsp.physics.federate import FlightPhysics
 
         self._physics = {**binding.complete(FlightPhysics, {}, without=_NO_KEYS), **scenario.physics}
-        for key, problem in _alone(scenario, fleet):
+        for key, problem in _unbatchable(scenario, fleet):
             raise source.error(f"{problem}: only one world at a time can have it (vcmvsp.env.parallel_env)", key)
         self._channel, _, _ = radio.channel_of(scenario, source, solids=())
         trains = Ticks.every(period_s), Ticks.every(scenario.record.period_s)
@@ -129,7 +129,7 @@ def _first_four(motion: "BodyMotion") -> tuple[Floats, Floats, Floats, Floats]:
     return motion.position, motion.velocity, motion.attitude, motion.angular_velocity
 
 
-def _alone(scenario: Scenario, fleet: Fleet) -> "list[tuple[str, str]]":
+def _unbatchable(scenario: Scenario, fleet: Fleet) -> "list[tuple[str, str]]":
     """Keys and descriptions of what needs a run of its own."""
     from vcmvsp.physics.vehicles.models import GroundVehicle, Point, Quadrotor
 

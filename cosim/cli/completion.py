@@ -78,7 +78,7 @@ def _worlds(incomplete: str) -> list[str]:
     return [*builtin_kinds.KINDS["world"], *_scenarios(incomplete)]
 
 
-def _what(ctx: typer.Context, incomplete: str) -> list[str]:
+def _list_arguments(ctx: typer.Context, incomplete: str) -> list[str]:
     if ctx.info_name == "list":
         return ["scenarios", *GROUPS]
     return [*GROUPS.values(), *_scenarios(incomplete)]
@@ -112,7 +112,9 @@ def _keys(ctx: typer.Context, incomplete: str) -> list[str]:
     prefix = PREFIXES.get(ctx.info_name or "", "")
     if ctx.info_name == "world" and _first(ctx, "world") not in builtin_kinds.KINDS["world"]:
         prefix = ""
-    known = {key.removeprefix(prefix): values for key, values in _named(ctx, prefix + incomplete) if key.startswith(prefix)}
+    known = {
+        key.removeprefix(prefix): values for key, values in _keys_with_names(ctx, prefix + incomplete) if key.startswith(prefix)
+    }
     key, equals, _ = incomplete.partition("=")
     if equals:
         return [f"{key}={value}" for value in known.get(key, ())]
@@ -134,7 +136,7 @@ def _to_next_dot(key: str, begun: str) -> str:
 COMPLETERS: Mapping[str, Callable[..., list[str]]] = {
     "scenario": _scenarios,
     "world": _worlds,
-    "what": _what,
+    "what": _list_arguments,
     "kind": _kinds,
     "vehicle": _vehicles,
     "preset": _presets,
@@ -152,7 +154,7 @@ def _index() -> Iterator[tuple[str, list[str]]]:
         yield path, values
 
 
-def _named(ctx: typer.Context, begun: str) -> Iterator[tuple[str, list[str]]]:
+def _keys_with_names(ctx: typer.Context, begun: str) -> Iterator[tuple[str, list[str]]]:
     """Keys and their values, with the names of the scenario's vehicles and sensors if the typed prefix needs them."""
     steps, content = begun.split("."), _content(ctx)
     holders = [content.get("vehicles"), *_tables(content, "vehicle")]

@@ -103,12 +103,12 @@ def reference_command(
     if json:
         import msgspec
 
-        found = tree.Reference(sections=tuple(tree.asked(section)))
+        found = tree.Reference(sections=tuple(tree.sections_of(section)))
         sys.stdout.write(msgspec.json.format(msgspec.json.encode(found), indent=2).decode() + "\n")
         return
     on_terminal = sys.stdout.isatty()
     width = shutil.get_terminal_size().columns if on_terminal else None
-    for number, each in enumerate(tree.asked(section)):
+    for number, each in enumerate(tree.sections_of(section)):
         shown = tree.lines(each, width, _strong if on_terminal else str)
         typer.echo(("\n" if number else "") + "\n".join(shown))
 

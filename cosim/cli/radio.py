@@ -85,7 +85,7 @@ def radio_command(
         for name, value in options.items():
             if isinstance(value, float) and not (math.isfinite(value) and (name != "resolution" or value > 0.0)):
                 raise UsageError(f"--{name} {value}: must be a {'positive' if name == 'resolution' else 'finite'} number")
-        answer, text = _drawn(what, coverage, options, json=json, trust=trust)
+        answer, text = _draw_coverage(what, coverage, options, json=json, trust=trust)
     sys.stdout.write(to_json(finite(answer)) if json else text)
 
 
@@ -267,7 +267,9 @@ def _traced(what: str, points: Path, options: dict[str, Any], *, json: bool, tru
     return {"file": str(out), "paths": table.num_rows}, ray_paths.summary(table, out)
 
 
-def _drawn(what: str, vehicle: str, arguments: dict[str, Any], *, json: bool, trust: bool) -> tuple[dict[str, Any], str]:
+def _draw_coverage(
+    what: str, vehicle: str, arguments: dict[str, Any], *, json: bool, trust: bool
+) -> tuple[dict[str, Any], str]:
     from vcmvsp.cosim.analysis import coverage as maps
     from vcmvsp.cosim.scenario import loader
 

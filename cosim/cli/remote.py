@@ -106,7 +106,7 @@ def watch_command(
     if bundle is not None and (warning := bundle.check()):
         say(warning)
     endpoint = endpoint_rules(endpoint, bundle, insecure=insecure, side="observer")
-    connection: dict[str, Any] = {"bundle": bundle, "secret": endpoints.given(secret, insecure=insecure), "on_state": say}
+    connection: dict[str, Any] = {"bundle": bundle, "secret": endpoints.secret_from(secret, insecure=insecure), "on_state": say}
     if view:
         _watch_page(endpoint, (view_host, view_port), connection)
         return
@@ -346,7 +346,7 @@ def connection(
     bundle = _bundle(keys)
     side: Side = "observer" if bundle and bundle.role == "observer" else "host"
     endpoint = endpoint_rules(endpoint, bundle, insecure=insecure, side=side)
-    return examine(endpoint, bundle, endpoints.given(secret, insecure=insecure))
+    return examine(endpoint, bundle, endpoints.secret_from(secret, insecure=insecure))
 
 
 def _bundle(keys: Path | None) -> "Bundle | None":

@@ -19,7 +19,7 @@ from typing import Any, Literal, TypeVar
 import msgspec
 
 from vcmvsp.cosim.config.provenance import NOWHERE, Source
-from vcmvsp.cosim.errors import ScenarioError, place_of, said_by, words_of
+from vcmvsp.cosim.errors import ScenarioError, place_of, text_of, words_of
 from vcmvsp.cosim.util.documents import parts_of
 
 T = TypeVar("T")
@@ -101,7 +101,7 @@ def call(
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # a user class may raise anything
-        problem = text = said_by(error)
+        problem = text = text_of(error)
         if not isinstance(error, ValueError):
             problem = f"{target.__name__} raised {words_of(error)}{place_of(error)}"
         mentioned = [name for name in values if re.search(rf"\b{name}\b", text)]  # parameters named in its message
@@ -128,7 +128,7 @@ def fitted(value: object, annotation: object, keys: Collection[str]) -> object:
     tables = [each for each in structs(annotation) if each.__struct_config__.tag_field and _may_be(each, value)]
     if len(tables) != 1 or not isinstance(value, Mapping):
         return value
-    known = {*_known(tables[0], value), *keys}
+    known = {*_table_keys(tables[0], value), *keys}
     return {name: each for name, each in value.items() if name in known}
 
 
@@ -154,7 +154,7 @@ def _with_files(value: Any, annotation: object, change: Callable[[str], str]) ->
         return change(value) if value and _names_file(annotation) else value
     if isinstance(value, Mapping):
         items = [typing.get_args(each)[1] for each in _alternatives(annotation) if typing.get_origin(each) in (dict, Mapping)]
-        known = {} if items else _known(annotation, value)
+        known = {} if items else _table_keys(annotation, value)
         others = items[0] if items else Any
         of = {name: known[name].annotation if name in known else others for name in value}
         return {name: _with_files(each, of[name], change) for name, each in value.items()}
@@ -228,14 +228,14 @@ def _inside(words: str, path: str, value: Any, annotation: object) -> str:
     for step in re.findall(r"\w+", path):
         if step.isdigit():
             value, annotation = value[int(step)], _item(annotation, int(step))
-        elif step in (known := _known(annotation, value)):
+        elif step in (known := _table_keys(annotation, value)):
             value, annotation = value[step], known[step].annotation
         else:
             return words
     if field := re.fullmatch(r"Object contains unknown field `(.*)`", words):
-        return unknown("key", field[1], _known(annotation, value))
+        return unknown("key", field[1], _table_keys(annotation, value))
     if field := re.fullmatch(r"Object missing required field `(.*)`", words):
-        return f"{field[1]} is missing; it must be {describe(_known(annotation, value)[field[1]].annotation)}"
+        return f"{field[1]} is missing; it must be {describe(_table_keys(annotation, value)[field[1]].annotation)}"
     return unlike(value, annotation)
 
 
@@ -250,7 +250,7 @@ def _item(annotation: object, number: int) -> object:
     return inner[number] if number < len(inner) else Any  # of a union, the items may be those of another type
 
 
-def _known(annotation: object, value: object) -> dict[str, Parameter]:
+def _table_keys(annotation: object, value: object) -> dict[str, Parameter]:
     """Keys of the table types that a value of this annotation may have."""
     tables = [each for each in structs(annotation) if _may_be(each, value)] or structs(annotation)
     return {name: each for struct in tables for name, each in parameters(struct).items()} | _tags(tables)

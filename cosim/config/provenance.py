@@ -135,7 +135,7 @@ class Source:
         """Note that the value of ``key`` comes from a command-line argument."""
         self._set[key] = argument
 
-    def kept(self, content: Mapping[str, Any], key: str, known: Container[str]) -> dict[str, Any]:
+    def parameters(self, content: Mapping[str, Any], key: str, known: Container[str]) -> dict[str, Any]:
         """The parameters of a table; if ``kind`` was set, without the file's parameters that the new kind does not know."""
         switched = f"{key}.kind" in self._set
         return {

@@ -209,17 +209,17 @@ def build(
     maker = guard(find(group, kind, folder=source.folder, key=f"{key}.kind", origin=source))
     known = binding.parameters(maker)
     arguments = {**(arguments or {}), **{name: value for name, value in (offered or {}).items() if name in known}}
-    params = found(maker, source.kept(content, key, known), source, key)
+    params = with_real_paths(maker, source.parameters(content, key, known), source, key)
     unset = {name for name, each in known.items() if each.default is None and not each.required} - {*params, *arguments}
     arguments |= {name: value for name, value in (absent or {}).items() if name in unset}
     built = binding.call(maker, params, key=key, origin=source, arguments=arguments)
     for path in getattr(built, "files", tuple)():  # files named inside its files
         if path.is_file():  # a missing file is reported by its reader
             keep(path)
-    return built, {"kind": portable(kind), **kept(maker, binding.complete(maker, params, without=arguments), keep)}
+    return built, {"kind": portable(kind), **with_kept_files(maker, binding.complete(maker, params, without=arguments), keep)}
 
 
-def found(target: Callable[..., Any], params: Mapping[str, Any], source: Source, key: str) -> dict[str, Any]:
+def with_real_paths(target: Callable[..., Any], params: Mapping[str, Any], source: Source, key: str) -> dict[str, Any]:
     """The parameters of ``target`` with the real paths of the files that they name."""
     try:
         return binding.with_files(target, params, lambda name: str(located(name, source.folder)))
@@ -227,7 +227,7 @@ def found(target: Callable[..., Any], params: Mapping[str, Any], source: Source,
         raise source.error(error.problem, key) from error
 
 
-def kept(target: Callable[..., Any], params: Mapping[str, Any], keep: Keep) -> dict[str, Any]:
+def with_kept_files(target: Callable[..., Any], params: Mapping[str, Any], keep: Keep) -> dict[str, Any]:
     """The parameters with their existing files kept and named as in the resolved scenario."""
     return binding.with_files(target, params, lambda name: keep(Path(name)) if Path(name).is_file() else name)
 

@@ -54,7 +54,7 @@ class ForeignClock:
         self._newest: int | None = None  # stamp that counted
         self._last: tuple[int, int] | None = None  # stamp of the previous message, and its result
 
-    def heard(self, source_ns: int, arrived_ns: int) -> int:
+    def local_time_ns(self, source_ns: int, arrived_ns: int) -> int:
         """Time of a stamp on this machine's clock; the message arrived now, and not before the previous one.
 
         The result is at most ``least_s`` before the arrival, and not before the result for an earlier stamp.

@@ -115,19 +115,19 @@ def _row(value: object) -> Mapping[str, Any] | None:
         return _of_real_vehicle(value)
     if not isinstance(value, Tabular):
         return None
-    return {name: _said(cell) for name, cell in zip(COLUMNS[type(value)], _cells(value), strict=True)}
+    return {name: _cell_text(cell) for name, cell in zip(COLUMNS[type(value)], _cells(value), strict=True)}
 
 
 def _of_real_vehicle(value: RealStatus | Incident) -> Mapping[str, object]:
     if isinstance(value, Incident):
         return {"what": value.what, "cause": value.cause, "happened_s": value.happened_ns / SECOND_NS}
-    cells = {name: _said(cell) for name, cell in msgspec.structs.asdict(value).items() if name != "sent"}
+    cells = {name: _cell_text(cell) for name, cell in msgspec.structs.asdict(value).items() if name != "sent"}
     sent = [None] * 4 if value.sent is None else _cells(value.sent)
     row = {f"sent_{name}": cell for name, cell in zip(COLUMNS[Velocity], sent, strict=True)}
     return {**cells, "causes": "; ".join(value.causes), **row}
 
 
-def _said(cell: object) -> object:
+def _cell_text(cell: object) -> object:
     return None if isinstance(cell, float) and math.isnan(cell) else cell
 
 

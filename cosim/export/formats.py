@@ -58,7 +58,7 @@ def export(
     for name, path in paths.items():
         how_far = functools.partial(progress, name)
         source.progress = how_far
-        with _whole(path) as place:
+        with _replacing_in_folder(path) as place:
             _write(name, source, place, how_far)
     return list(paths.values())
 
@@ -109,7 +109,7 @@ def _check(name: str, path: Path, run_dir: Path, *, force: bool) -> None:
 
 
 @contextlib.contextmanager
-def _whole(path: Path) -> Iterator[Path]:
+def _replacing_in_folder(path: Path) -> Iterator[Path]:
     """Context like `replacing` that also creates the folder."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -257,7 +257,7 @@ def dialling(endpoint: str, bundle: "Bundle | None", secret: Secret) -> dict[str
     """Client part of Zenoh's configuration, or None without certificate and secret (arguments as of `dial`)."""
     if bundle is not None:
         return access_control.machine_security(bundle)
-    password = endpoints.found(endpoint) if secret is None else secret
+    password = endpoints.find_secret(endpoint) if secret is None else secret
     if password is None:
         return None
     return access_control.client_secret(password) if password else {}

@@ -108,7 +108,7 @@ class ZenohLink:
         self._callbacks, self._cut_deadline_s = callbacks, cut_deadline_s
         self.cuts_s: list[float] = []  # durations for which the run waited for the unreachable host
 
-    def there(self, there: bool) -> None:
+    def set_reachable(self, there: bool) -> None:
         """Note whether the host is reachable; called by Zenoh's thread."""
         self._news.put(there)
         self._callbacks.noticed(there)
@@ -140,7 +140,7 @@ class ZenohLink:
             if waits_s <= 0.0 or (not self._there and self._cut is not None and now - self._cut > self._cut_deadline_s):
                 return self._last_look(oldest)
             try:
-                answer = self._taken(self._news.get(timeout=waits_s))
+                answer = self._accept(self._news.get(timeout=waits_s))
             except queue.Empty:
                 answer = None
                 if self._there:
@@ -153,7 +153,7 @@ class ZenohLink:
     def look(self) -> bytes | None:
         """The answer to the oldest open question if it has arrived, even late."""
         for _ in range(self._news.qsize()):
-            if (answer := self._taken(self._news.get())) is not None:
+            if (answer := self._accept(self._news.get())) is not None:
                 return answer
         if time.monotonic() - self._asked_at > _SLICE_S:
             self._ask_again()
@@ -176,7 +176,7 @@ class ZenohLink:
             self._hears.undeclare()  # type: ignore[no-untyped-call]
         self._callbacks.released(not self._failed)
 
-    def _taken(self, news: "zenoh.Sample | bool") -> bytes | None:
+    def _accept(self, news: "zenoh.Sample | bool") -> bytes | None:
         """The answer to the oldest question, if ``news`` is that."""
         if isinstance(news, bool):  # whether the host is reachable
             self._there = news
@@ -345,7 +345,7 @@ class Hub:
         if link is None:
             return
         if not link.leaving:
-            link.there(there)
+            link.set_reachable(there)
             self._send_away()
         elif there:
             link.repeat()

@@ -113,7 +113,7 @@ class Entrance:
         self._refused: set[str] = set()  # refusals that have been reported
         self._certified, listen = self._certificates(agents.listen, specs)
         with contextlib.ExitStack() as stack:
-            secret = None if self._certified or insecure else endpoints.made()
+            secret = None if self._certified or insecure else endpoints.new_secret()
             wait_s, cut_s = patience_s(agents, specs), cut_deadline_s(agents)
             self.hub = Hub(listen, self._certified, secret=secret, patience_s=wait_s, cut_deadline_s=cut_s, hosts=len(specs))
             stack.callback(self.hub.close)

@@ -260,7 +260,9 @@ class Hosts:
         return list(dict.fromkeys((*self._waiting, *self._lost())))
 
     def _lost(self) -> list[str]:
-        return [vehicle for vehicle in list(self._specs) if any(each.wants(vehicle) for each in list(self._elsewhere))]
+        return [
+            vehicle for vehicle in list(self._specs) if any(each.accepts_host_for(vehicle) for each in list(self._elsewhere))
+        ]
 
     def _answer_door(self) -> None:
         if self.entrance is None:
@@ -272,7 +274,7 @@ class Hosts:
             hub.shut()
         if knock := hub.next_hello(0.0):  # one a tick, so that join requests cannot stall the run
             hello = knock.hello
-            places = [each for each in self._elsewhere if all(each.wants(vehicle) for vehicle in hello.vehicles)]
+            places = [each for each in self._elsewhere if all(each.accepts_host_for(vehicle) for vehicle in hello.vehicles)]
             link = self.entrance.let_in(knock, listener.late_refusal(hello, self._specs, lost, together=bool(places)))
             if link is not None:
                 self._tell(f"{', '.join(hello.vehicles)} joined")

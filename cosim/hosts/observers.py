@@ -273,7 +273,7 @@ def _session(endpoint: str, bundle: "Bundle | None", secret: str | None) -> zeno
 def _certificate_of_run(endpoint: str, bundle: "Bundle", session: zenoh.Session) -> Check:
     try:
         access_control.check_hub(common_names(session))
-        names, until = zenoh_session.shown(endpoint, bundle)
+        names, until = zenoh_session.run_certificate(endpoint, bundle)
     except (UsageError, OSError) as error:
         return ("run's certificate", False, str(error))
     return ("run's certificate", True, f"for {', '.join(names)}, valid until {until:%Y-%m-%d}")

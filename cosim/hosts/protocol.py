@@ -339,7 +339,7 @@ def _ticks(ticks: Ticks, period_s: float | None) -> None:
         raise ValueError(f"a period of {float(ticks.period) / SECOND_NS:g} s, expected {period_s:g} s")
 
 
-def shown_failure(answer: "Failed", vehicles: Sequence[str]) -> "Failed":
+def sanitized_failure(answer: "Failed", vehicles: Sequence[str]) -> "Failed":
     """A host's failure, made safe to show; it can blame only the host's own vehicles."""
     own = tuple(vehicle for vehicle in dict.fromkeys(answer.vehicles) if vehicle in vehicles)
     return msgspec.structs.replace(

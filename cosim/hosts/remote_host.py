@@ -108,13 +108,13 @@ class Crew:
     def build(self) -> protocol.Built:
         """Wait until the agents are built; the constructor sent the request, so all hosts build in parallel."""
         try:
-            return self.built(self.receive())
+            return self.validate_built(self.receive())
         except AgentError as error:
             if isinstance(error.__cause__, TimeoutError):
                 raise self.error(f"did not build its agents within {self._build_s:g} s (agents.join_timeout_s)") from error
             raise
 
-    def built(self, answer: protocol.Answer) -> protocol.Built:
+    def validate_built(self, answer: protocol.Answer) -> protocol.Built:
         """The validated answer to `Build`."""
         if not isinstance(answer, protocol.Built):
             raise self._unreadable(f"it answered {type(answer).__name__} to Build")
@@ -199,7 +199,7 @@ class Crew:
             self.open -= 1
         if isinstance(answer, protocol.Failed):
             self.alive, self.link.leaving = False, True  # the host gave its reason
-            raise protocol.shown_failure(answer, self.vehicles).error(self.vehicles)
+            raise protocol.sanitized_failure(answer, self.vehicles).error(self.vehicles)
         return answer
 
     def _unreadable(self, why: str) -> AgentError:
@@ -339,7 +339,7 @@ class RemoteHost:
 
     # --- lost, returning and replacement hosts --------------------------------------------------------------------------------
 
-    def wants(self, vehicle: str) -> bool:
+    def accepts_host_for(self, vehicle: str) -> bool:
         """Whether this vehicle may get another host; called by Zenoh's thread, too."""
         absence = self._away.get(vehicle)
         return absence is not None and not absence.final
@@ -400,7 +400,7 @@ class RemoteHost:
             if answer is None:
                 return False
             if isinstance(answer, protocol.Built):
-                for info in crew.built(answer).agents:
+                for info in crew.validate_built(answer).agents:
                     expected = self._infos[info.vehicle]
                     if msgspec.structs.replace(info, agent=expected.agent) != expected:
                         raise crew.error("differs from the agent at the start of the run in its parameters or period")
@@ -411,7 +411,7 @@ class RemoteHost:
         self._others.remove(crew)
         self._crews.append(crew)
         for vehicle in crew.vehicles:
-            if not self.wants(vehicle):
+            if not self.accepts_host_for(vehicle):
                 continue
             info, absence = self._infos[vehicle], self._away.pop(vehicle)
             if self._failed.get(vehicle) is crew:

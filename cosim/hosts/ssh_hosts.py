@@ -70,7 +70,7 @@ class HostTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         return self.name or re.sub(r"[^A-Za-z0-9_-]+", "-", machine).strip("-")[:64] or self.vehicles[0]
 
     @property
-    def where(self) -> str:
+    def label(self) -> str:
         """Name and machine of the host, for messages."""
         return f"host {self.called}" + (f" (ssh {self.ssh})" if self.ssh else "")
 

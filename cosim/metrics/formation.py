@@ -130,9 +130,9 @@ def formation_metrics(moved: Motion, follows: Sequence[Placement], window: Windo
     return {
         **_summary(together, inside),
         "settling_s": settled(errors),
-        "overshoot": max(_known(each, "overshoot"), default=None),
-        "convergence_1_s": min(_known(each, "convergence_1_s"), default=None),
-        "hop_gain": max(_known(each, "hop_gain"), default=None),
+        "overshoot": max(_numbers(each, "overshoot"), default=None),
+        "convergence_1_s": min(_numbers(each, "convergence_1_s"), default=None),
+        "hop_gain": max(_numbers(each, "hop_gain"), default=None),
         **changed(errors, leaders(moved.names, follows)),
         "shape": {name: shape[name] for name in ("rms_m", "max_m", "final_m")},
         "per_follower": each,
@@ -203,7 +203,7 @@ def _settling_s(time_ns: Array, errors: Array) -> float | None:
     return float(times[since] / SECOND_NS) if since < len(times) else None
 
 
-def _known(each: dict[str, dict[str, Any]], key: str) -> list[float]:
+def _numbers(each: dict[str, dict[str, Any]], key: str) -> list[float]:
     return [summary[key] for summary in each.values() if summary[key] is not None]
 
 

@@ -92,7 +92,7 @@ class Mission:
                 self._left[vehicle, name] = history[-1][1]
                 history.append((time_ns, ""))
 
-    def come_back(self, vehicle: str, time_ns: int) -> None:
+    def restore(self, vehicle: str, time_ns: int) -> None:
         """Record that an agent is back; its last notes apply until it notes others."""
         for name in KEPT:
             before = self._left.pop((vehicle, name), "")
@@ -134,7 +134,7 @@ class Mission:
             "targets_tracked": sum(self._tracked(moved, target) for target in targets),
             "found_s": first_s,
             "false_finds": false_finds,
-            "area_seen_ratio": seen_ratio(self._maps.values()),
+            "area_seen_ratio": searched_ratio(self._maps.values()),
             "map_bytes_sent": int(sum(filter(math.isfinite, chain.from_iterable(self._map_bytes.values())))),
             "switches": sum(before != after for names in commanders for before, after in pairwise(names)),
         }
@@ -165,7 +165,7 @@ def target_at(targets: Sequence[Target], found: Found) -> Target | None:
     return min(near, key=lambda pair: pair[0])[1] if near else None
 
 
-def seen_ratio(maps: Iterable[ProbabilityMap]) -> float | None:
+def searched_ratio(maps: Iterable[ProbabilityMap]) -> float | None:
     """Share of the area of the maps that at least one vehicle has seen; None without maps.
 
     For different grids, all cell centres count, weighted with the area of the cell over the number of maps around it.

@@ -74,7 +74,7 @@ class Routing:
             **counts,
         }
 
-    def told(self, radio: pa.Table, radio_of: Array | None = None) -> pa.Table:
+    def table(self, radio: pa.Table, radio_of: Array | None = None) -> pa.Table:
         """The table of frames with `COLUMNS`.
 
         Args:

@@ -164,13 +164,13 @@ class Pool:
                         answer = worker.run(argument)
                         break
                     except WorkerDiedError:
-                        self._left(worker)
+                        self._discard(worker)
                         worker = None
                 self._answers.put(answer if isinstance(answer, BaseException) else (name, answer))
         except BaseException as error:  # raised in the main thread
             self._answers.put(error)
         finally:
-            self._left(worker)
+            self._discard(worker)
 
     def _next(self, source: Iterator[Asked]) -> Asked | None:
         with self._lock:
@@ -191,7 +191,7 @@ class Pool:
                 return worker
         raise VcmvspError(f"{STARTS} workers in a row were killed during their start")
 
-    def _left(self, worker: Worker | None) -> None:
+    def _discard(self, worker: Worker | None) -> None:
         if worker is not None:
             with self._lock:
                 self._workers.discard(worker)

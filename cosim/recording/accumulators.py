@@ -144,12 +144,12 @@ class Accumulators:
     @property
     def states(self) -> pa.Table:
         """The table of true states (`cosim.tables.schema.STATES_SCHEMA`), after the run."""
-        return self.tables[0].whole()
+        return self.tables[0].in_memory()
 
     @property
     def radio(self) -> pa.Table:
         """The table of frames per receiver (`cosim.tables.schema.RADIO_SCHEMA`), after the run."""
-        return self.tables[1].whole()
+        return self.tables[1].in_memory()
 
     @property
     def notes(self) -> pa.Table:
@@ -173,7 +173,7 @@ class Accumulators:
                 if not routing or not (columns is None or set(columns) & set(ROUTES)):
                     return radio_table(frames, facts, columns, rows)
                 known = None if columns is None else {*columns, "frame", "sent_ns"}
-                table = routing.told(radio_table(frames, facts, known, rows))
+                table = routing.table(radio_table(frames, facts, known, rows))
                 return table if columns is None else table.select([*columns])
 
             self._tables = (
@@ -196,7 +196,7 @@ class Accumulators:
         table = radio_table(self._frames, facts, known, rows)
         radio_of = np.array(self._radio_of, np.int32)
         if is_routed:
-            table = self._routing.told(table, radio_of)
+            table = self._routing.table(table, radio_of)
         table = table.append_column("radio", name_column([*self._radios], radio_of[numbers(table, "frame")]))
         return table if columns is None else table.select([*columns])
 
@@ -255,7 +255,7 @@ class Accumulators:
     def _take_presence(self, key: str, time_ns: int, presence: types.Presence) -> None:
         vehicle = vehicle_of(key)
         self._presences.append((vehicle, presence))
-        (self._mission.come_back if presence.state == "back" else self._mission.leave)(vehicle, time_ns)
+        (self._mission.restore if presence.state == "back" else self._mission.leave)(vehicle, time_ns)
 
     def _add(self, value: object, *arrays: types.Array) -> None:
         self._packed += encode(value) + b"".join(each.tobytes() for each in arrays)

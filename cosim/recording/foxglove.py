@@ -356,7 +356,7 @@ class Grid(Stamped, frozen=True):
         return np.frombuffer(self.data, np.uint8).reshape(-1, self.column_count, self.cell_stride)
 
     @property
-    def shown(self) -> ProbabilityMap | Mosaic:
+    def content(self) -> ProbabilityMap | Mosaic:
         """The vehicle's map or mosaic that the grid was made from."""
         place = {"left": self.pose.position.x, "bottom": self.pose.position.y, "cell_m": self.cell_size.x}
         if len(self.fields) == len(MAP):

@@ -84,11 +84,11 @@ def _take(log: MissionLog, vehicle: str, what: str, time_ns: int, data: bytes) -
             log.noted.take(vehicle, time_ns, _read_note(data).values)
         case "host":
             back = _read_presence(data).state == "back"
-            (log.noted.come_back if back else log.noted.leave)(vehicle, time_ns)
+            (log.noted.restore if back else log.noted.leave)(vehicle, time_ns)
         case "map":
             _take_map(log, vehicle, time_ns, data)
         case "mosaic":
-            shown = _read_grid(data).shown
+            shown = _read_grid(data).content
             if isinstance(shown, Mosaic):
                 log.mosaics[vehicle] = shown
         case "sightings":
@@ -98,7 +98,7 @@ def _take(log: MissionLog, vehicle: str, what: str, time_ns: int, data: bytes) -
 
 
 def _take_map(log: MissionLog, vehicle: str, time_ns: int, data: bytes) -> None:
-    shown, maps = _read_grid(data).shown, log.maps.setdefault(vehicle, [])
+    shown, maps = _read_grid(data).content, log.maps.setdefault(vehicle, [])
     if maps and log.part(maps[-1][0]) == log.part(time_ns):
         maps.pop()
     if isinstance(shown, ProbabilityMap):

@@ -331,12 +331,12 @@ def _jpeg(head: RosMessage, name: str, data: bytes) -> RosMessage:
 
 def markers(message: messages.SceneUpdate, time_ns: int) -> RosMessage:
     """visualization_msgs/MarkerArray: a marker for each primitive, after one that deletes the markers of the previous scene."""
-    nothing = _drawn(ARROW, messages.Pose(), (0.0, 0.0, 0.0), messages.Color(0.0, 0.0, 0.0, 0.0))
+    nothing = _marker_of(ARROW, messages.Pose(), (0.0, 0.0, 0.0), messages.Color(0.0, 0.0, 0.0, 0.0))
     listed: list[RosMessage] = [_marker(header(time_ns, WORLD), "", 0, action=DELETE_ALL, **nothing) for _ in message.deletions]
     for entity in message.entities:
         parts = [_arrow(each) for each in entity.arrows]
-        parts += [_drawn(CUBE, each.pose, _xyz(each.size), each.color) for each in entity.cubes]
-        parts += [_drawn(CYLINDER, each.pose, _xyz(each.size), each.color) for each in entity.cylinders]
+        parts += [_marker_of(CUBE, each.pose, _xyz(each.size), each.color) for each in entity.cubes]
+        parts += [_marker_of(CYLINDER, each.pose, _xyz(each.size), each.color) for each in entity.cylinders]
         parts += [_line(each) for each in entity.lines] + [_triangles(each) for each in entity.triangles]
         parts += [_text(each) for each in entity.texts]
         for number, fields in enumerate(parts):
@@ -363,14 +363,14 @@ def _marker(head: RosMessage, name: str, number: int, **fields: object) -> RosMe
     return make("visualization_msgs/Marker", header=head, ns=name, id=number, **{**usual, **fields})
 
 
-def _drawn(kind: int, at: messages.Pose, scale: Vec3, color: messages.Color, **more: object) -> dict[str, Any]:
+def _marker_of(kind: int, at: messages.Pose, scale: Vec3, color: messages.Color, **more: object) -> dict[str, Any]:
     paint = make("std_msgs/ColorRGBA", color.r, color.g, color.b, color.a)
     return {"type": kind, "pose": _pose_of(at), "scale": vector(*scale), "color": paint, **more}
 
 
 def _arrow(message: messages.ArrowPrimitive) -> dict[str, Any]:
     size = message.shaft_length + message.head_length, message.shaft_diameter, message.shaft_diameter
-    return _drawn(ARROW, message.pose, size, message.color)
+    return _marker_of(ARROW, message.pose, size, message.color)
 
 
 def _line(message: messages.LinePrimitive) -> dict[str, Any]:
@@ -379,14 +379,16 @@ def _line(message: messages.LinePrimitive) -> dict[str, Any]:
         points.append(points[0])
     width = LINE_M if message.scale_invariant else message.thickness
     kind = LINE_LIST if message.type == 2 else LINE_STRIP
-    return _drawn(kind, message.pose, (width, 0.0, 0.0), message.color, points=points)
+    return _marker_of(kind, message.pose, (width, 0.0, 0.0), message.color, points=points)
 
 
 def _triangles(message: messages.TriangleListPrimitive) -> dict[str, Any]:
     points = [point(*_xyz(each)) for each in message.points]
-    return _drawn(TRIANGLES, message.pose, (1.0, 1.0, 1.0), message.color, points=[points[index] for index in message.indices])
+    return _marker_of(
+        TRIANGLES, message.pose, (1.0, 1.0, 1.0), message.color, points=[points[index] for index in message.indices]
+    )
 
 
 def _text(message: messages.TextPrimitive) -> dict[str, Any]:
     height = TEXT_M if message.scale_invariant else message.font_size
-    return _drawn(TEXT, message.pose, (0.0, 0.0, height), message.color, text=message.text)
+    return _marker_of(TEXT, message.pose, (0.0, 0.0, height), message.color, text=message.text)

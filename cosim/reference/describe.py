@@ -188,7 +188,7 @@ def first_meanings(target: Described) -> dict[str, str]:
     return found
 
 
-def said(parameter: binding.Parameter, words: str) -> tuple[str, str]:
+def split_default(parameter: binding.Parameter, words: str) -> tuple[str, str]:
     """Split ``how long; None: for ever`` into the meaning and, if the default is None, the effect without the key."""
     if parameter.default is not None:
         return words.rstrip("; "), ""
@@ -264,7 +264,7 @@ def keys_of(target: Described, common: type | None = None) -> Iterator[tuple[Key
     """Keys of a class with their parameters, in order of definition."""
     means = {**first_meanings(target), **EXTRA_DOCS.get(target.__name__, {})}
     for name, parameter in table_keys(target, common).items():
-        meaning, without = said(parameter, means.get(name, ""))
+        meaning, without = split_default(parameter, means.get(name, ""))
         key = Key(
             name=name,
             type=type_of(name, parameter.annotation).replace(": see below", ""),

@@ -21,7 +21,7 @@ from vcmvsp.cosim.config import binding, builtin_kinds, registry
 from vcmvsp.cosim.metrics.catalogue import METRICS, unit_of
 from vcmvsp.cosim.reference import tree
 from vcmvsp.cosim.reference.describe import Key, markdown, summary, toml
-from vcmvsp.cosim.reference.tree import NOT_SHARED, VEHICLE, Section, places, whole
+from vcmvsp.cosim.reference.tree import NOT_SHARED, VEHICLE, Section, places, full_reference
 
 FOLDER = Path(__file__).resolve().parents[2] / "docs" / "reference"
 INDEX = Path(__file__).resolve().with_name("reference_keys.tsv")
@@ -65,7 +65,7 @@ def tables(*paths: str, kinds: Collection[str] = ()) -> str:
     Args:
         kinds: only the sections of these kinds.
     """
-    chosen = [each for path in paths for each in whole().sections if f"{each.path}.".startswith(f"{path}.")]
+    chosen = [each for path in paths for each in full_reference().sections if f"{each.path}.".startswith(f"{path}.")]
     if kinds:
         chosen = [each for each in chosen if each.path in paths and each.kind in kinds]
     groups: list[list[Section]] = []
@@ -257,16 +257,20 @@ def index_text() -> str:
     found: dict[str, dict[str, None]] = {}
     for path, values in _entries():
         found.setdefault(path, {}).update(dict.fromkeys(values))
-    tables = {path.rpartition(".")[0] for path in found} | {each.path for each in whole().sections if each.listed} | {"vehicle"}
+    tables = (
+        {path.rpartition(".")[0] for path in found}
+        | {each.path for each in full_reference().sections if each.listed}
+        | {"vehicle"}
+    )
     return "".join("\t".join([path, *values]) + "\n" for path, values in found.items() if path not in tables)
 
 
 def _entries() -> Iterator[tuple[str, list[str]]]:
     kinds = [(place.path, list(place.kinds)) for place in places() if place.kinds]
-    kinds += [(each.path, [each.kind]) for each in whole().sections if each.kind and _is_set(each)]
+    kinds += [(each.path, [each.kind]) for each in full_reference().sections if each.kind and _is_set(each)]
     for path, names in kinds:
         yield from ((f"{where}.kind", names) for where in _paths(path, "kind"))
-    for section in whole().sections:
+    for section in full_reference().sections:
         if _is_set(section):
             for key in section.keys:
                 yield from ((_join(where, key.name), _values(key)) for where in _paths(section.path, key.name))
@@ -284,7 +288,7 @@ def _paths(path: str, key: str) -> list[str]:
 
 def _is_set(section: Section) -> bool:
     """Whether ``--set`` reaches a section: it is neither in a list of tables nor nested in one, as an obstacle's solid is."""
-    return not any(each.listed and f"{section.path}.".startswith(f"{each.path}.") for each in whole().sections)
+    return not any(each.listed and f"{section.path}.".startswith(f"{each.path}.") for each in full_reference().sections)
 
 
 def _values(key: Key) -> list[str]:

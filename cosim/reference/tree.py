@@ -252,12 +252,12 @@ def _name(name: str, meaning: str, without: str) -> Key:
 
 
 @functools.cache
-def whole() -> Reference:
+def full_reference() -> Reference:
     """The whole reference."""
     return Reference(sections=tuple(each for place in places() for each in of_place(place)))
 
 
-def asked(section: str = "") -> Iterator[Section]:
+def sections_of(section: str = "") -> Iterator[Section]:
     """The sections that a name stands for, one by one; all sections if it is empty.
 
     ``radio`` is that table with all nested ones, ``radio.loss.bernoulli`` one kind, ``radio.loss.probability`` one key. The
@@ -270,7 +270,7 @@ def asked(section: str = "") -> Iterator[Section]:
         return (each for place in places() for each in of_place(place))
     spellings = list(_spellings(steps_of(re.sub(r"\[\d+\]", "", section)) or (section,)))
     for query in spellings:
-        if found := _found(query):
+        if found := _match_path(query):
             return iter(found)
     raise UsageError(f"vcmvsp reference {section}: {_nearest(section, spellings[0])}")
 
@@ -287,7 +287,7 @@ def _spellings(query: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
         yield ("agents", *query[2:])
 
 
-def _found(query: tuple[str, ...]) -> list[Section]:
+def _match_path(query: tuple[str, ...]) -> list[Section]:
     """Sections, or parts of sections, for a path without user-chosen names."""
     top, *others = places()
     named = [(place, 0) for place in others if _overlap(place.steps, query)]
@@ -302,7 +302,7 @@ def _found(query: tuple[str, ...]) -> list[Section]:
         ]
         if chosen:
             return chosen
-    return [part for each in whole().sections for part in _called(each, query)]
+    return [part for each in full_reference().sections for part in _called(each, query)]
 
 
 def _overlap(some: tuple[str, ...], others: tuple[str, ...]) -> bool:

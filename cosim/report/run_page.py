@@ -175,7 +175,7 @@ def _title(content: RunContent) -> str:
 
 
 def _sentences(content: RunContent) -> Iterator[str]:
-    yield _what(content)
+    yield _summary(content)
     if error := content.about.get("error"):
         yield f"It ended before its time: {error['message'].rstrip('.')}."
     if not content.metrics:
@@ -189,7 +189,7 @@ def _sentences(content: RunContent) -> Iterator[str]:
     yield from _safety(metrics)
 
 
-def _what(content: RunContent) -> str:
+def _summary(content: RunContent) -> str:
     names = content.recording.facts.vehicles if content.recording else content.head.get("vehicles", "").split()
     vehicles = len(names or content.scenario.get("vehicle", []))
     lasted = content.metrics.get("duration_s", content.recorded_s)

@@ -177,7 +177,7 @@ def loss_table(links: Links, folder: Path) -> Sequence[Part]:
 
 def _example(log: Log, pair: tuple[str, str], cause: str) -> str:
     frames = log.frames(pair)
-    lost = frames.decided.where(np.array([word == cause for word in frames.decided.words("outcome")], np.bool_))
+    lost = frames.decided.select(np.array([word == cause for word in frames.decided.words("outcome")], np.bool_))
     try:
         report = frame_report(log, pair, str(lost["frame"].tolist()[0]), with_scenario=False)
     except VcmvspError:

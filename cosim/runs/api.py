@@ -198,7 +198,9 @@ class Simulation:
                 signal.default_int_handler(number, frame)
             kernel.stop = True
             if self._over:
-                self._tell(f"the run has ended and its files are being written; another Ctrl-C stops that: {self._left()}")
+                self._tell(
+                    f"the run has ended and its files are being written; another Ctrl-C stops that: {self._remaining_work()}"
+                )
 
         if threading.current_thread() is threading.main_thread():  # other threads receive no signals
             for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -209,12 +211,12 @@ class Simulation:
         except KeyboardInterrupt:
             if not self._over:
                 raise
-            raise Interrupted(f"interrupted while the files of the run were written: {self._left()}") from None
+            raise Interrupted(f"interrupted while the files of the run were written: {self._remaining_work()}") from None
         finally:
             for number, handler in saved.items():
                 signal.signal(number, handler)
 
-    def _left(self) -> str:
+    def _remaining_work(self) -> str:
         """What remains of a run whose files are not all written, in words."""
         return "nothing is kept" if self._folder is None else f"run.mcap in {self._folder.path} is whole"
 

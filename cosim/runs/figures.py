@@ -120,7 +120,7 @@ def _picture(request: tuple[str, Content]) -> Picture:
     return Picture(style.png(figure), style.svg(figure))
 
 
-def wanted() -> bool:
+def are_enabled() -> bool:
     """Whether runs leave figures."""
     return os.environ.get("VCMVSP_FIGURES", "1") != "0"
 
@@ -140,7 +140,7 @@ class Drawer:
         self._pool: Pool | None = None
 
     def __enter__(self) -> "Drawer":
-        if self._apart and wanted() and self._pool is None:
+        if self._apart and are_enabled() and self._pool is None:
             pool = Pool(_picture, JOBS, died=WorkerDiedError(), imports=IMPORTS)
             with contextlib.suppress(VcmvspError):  # no process can be started: drawn here
                 self._pool = pool.__enter__()

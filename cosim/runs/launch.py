@@ -110,7 +110,7 @@ class Plan(msgspec.Struct, frozen=True):
 
     def script(self) -> str:
         """Script for the host's machine; called once the run listens."""
-        secret = endpoints.found(self.shares) if self.shares else None
+        secret = endpoints.find_secret(self.shares) if self.shares else None
         return self.makes_script(secret=secret or "")
 
 
@@ -172,7 +172,7 @@ def _why(host: HostTable, code: int, last: Sequence[str]) -> str:
         how = f"ssh cannot connect, or lost the connection (exit code {code})"
     elif code == ssh_hosts.NOT_FOUND:
         how = f"has no '{host.words[0]}' (exit code {code}; command = in its [[host]] says where it is)"
-    return f"{host.where}: {how}: {' | '.join(last) or 'no output'}"
+    return f"{host.label}: {how}: {' | '.join(last) or 'no output'}"
 
 
 def _placing(path: Path, listed: HostsTable, parsed: Scenario) -> dict[str, Any]:
@@ -217,7 +217,7 @@ def _plan(
         raise UsageError(f"--listen {listen}: hosts need a known port: choose one")
     dialled = [_dialled(path, host, host.connect or listed.connect, listen) for host in listed.host]
     for host, connect in zip(listed.host, dialled, strict=True):
-        _check_dialling(f"{path}: {host.where}", host, connect, listen, keys, insecure=insecure)
+        _check_dialling(f"{path}: {host.label}", host, connect, listen, keys, insecure=insecure)
     if any(host.ssh for host in listed.host) and shutil.which("ssh") is None:
         raise UsageError(f"{path}: ssh is missing on this machine; install the OpenSSH client")
     plans = []
@@ -248,7 +248,7 @@ def _dialled(path: Path, host: HostTable, connect: str | None, listen: str) -> s
         return f"{protocol}/{everywhere.get(name, name)}:{port}"
     if name in everywhere or is_loopback(name.strip("[]")):
         example = f'connect = "{protocol}/ADDRESS:{port}"'
-        raise UsageError(f"{path}: {host.where} cannot connect to {listen}: set the address of this machine, with {example}")
+        raise UsageError(f"{path}: {host.label} cannot connect to {listen}: set the address of this machine, with {example}")
     return listen
 
 

@@ -18,7 +18,7 @@ from vcmvsp.cosim.recording.external_inputs import FILE
 from vcmvsp.cosim.recording.mission_log import MissionLog, read_mission
 from vcmvsp.cosim.recording.recorded_run import tables_of
 from vcmvsp.cosim.recording.recorder import Recorder
-from vcmvsp.cosim.runs.figures import Content, Draws, draw, wanted
+from vcmvsp.cosim.runs.figures import Content, Draws, draw, are_enabled
 from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.tables.schema import Placement, RunFacts
 from vcmvsp.cosim.util import limits
@@ -176,7 +176,7 @@ class Result:
         write_whole(folder / "metrics.json", to_json(self.metrics))
         write_whole(folder / "about.json", to_json(self.about))
         shown = self._content()
-        pictures = draw(shown) if wanted() else {}
+        pictures = draw(shown) if are_enabled() else {}
         for name, picture in pictures.items():
             write_whole(folder / f"{name}.png", picture.png)
         if self._video and shown.mission:

@@ -78,7 +78,7 @@ def new_authority(days: int) -> Signed:
 
 
 @contextlib.contextmanager
-def _known() -> Iterator[None]:
+def _as_value_error() -> Iterator[None]:
     """Turn errors that the library does not name into `ValueError`: the certificate is damaged or foreign."""
     try:
         yield
@@ -86,7 +86,7 @@ def _known() -> Iterator[None]:
         raise ValueError(f"{error}") from error
 
 
-@_known()
+@_as_value_error()
 def sign(authority: Signed, name: str, others: Iterable[str], *, server: bool, days: int) -> Signed:
     """A new key, and a certificate for it.
 
@@ -118,7 +118,7 @@ def sign(authority: Signed, name: str, others: Iterable[str], *, server: bool, d
     return Signed(_key_pem(key), _pem(draft.add_extension(issuer, critical=False).sign(ca_key, hashes.SHA256())))
 
 
-@_known()
+@_as_value_error()
 def facts(certificate_pem: str) -> Facts:
     """Read a certificate. Raises `ValueError` (not a certificate, or not made by `sign`)."""
     certificate = x509.load_pem_x509_certificate(certificate_pem.encode())
@@ -133,7 +133,7 @@ def facts(certificate_pem: str) -> Facts:
     return Facts(str(names[0].value), tuple(str(each.value) for each in others.value), since, until)
 
 
-@_known()
+@_as_value_error()
 def check_together(signed: Signed, ca_pem: str) -> None:
     """Raise ``ValueError`` unless the key belongs to the certificate, and this authority has signed it."""
     certificate = x509.load_pem_x509_certificate(signed.certificate_pem.encode())

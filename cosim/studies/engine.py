@@ -134,7 +134,7 @@ def conduct(
     base = plans.base_of(scenario)
     plan = plans.make(base, vary=vary, seeds=seeds, seed=seed, settings=settings, metrics=metrics, stored=stored)
     plan = examined(plan, base, checking)
-    work = Work(plan.scenario_toml, str(base.folder), version(), where(plan, base), plan.files)
+    work = Work(plan.scenario_toml, str(base.folder), version(), place_of_agents(plan, base), plan.files)
     with _workers(work, jobs, cluster) as ask:
         if out is not None and numbered:
             with writing(out):
@@ -244,7 +244,7 @@ def examined(plan: Plan, base: Base, checking: Callable[[int, int], None] = lamb
     return msgspec.structs.replace(plan, metrics=_metrics(plan, base), files=files, versions=versions)
 
 
-def where(plan: Plan, base: Base) -> Literal["inprocess"] | None:
+def place_of_agents(plan: Plan, base: Base) -> Literal["inprocess"] | None:
     """Place of the agents that overrides the scenario's: in this process instead of manually started hosts."""
     parsed, _ = loader.load(base.asked, settings=plan.set)
     return "inprocess" if _by_hand(parsed) else None
@@ -297,10 +297,10 @@ def _metrics(plan: Plan, base: Base) -> list[str]:
     names = _names(plan, base, first)
     if not plan.metrics:
         return list(FORMATION if any(name.startswith("formation.per_follower.") for name in names) else NO_FORMATION)
-    if names and not _known(plan.metrics, names):
+    if names and not _exist(plan.metrics, names):
         names |= _names(plan, base, last)  # may have more vehicles than the first
     for name in plan.metrics:
-        if names and not _known([name], names):
+        if names and not _exist([name], names):
             near = difflib.get_close_matches(name, names, n=1)
             listed = ", ".join(sorted(each for each in names if ".per_" not in each))
             guess = f"; did you mean '{near[0]}'?" if near else ""
@@ -308,7 +308,7 @@ def _metrics(plan: Plan, base: Base) -> list[str]:
     return list(dict.fromkeys(plan.metrics))
 
 
-def _known(metrics: Sequence[str], names: set[str]) -> bool:
+def _exist(metrics: Sequence[str], names: set[str]) -> bool:
     """Whether all metrics exist; every loss cause is accepted, since it may occur in a single run only."""
     return all(name in names or name.startswith("radio.losses.") for name in metrics)
 

@@ -120,7 +120,7 @@ class Frames:
         return self._spool.starts[-1]
 
     @property
-    def knows_paths(self) -> bool:
+    def has_paths(self) -> bool:
         """Whether some frame has the columns `PATHS`."""
         self._pack()
         return self._knows_paths
@@ -151,7 +151,7 @@ class Frames:
             valid = received >= 0
             return column(received - self._of_frames("sent_ns", parts)[cut] if name == "delay_ns" else received, valid)
         values = self._read(name, parts)[cut]
-        return column(values, valid=_known(name, values, end_ns))
+        return column(values, valid=_validity(name, values, end_ns))
 
     def _read(self, name: str, parts: range) -> Array:
         return self._spool.read(name, parts, dtype_of(name))
@@ -177,15 +177,18 @@ class Frames:
             self._outcomes.codes((UNDER_WAY,))
             if name in ("sender", "receiver"):
                 found = self._vehicles.in_order_of(
-                    [*self._seen("receiver", self._vehicles), *self._seen("sender", self._vehicles)]
+                    [
+                        *self._codes_by_occurrence("receiver", self._vehicles),
+                        *self._codes_by_occurrence("sender", self._vehicles),
+                    ]
                 )
             else:
                 names = self._outcomes if name == "outcome" else self._materials
-                found = names.in_order_of(self._seen(name, names, end_ns))
+                found = names.in_order_of(self._codes_by_occurrence(name, names, end_ns))
             self._named[name, end_ns] = found
         return self._named[name, end_ns]
 
-    def _seen(self, name: str, names: Names, end_ns: int = 2**63 - 1) -> Iterable[int]:
+    def _codes_by_occurrence(self, name: str, names: Names, end_ns: int = 2**63 - 1) -> Iterable[int]:
         """Codes of initially unknown names by first occurrence."""
         seen = dict.fromkeys(range(names.known))
         for number in range(len(self._spool)):
@@ -282,7 +285,7 @@ def dtype_of(name: str) -> type[np.number]:
     return np.int32 if name in NAMED else {**PER_ROW, **BUDGET, **PATHS}.get(name, np.int64)
 
 
-def _known(name: str, values: Array, end_ns: int) -> Array | None:
+def _validity(name: str, values: Array, end_ns: int) -> Array | None:
     if name == "copy_ns":
         return np.asarray((values > 0) & (values <= end_ns))
     return np.isfinite(values) if name == "sinr_db" or name in PATHS else None

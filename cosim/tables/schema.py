@@ -108,7 +108,7 @@ class RunTable:
         self.num_rows, self._build, self._whole = rows, build, None if rows > PART_ROWS else build(None, (0, rows))
         self.schema = (build(None, (0, 0)) if self._whole is None else self._whole).schema
 
-    def whole(self) -> pa.Table:
+    def in_memory(self) -> pa.Table:
         """The table in memory."""
         if self._whole is None:
             self._whole = self._build(None, (0, self.num_rows))
@@ -286,7 +286,7 @@ def radio_table(
     if not isinstance(frames, Frames):
         reports, frames = frames, Frames(facts.vehicles)
         frames.extend(reports)
-    known = [*RADIO_SCHEMA, *(PATHS_SCHEMA if frames.knows_paths else ())]
+    known = [*RADIO_SCHEMA, *(PATHS_SCHEMA if frames.has_paths else ())]
     fields = [field for field in known if columns is None or field.name in columns]
     found = frames.columns(facts.end_ns, [field.name for field in fields], rows)
     return with_facts(list(found.values()), pa.schema(fields), facts)

@@ -106,19 +106,19 @@ def published(endpoint: str, secret: str) -> Iterator[None]:
     try:
         yield
     finally:
-        if found(endpoint) == secret:  # else another run listens there now
+        if find_secret(endpoint) == secret:  # else another run listens there now
             path.unlink(missing_ok=True)
 
 
-def found(endpoint: str) -> str | None:
+def find_secret(endpoint: str) -> str | None:
     """The secret of this user's run at an endpoint; None: there is none."""
     with contextlib.suppress(OSError, UnicodeDecodeError):
-        return read(_path(endpoint))
+        return read_secret(_path(endpoint))
     return None
 
 
-def given(path: Path | None, *, insecure: bool) -> str | None:
-    """The secret with which a program dials: from the user's file, none (empty), or as `found` finds it (None).
+def secret_from(path: Path | None, *, insecure: bool) -> str | None:
+    """The secret with which a program dials: from the user's file, none (empty), or as `find_secret` finds it (None).
 
     Raises:
         UsageError: the file cannot be read.
@@ -126,18 +126,18 @@ def given(path: Path | None, *, insecure: bool) -> str | None:
     if path is None:
         return "" if insecure else None
     try:
-        return read(path)
+        return read_secret(path)
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f"--secret {path}: cannot be read ({error})") from error
 
 
-def read(path: Path) -> str:
+def read_secret(path: Path) -> str:
     """The secret in a file."""
     with path.open("r") as file:
         return file.read(LONGEST).strip()
 
 
-def made() -> str:
+def new_secret() -> str:
     """A new secret."""
     return secrets.token_hex(16)
 

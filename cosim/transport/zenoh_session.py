@@ -100,7 +100,7 @@ def diagnose(endpoint: str, bundle: "Bundle | None") -> Refusal | None:
         return Refusal(f"no program listens there ({error.strerror or 'timed out'})", final=False)
 
 
-def shown(endpoint: str, bundle: "Bundle") -> PeerCertificate:
+def run_certificate(endpoint: str, bundle: "Bundle") -> PeerCertificate:
     """The certificate of the run at an endpoint where `diagnose` found nothing wrong."""
     _, host, port = parts(endpoint)
     with (

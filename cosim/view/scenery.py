@@ -185,7 +185,7 @@ def _model(vehicle: VehicleTable, source: Source, kinds: VehicleKinds) -> Vehicl
         kinds[vehicle.kind] = registry.find("vehicle", vehicle.kind, folder=source.folder, key=f"{key}.kind", origin=source)
     kind = kinds[vehicle.kind]
     params = {name: value for name, value in vehicle.params.items() if name in binding.parameters(kind)}
-    return binding.call(kind, registry.found(kind, params, source, key), key=key, origin=source)
+    return binding.call(kind, registry.with_real_paths(kind, params, source, key), key=key, origin=source)
 
 
 def _agent(vehicle: VehicleTable, scenario: Scenario, info: AgentInfo | None) -> tuple[str, float | None]:
@@ -239,7 +239,7 @@ def recorded_stage(
         raise ValueError(f"{path} does not belong to the recording beside it")
     with only(None if trust else NO_CODE):
         world = recorded_world.world_in(path.parent, scenario, source)
-        return scenery_of(scenario, source, world=world, may=RECORDED, drawn=_drawn(vehicles, drawing)), world
+        return scenery_of(scenario, source, world=world, may=RECORDED, drawn=_craft_of(vehicles, drawing)), world
 
 
 def bare_scenery(about: Mapping[str, str], vehicles: Sequence[str], drawing: bytes | None) -> Scenery:
@@ -253,7 +253,7 @@ def bare_scenery(about: Mapping[str, str], vehicles: Sequence[str], drawing: byt
         scenario=about.get("scenario", ""),
         seed=int(seed) if seed.isdecimal() else 0,
         duration_ns=0,
-        vehicles=tuple(_drawn(vehicles, drawing).values()),
+        vehicles=tuple(_craft_of(vehicles, drawing).values()),
         vertices=frozen(np.zeros((0, 3)), np.float32),
         triangles=frozen(np.zeros((0, 3)), np.uint32),
         colors=frozen(np.zeros((0, 3)), np.uint8),
@@ -261,7 +261,7 @@ def bare_scenery(about: Mapping[str, str], vehicles: Sequence[str], drawing: byt
     )
 
 
-def _drawn(vehicles: Sequence[str], drawing: bytes | None) -> dict[str, Craft]:
+def _craft_of(vehicles: Sequence[str], drawing: bytes | None) -> dict[str, Craft]:
     entities = () if drawing is None else read_json(drawing, SceneUpdate).entities
     width_m = {each.id: each.cylinders[0].size.x for each in entities if each.cylinders}
     sizes = {name: width_m.get(name, DEFAULT_WIDTH_M) for name in vehicles}

@@ -73,7 +73,7 @@ class StickPilot:
         return _channels(0.0, 0.0, 0.0, 0.0, armed=self._armed)
 
     def _flying(self, command: Velocity | Waypoint, state: VehicleState, now_ns: int) -> list[int]:
-        target, height_m = self._wanted(command, state), state.position[2] - self._start_m
+        target, height_m = self._target_velocity(command, state), state.position[2] - self._start_m
         if target.linear[2] >= 0.0 or height_m > STAND_M:
             self._stands_ns = now_ns
         elif now_ns - self._stands_ns >= SECOND_NS // 2:
@@ -89,7 +89,7 @@ class StickPilot:
         roll, pitch = (_deflection(each / MOST_DEG) for each in (roll_right, nose_down))
         return _channels(roll, pitch, (share - IDLE) / (1.0 - IDLE), yaw, armed=True)
 
-    def _wanted(self, command: Velocity | Waypoint, state: VehicleState) -> Velocity:
+    def _target_velocity(self, command: Velocity | Waypoint, state: VehicleState) -> Velocity:
         self._up = self._up or state.position[2] - self._start_m >= self._firmware.takeoff_m
         return towards(command, state) if self._up else Velocity(linear=(0.0, 0.0, RISE_MPS))
 

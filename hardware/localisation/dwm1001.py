@@ -61,7 +61,7 @@ class Waker:
         self._due_ns: int | None = None
         self._awake = False
 
-    def heard(self, now_ns: int) -> None:
+    def position_arrived(self, now_ns: int) -> None:
         """Note that a position arrived."""
         self._awake, self._due_ns = False, now_ns + self._patience_ns
 
@@ -156,5 +156,5 @@ class Dwm1001(PortSource):
         """Decode bytes; a module that sends positions is not switched."""
         has_positions = super().take(chunk, arrived_ns)
         if has_positions:
-            self._waker.heard(arrived_ns)
+            self._waker.position_arrived(arrived_ns)
         return has_positions

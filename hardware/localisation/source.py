@@ -184,7 +184,7 @@ class WorldTransform:
             return arrived_ns - seconds_to_ns(self._latency_s)
         if tag not in self._clocks:
             self._clocks[tag] = ForeignClock(least_s=self._latency_s)
-        return self._clocks[tag].heard(located.source_ns, arrived_ns)
+        return self._clocks[tag].local_time_ns(located.source_ns, arrived_ns)
 
 
 PATIENCE_S = 5.0  # without a position before a warning

@@ -127,7 +127,7 @@ class Commander:
 
     def _planned(self, order: Manoeuvre, state: VehicleState, now_s: float) -> _Plan:
         """The plan of a manoeuvre, from the present set-point if a manoeuvre is under way, else from the present place."""
-        start, yaw = self._wanted(state, now_s)
+        start, yaw = self._reference_pose(state, now_s)
         goal, turned = order.goal, yaw if order.yaw is None else order.yaw
         if order.kind != "go_to":
             goal = (start[0], start[1], goal[2])
@@ -138,11 +138,11 @@ class Commander:
     def _flown(self, order: Flight, state: VehicleState, now_s: float) -> _Flown:
         trajectory = Trajectory(order.pieces, order.time_scale, order.reversed)
         if order.relative:
-            place, yaw = self._wanted(state, now_s)
+            place, yaw = self._reference_pose(state, now_s)
             trajectory = trajectory.moved_to(place, yaw if order.relative_yaw else None)
         return _Flown(now_s, trajectory)
 
-    def _wanted(self, state: VehicleState, now_s: float) -> tuple[Vec3, float]:
+    def _reference_pose(self, state: VehicleState, now_s: float) -> tuple[Vec3, float]:
         """Place and yaw of the present set-point if a manoeuvre is under way, else of the aircraft."""
         if self._plan is None:
             return state.position, state.yaw

@@ -87,7 +87,7 @@ class Outlet:
             self._publish(ros.encoded(make()))
 
     @property
-    def wanted(self) -> bool:
+    def has_subscribers(self) -> bool:
         """Whether the topic has subscribers."""
         return self._has_readers
 
@@ -265,7 +265,7 @@ class Ros2Stack:
     def _publish(self, namespace: str, vehicle: str, observation: Observation) -> None:
         self._outlets[f"{namespace}/tf"].put(partial(_transforms, observation))
         received = self._outlets[f"{namespace}/radio/received"]
-        for each in observation.heard if received.wanted else ():
+        for each in observation.heard if received.has_subscribers else ():
             received.put(partial(ros.radio_received, each))
 
     def _mounted(self, vehicle: str) -> ros.RosMessage | None:

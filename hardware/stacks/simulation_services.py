@@ -249,7 +249,7 @@ def _states(control: RunControl, request: Any) -> tuple[object, ...]:
     return _result(), list(found), [_entity_state(*truth) for truth in found.values()]
 
 
-def _known(control: RunControl, name: str) -> tuple[int, VehicleState]:
+def _row_and_state(control: RunControl, name: str) -> tuple[int, VehicleState]:
     found = control.truths()
     if name not in found:
         raise _RefusedCall(NOT_FOUND, f"there is no '{name}'; there are {', '.join(found) or 'no states yet'}")
@@ -257,7 +257,7 @@ def _known(control: RunControl, name: str) -> tuple[int, VehicleState]:
 
 
 def _state_of_entity(control: RunControl, request: Any) -> tuple[object, ...]:
-    return _result(), _entity_state(*_known(control, request.entity))
+    return _result(), _entity_state(*_row_and_state(control, request.entity))
 
 
 def _entity_state(time_ns: int, state: VehicleState) -> ros.RosMessage:
@@ -271,7 +271,7 @@ def _entity_state(time_ns: int, state: VehicleState) -> ros.RosMessage:
 
 def _place(control: RunControl, request: Any) -> tuple[object, ...]:
     """Put an obstacle somewhere else, where it rests."""
-    _known(control, request.entity)
+    _row_and_state(control, request.entity)
     if request.entity not in control.obstacles:
         raise _RefusedCall(UNSUPPORTED, f"{request.entity} is a vehicle: only obstacles that can be pushed are placed")
     if request.set_acceleration or (request.set_twist and not _is_still(request.state.twist)):

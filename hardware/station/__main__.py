@@ -56,7 +56,7 @@ class StationProcess:
         self._leaves = False  # the run has ended
         self._early = ""  # reason to stop before the robot is open
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-        signal.signal(signal.SIGTERM, self._told_to_end)
+        signal.signal(signal.SIGTERM, self._on_stop_signal)
 
     def serve(self) -> int:
         """Run until the end; the exit code."""
@@ -101,28 +101,28 @@ class StationProcess:
         vehicle = self._vehicle
         self._stop_listener = StopListener(vehicle)
         localisation: Localisation | None = None
-        with within(OPEN_S, vehicle, "building its driver", self._given_up):
-            driver: Driver = _built(mission.driver, mission)
+        with within(OPEN_S, vehicle, "building its driver", self._reason_to_abort):
+            driver: Driver = _build_part(mission.driver, mission)
             if mission.localisation is not None:
-                localisation = _built(mission.localisation, mission)
+                localisation = _build_part(mission.localisation, mission)
             controller = StationController(mission, driver, localisation, time.monotonic_ns)
         self._driver = driver
-        with within(driver.open_deadline_s + GRACE_S, driver.device, "opening it", self._given_up):
+        with within(driver.open_deadline_s + GRACE_S, driver.device, "opening it", self._reason_to_abort):
             driver.open(mission.start)
         if localisation is not None:
             self._localisation = localisation
-            with within(OPEN_S, localisation.device, "opening it", self._given_up):
+            with within(OPEN_S, localisation.device, "opening it", self._reason_to_abort):
                 localisation.open()
         self._controller = controller
         self._halt(self._early)
 
-    def _given_up(self) -> str:
+    def _reason_to_abort(self) -> str:
         """Reason to abort connecting the robot; empty: continue."""
         self._hear_run()
         self._hear_operator()
         return self._ending or self._early or ("its run is over" if self._leaves else "")
 
-    def _told_to_end(self, _number: int, _frame: FrameType | None) -> None:
+    def _on_stop_signal(self, _number: int, _frame: FrameType | None) -> None:
         self._ending = "its station was told to end (SIGTERM)"
 
     def _turn(self, mission: StationMission) -> None:
@@ -229,7 +229,7 @@ class StationProcess:
         return problems
 
 
-def _built(part: PartSpec, mission: StationMission) -> Any:
+def _build_part(part: PartSpec, mission: StationMission) -> Any:
     """Object that a scenario names, with its parameters; it gets vehicle and folder if it takes them."""
     folder = Path(mission.folder)
     with registry.looking_in(folder):

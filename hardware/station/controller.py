@@ -169,7 +169,7 @@ class StationController:
 
     def _decide(self, now_ns: int, here: StateEstimate | None) -> tuple[Velocity, tuple[str, ...]]:
         """Send a command; the command, and the causes of its difference from the requested one."""
-        order, received = self._order, self._heard(now_ns, here)
+        order, received = self._order, self._last_message_times(now_ns, here)
         command = Velocity() if self.halted else order.command  # the supervisor slows down with the robot
         others = others_at(order.others, (now_ns - self._order_heard_ns) / SECOND_NS)
         pose = None if here is None else self._supervisor.pose(here.state)
@@ -188,12 +188,12 @@ class StationController:
             self._driver.write(decision.command)
             return decision.command, causes
         self._sent = 0.0
-        for cause in self._held_back(now_ns, order.command, decision):
+        for cause in self._due_causes(now_ns, order.command, decision):
             if cause not in SLOWING:
                 self._stop(self._words(cause))
         return Velocity(), causes
 
-    def _held_back(self, now_ns: int, command: Velocity | None, decision: Decision) -> tuple[Cause, ...]:
+    def _due_causes(self, now_ns: int, command: Velocity | None, decision: Decision) -> tuple[Cause, ...]:
         """Causes to report now: new ones; for a robot that never could drive, all of them, after `STUCK_S`."""
         if self._released:
             return decision.began
@@ -205,7 +205,7 @@ class StationController:
         self._released = True
         return decision.causes
 
-    def _heard(self, now_ns: int, here: StateEstimate | None) -> LastReceived:
+    def _last_message_times(self, now_ns: int, here: StateEstimate | None) -> LastReceived:
         """Time of the newest message of each source; the command's age at the run is added to the time since its arrival.
 
         Lateness of the run is not the agent's fault: the robot continues within its limits for as long as a run may be silent.

@@ -107,7 +107,7 @@ class BridgeProcess:
         folder = Path(opening.folder)
         with registry.looking_in(folder):
             for spec in opening.gateways:
-                self._gateways.append((spec.name, _built(spec, folder)))
+                self._gateways.append((spec.name, _build_gateway(spec, folder)))
         lines: list[str] = []
         for name, gateway in self._gateways:
             self._opened.append((name, gateway))
@@ -262,7 +262,7 @@ class BridgeProcess:
                 with self._errors_of(gateway):
                     gateway.deliver(datagram.sender, delivery.receiver, datagram.payload)
         finally:
-            self._store.left(delivery.number)
+            self._store.mark_delivered(delivery.number)
         if delivery.row >= 0:
             self._delivered.append((delivery.row, time.monotonic_ns()))
             if len(self._delivered) >= MOST_DELIVERED:
@@ -353,7 +353,7 @@ def _check(opening: messages.Opening) -> None:
             raise GatewayError(f"'{name}' is not a valid network name")
 
 
-def _built(spec: messages.GatewaySpec, folder: Path) -> Gateway:
+def _build_gateway(spec: messages.GatewaySpec, folder: Path) -> Gateway:
     kind = registry.find("door", spec.kind, folder=folder, key=f"bridge.{spec.name}.kind")
     return binding.call(kind, spec.params, key=f"bridge.{spec.name}")
 

@@ -115,7 +115,7 @@ class DatagramStore:
         datagram.waiting += 1
         datagram.arrived = True
 
-    def left(self, number: int) -> None:
+    def mark_delivered(self, number: int) -> None:
         """Note that a delivery was made."""
         datagram = self._datagrams[number]
         datagram.waiting -= 1

@@ -153,7 +153,7 @@ class Bridge:
             self._ready = []
             for event in events:
                 self._log(event.key, event.time_ns, event.value)
-            process.send(messages.taken_over(self._taken))
+            process.send(messages.confirmation_only(self._taken))
         self._send_levels(process)
         return Step(events, self._next(process, now_ns))
 

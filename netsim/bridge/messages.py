@@ -121,7 +121,7 @@ ups: Decoder[Up] = Decoder(Up)
 downs: Decoder[Down] = Decoder(Down)
 
 
-def taken_over(taken: int) -> Deliveries:
+def confirmation_only(taken: int) -> Deliveries:
     """A confirmation without deliveries."""
     return Deliveries(taken=taken, number=_NONE, receiver=_NONE, at_ns=_NONE, settled=_NONE)
 

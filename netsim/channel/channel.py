@@ -186,7 +186,7 @@ class Channel:
         return not isinstance(self.mac, Ideal)
 
     @property
-    def alone(self) -> str:
+    def unbatchable(self) -> str:
         """What prevents this channel from being computed for many worlds at once, in words; empty: nothing."""
         if self.contends:
             return f"mac.kind: radios contend ({type(self.mac).__name__})"

@@ -186,7 +186,7 @@ class Contention:
 
         power_mw, patience = (None, None) if self._levels.vary else renew(0, 0)
         if answerer is not None and self._levels_mw is not None:
-            self._answers[sent.frame] = self._budgets.here(answerer.links).power_mw
+            self._answers[sent.frame] = self._budgets.at_last_positions(answerer.links).power_mw
         to, size, priority = -1 if answerer is None else answerer.row, sent.message.size_bytes, sent.message.priority
         self.waiting[sent.frame] = sent
         faded = answer if to >= 0 and self._levels.vary else None

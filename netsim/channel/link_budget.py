@@ -364,7 +364,7 @@ class Budgets:
             self._groups[names] = group
         return group
 
-    def here(self, links: SenderLinks) -> MeanBudget:
+    def at_last_positions(self, links: SenderLinks) -> MeanBudget:
         """The budget of the links from a radio at the last positions."""
         assert self._position is not None  # noqa: S101  known since `mean`
         return self.mean(links, self._names, self._position)

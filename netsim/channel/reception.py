@@ -250,7 +250,7 @@ def _answers(
 ) -> NDArray[T]:
     """Answers of a layer for each frame, (k, n): from its draws alone if possible."""
     if by_draws is not None:
-        rows = [sent.sender.draws.made(sent.number, slot, by_draws) for sent in batch.frames]
+        rows = [sent.sender.draws.compute(sent.number, slot, by_draws) for sent in batch.frames]
     else:
         rows = [verb(frame, sent.draw(slot)) for frame, sent in zip(layer_frames, batch.frames, strict=True)]
     return rows[0][None] if len(rows) == 1 else np.stack(rows)

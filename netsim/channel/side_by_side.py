@@ -68,7 +68,7 @@ class SideBySide:
         budgets, layers = channel.budgets, channel.operated.layers
         self._loss, self._delay = unless_nothing(layers["loss"]), unless_nothing(layers["delay"])
         self._propagates = getattr(layers["delay"], "propagation", False)
-        if why := channel.alone or _own_layer(channel.fading, self._loss, self._delay):
+        if why := channel.unbatchable or _own_layer(channel.fading, self._loss, self._delay):
             raise ScenarioError(f"{why}: only one world at a time can have it", key="radio")
         self._words = (*WORDS, *(() if self._loss is None else (self._loss.cause,)))
         self._others = np.array([[row for row in range(n) if row != own] for own in range(n)]).reshape(n, n - 1)

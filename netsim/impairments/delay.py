@@ -91,7 +91,7 @@ class UniformDelay(Propagating):
 
     def delay_ns(self, frame: Frame, draw: Draw) -> Ints:
         """Earliest reception, counted from the sending, (n,) whole ns."""
-        return _whole_ns(self.from_s + (self.to_s - self.from_s) * draw()[..., 0])
+        return _round_ns(self.from_s + (self.to_s - self.from_s) * draw()[..., 0])
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ class NormalDelay(Propagating):
         uniforms = draw()
         # Box-Muller transform: two uniforms give a normal number.
         normal = np.sqrt(-2.0 * np.log1p(-uniforms[..., 0])) * np.cos(2.0 * math.pi * uniforms[..., 1])
-        return _whole_ns(np.maximum(self.mean_s + self.sigma_s * normal, 0.0))
+        return _round_ns(np.maximum(self.mean_s + self.sigma_s * normal, 0.0))
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ class GammaDelay(Propagating):
         """Earliest reception, counted from the sending, (n,) whole ns."""
         p = np.maximum(draw()[..., 0], 2.0**-54)
         quantile = gamma_quantile((self.mean_s / self.sigma_s) ** 2, np.log(p) - np.log1p(-p))
-        return _whole_ns(self.fixed_s + self.mean_s * quantile)
+        return _round_ns(self.fixed_s + self.mean_s * quantile)
 
 
 @dataclass(frozen=True)
@@ -152,8 +152,8 @@ class EmpiricalDelay(Propagating):
     def delay_ns(self, frame: Frame, draw: Draw) -> Ints:
         """Earliest reception, counted from the sending, (n,) whole ns."""
         probabilities, seconds = np.array(self.quantiles).T
-        return _whole_ns(np.interp(draw()[..., 0], probabilities, seconds))
+        return _round_ns(np.interp(draw()[..., 0], probabilities, seconds))
 
 
-def _whole_ns(seconds: Floats) -> Ints:
+def _round_ns(seconds: Floats) -> Ints:
     return np.rint(seconds * SECOND_NS).astype(np.int64)

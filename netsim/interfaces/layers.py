@@ -249,9 +249,9 @@ class LinkDraws:
 
     def patience(self, frame: int, slot: int) -> Floats:
         """Exponential variates of mean 1 for each receiver, (n,), from the first of its uniforms."""
-        return self.made(frame, slot, _exponential)
+        return self.compute(frame, slot, _exponential)
 
-    def made(self, frame: int, slot: int, make: Make) -> NDArray[Any]:
+    def compute(self, frame: int, slot: int, make: Make) -> NDArray[Any]:
         """Result of ``make`` for the draws of a frame, (n,), computed for a whole block at once, (frames, n, 2)."""
         number, index = divmod(frame, self._frames)
         cached = self._made.get(slot)

@@ -8,7 +8,7 @@ import numpy as np
 
 from vcmvsp.cosim.types import Array
 from vcmvsp.physics.world.solids import Shapes
-from vcmvsp.physics.world.world import World, made_once
+from vcmvsp.physics.world.world import World, cached_on_world
 
 _CELLS_PER_REACH = 4.0
 _MOST = 4_000_000  # limit of piece numbers in the index; then it is cleared
@@ -309,7 +309,7 @@ class Caster:
         return np.where(hit, along, np.inf)
 
 
-@made_once
+@cached_on_world
 def caster_of(world: World) -> Caster:
     """The caster of a world."""
     return Caster(world.shapes)

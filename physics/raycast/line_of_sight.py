@@ -10,7 +10,7 @@ from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.util.polygons import area_m2, is_convex, outward, width_m
 from vcmvsp.physics.raycast.caster import by_bearing
 from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Mesh, Prism
-from vcmvsp.physics.world.world import World, made_once
+from vcmvsp.physics.world.world import World, cached_on_world
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -84,7 +84,7 @@ class Sightline:
             yield line[near], box[near]
 
 
-@made_once
+@cached_on_world
 def sightline_of(world: World) -> Sightline:
     """The sightline of a world."""
     return Sightline(world.solids)

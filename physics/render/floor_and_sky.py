@@ -10,7 +10,7 @@ from vcmvsp.cosim.types import Array
 from vcmvsp.physics.render.triangles import View, clipped, packed
 from vcmvsp.physics.world.floor import PlacedTarget, read_picture
 from vcmvsp.physics.world.solids import rectangle
-from vcmvsp.physics.world.world import World, made_once
+from vcmvsp.physics.world.world import World, cached_on_world
 
 SKY = (172, 204, 235)  # above the horizon
 
@@ -25,7 +25,7 @@ class Level(NamedTuple):
     metre_px: float  # pixels a metre, along the finer axis
 
 
-@made_once
+@cached_on_world
 def levels_of(world: World) -> list[Level]:
     """The ground picture, and smaller copies, each half as large; empty: there is none."""
     picture = world.ground.image
@@ -108,7 +108,7 @@ Texture = list[Array]
 """Look of a target: red, green, blue, each times the opacity, and that, (n, n, 4) uint8; then each half as large."""
 
 
-@made_once
+@cached_on_world
 def textures_of(world: World) -> list[Texture]:
     """Textures of the targets of a world."""
     looks = [target.picture or target.color for target in world.targets]

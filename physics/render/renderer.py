@@ -8,7 +8,7 @@ import numpy as np
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Array
 from vcmvsp.physics.render.floor_and_sky import ground, inverse_depth, levels_of
-from vcmvsp.physics.render.triangles import ScenePieces, Triangles, View, bodies, clipped, pieces_of, shown
+from vcmvsp.physics.render.triangles import ScenePieces, Triangles, View, bodies, clipped, pieces_of, visible_pieces
 from vcmvsp.physics.world.world import Scene, World
 
 LARGE_PX = 6000  # a triangle in a rectangle of so many pixels is drawn here: about where both ways take equally long
@@ -70,7 +70,7 @@ def render(
 
 
 def _visible(pieces: ScenePieces, view: View) -> Triangles:
-    near = shown(pieces, np.flatnonzero(_in_frustum(pieces.center, pieces.radius, view)), view)
+    near = visible_pieces(pieces, np.flatnonzero(_in_frustum(pieces.center, pieces.radius, view)), view)
     first = pieces.first[near]
     count = pieces.first[near + 1] - first
     ends = np.cumsum(count)

@@ -9,7 +9,7 @@ import numpy as np
 from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.util.polygons import outward
 from vcmvsp.physics.world.solids import Shapes, color_of, prism_triangles
-from vcmvsp.physics.world.world import Light, Scene, World, made_once
+from vcmvsp.physics.world.world import Light, Scene, World, cached_on_world
 
 _CHUNK = 64  # triangles of a mesh that form one piece
 _SIDES = 32  # of cylinders that move
@@ -84,7 +84,7 @@ def brightness(light: Light, normal: Array) -> Array:
     return np.asarray(light.ambient + (1.0 - light.ambient) * np.maximum(normal @ direction, 0.0))
 
 
-@made_once
+@cached_on_world
 def pieces_of(world: World) -> ScenePieces:
     """All solids of a world above the floor."""
     corner, solid, piece, face = _soup(world.shapes)
@@ -213,7 +213,7 @@ _GAP_M = 0.05  # a nearer building is no occluder: part of it may be clipped
 _MARGIN_M = 0.001
 
 
-def shown(pieces: ScenePieces, near: Array, view: View) -> Array:
+def visible_pieces(pieces: ScenePieces, near: Array, view: View) -> Array:
     """The pieces (numbers) among ``near`` that no single building hides.
 
     The shadow of a convex body is convex, so a piece is hidden if the corners of its bounding box are. Behind a building on the

@@ -20,7 +20,7 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Array, FileName, NonNegative, Positive, Vec3
 from vcmvsp.cosim.util import limits
 from vcmvsp.physics.vehicles.models import GroundVehicle, Quadrotor
-from vcmvsp.physics.vehicles.urdf_shapes import DrawnPart, drawn_parts
+from vcmvsp.physics.vehicles.urdf_shapes import DrawnPart, visual_parts
 
 _TURNS = ("continuous", "revolute")
 _OFF_DIAGONAL = ("ixy", "ixz", "iyz")
@@ -102,7 +102,7 @@ class UrdfQuadrotor(Quadrotor):
     file: FileName  # of the URDF, in a scenario relative to its folder
 
     def __post_init__(self) -> None:
-        for key, value in zip(("mass_kg", "inertia"), _Tree(self.file).whole(), strict=True):
+        for key, value in zip(("mass_kg", "inertia"), _Tree(self.file).mass_properties(), strict=True):
             object.__setattr__(self, key, value)
         super().__post_init__()
 
@@ -239,7 +239,7 @@ class _Tree:
         to_reference = np.eye(4)
         to_reference[:3, 3] = -reference
         own = self._root.iterfind("material")
-        return drawn_parts(self._links, own, self.path.parent, lambda name: to_reference @ self.frame(name), _origin)
+        return visual_parts(self._links, own, self.path.parent, lambda name: to_reference @ self.frame(name), _origin)
 
     def _bodies(self) -> list[tuple[float, Array, Array]]:
         """Mass, kg, centre of mass, (3,) m, and inertia, (3, 3) kg m2, of each link, root frame."""
@@ -256,7 +256,7 @@ class _Tree:
         total = math.fsum(mass for mass, _, _ in parts)
         return sum((mass * place for mass, place, _ in parts), np.zeros(3)) / total
 
-    def whole(self) -> tuple[float, tuple[float, float, float]]:
+    def mass_properties(self) -> tuple[float, tuple[float, float, float]]:
         """Mass, kg, and inertia about x, y, z through the common centre of mass, kg m2, as one rigid body."""
         parts, centre = self._bodies(), self.centre()
         total = math.fsum(mass for mass, _, _ in parts)

@@ -27,7 +27,7 @@ class DrawnPart(NamedTuple):
     color: tuple[int, int, int]
 
 
-def drawn_parts(
+def visual_parts(
     links: Mapping[str, ET.Element],
     materials: Iterable[ET.Element],
     folder: Path,

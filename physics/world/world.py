@@ -201,7 +201,7 @@ class World:
         return None if deepest is None else (self.solids[deepest[0]], deepest[1])
 
 
-def made_once(make: Callable[[World], T]) -> Callable[[World], T]:
+def cached_on_world(make: Callable[[World], T]) -> Callable[[World], T]:
     """Decorator of a function of a world: its result is computed once for each world, since worlds never change."""
     name = f"_{make.__module__}.{make.__qualname__}"
 

@@ -22,12 +22,12 @@ class Witness(Agent):
     """Sends at every tick and records its observations."""
 
     def __init__(self) -> None:
-        self.seen: list[Observation] = []
-        self.heard: list[Reception] = []
+        self.observations: list[Observation] = []
+        self.receptions: list[Reception] = []
 
     def act(self, obs: Observation, radio: Radio) -> None:
-        self.seen.append(obs)
-        self.heard += list(obs.heard)
+        self.observations.append(obs)
+        self.receptions += list(obs.heard)
         radio.send(clock_s=obs.clock_s)
 
 
@@ -72,32 +72,34 @@ def gap_m(out: Path, time_s: float) -> float:
 
 def test_without_a_clock_an_agent_has_the_time_of_the_run() -> None:
     for witness in witnesses(cars({}, {})).values():
-        assert [each.clock_ns for each in witness.seen] == [each.time_ns for each in witness.seen]
+        assert [each.clock_ns for each in witness.observations] == [each.time_ns for each in witness.observations]
 
 
 def test_a_clock_shows_offset_drift_and_step() -> None:
     clock = {"offset_s": 2.5, "drift_ppm": 40.0, "step": {"at_s": 3.0, "by_s": -0.75}}
-    seen = witnesses(cars({"clock": clock}, {}))["car1"].seen
-    times = np.array([each.time_s for each in seen])
-    assert [each.clock_s for each in seen] == pytest.approx(times * (1.0 + 40e-6) + 2.5 - 0.75 * (times >= 3.0), abs=2e-9)
+    observations = witnesses(cars({"clock": clock}, {}))["car1"].observations
+    times = np.array([each.time_s for each in observations])
+    assert [each.clock_s for each in observations] == pytest.approx(
+        times * (1.0 + 40e-6) + 2.5 - 0.75 * (times >= 3.0), abs=2e-9
+    )
 
 
 def test_jitter_is_normal_with_its_standard_deviation_and_independent_of_the_number_of_readings() -> None:
     scenario = cars({"clock": {"jitter_s": 1e-3}}, {}, duration_s=60.0, agents={"period_s": 0.05})
-    seen, once_more = (witnesses(scenario)["car1"].seen for _ in range(2))
-    errors_s = np.array([each.clock_ns - each.time_ns for each in seen]) / 1e9
-    assert np.std(errors_s) == pytest.approx(1e-3, rel=4.0 / np.sqrt(2 * len(seen)))
-    assert abs(np.mean(errors_s)) < 4e-3 / np.sqrt(len(seen))
-    assert [each.clock_ns for each in seen] == [each.clock_ns for each in once_more]
-    rarely = witnesses({**scenario, "agents": {"period_s": 0.1}})["car1"].seen
-    assert [each.clock_ns for each in rarely] == [each.clock_ns for each in seen[::2]]
+    observations, once_more = (witnesses(scenario)["car1"].observations for _ in range(2))
+    errors_s = np.array([each.clock_ns - each.time_ns for each in observations]) / 1e9
+    assert np.std(errors_s) == pytest.approx(1e-3, rel=4.0 / np.sqrt(2 * len(observations)))
+    assert abs(np.mean(errors_s)) < 4e-3 / np.sqrt(len(observations))
+    assert [each.clock_ns for each in observations] == [each.clock_ns for each in once_more]
+    rarely = witnesses({**scenario, "agents": {"period_s": 0.1}})["car1"].observations
+    assert [each.clock_ns for each in rarely] == [each.clock_ns for each in observations[::2]]
 
 
 def test_messages_have_the_times_of_their_senders_and_receivers() -> None:
     clocks = {"offset_s": 10.0}, {"offset_s": -4.0}
     scenario = cars(*({"clock": clock} for clock in clocks), {}, radio={"preset": "ideal", "delay": {"seconds": 0.02}})
     agents = witnesses(scenario)
-    by_sender = {(name, each.message.sender): each for name, agent in agents.items() for each in agent.heard}
+    by_sender = {(name, each.message.sender): each for name, agent in agents.items() for each in agent.receptions}
     offsets = {"car1": 10.0, "car2": -4.0, "car3": 0.0}
     assert len(by_sender) == 6
     for (receiver, sender), each in by_sender.items():
@@ -105,7 +107,7 @@ def test_messages_have_the_times_of_their_senders_and_receivers() -> None:
         assert (each.received_ns - each.sent_ns) / 1e9 == pytest.approx(0.02 + apart_s, abs=1e-9)
         assert isinstance(each.message.body, dict)
         assert each.message.body["clock_s"] == pytest.approx(each.sent_ns / 1e9, abs=1e-9)  # sent at its tick
-    last = agents["car2"].seen[-1]
+    last = agents["car2"].observations[-1]
     ages_s = dict(zip(last.heard.senders, last.heard.age_s.tolist(), strict=True))
     assert ages_s == pytest.approx({"car1": 0.1 - 14.0, "car3": 0.1 - 4.0})
 
@@ -114,12 +116,12 @@ def test_readings_have_the_time_of_their_vehicle() -> None:
     """A scan on demand, and a reading of a sensor with its own rate."""
     sensors = {"scan": {"kind": "lms"}, "imu": {"kind": "imu", "rate_hz": 3.0}}
     agents = witnesses(cars({"sensors": sensors, "clock": {"offset_s": 7.0}}, {"sensors": sensors}))
-    own, same = (agents[name].seen[-1].readings for name in ("car1", "car2"))
+    own, same = (agents[name].observations[-1].readings for name in ("car1", "car2"))
     for sensor in sensors:
-        mine, others = own[sensor], same[sensor]
-        assert isinstance(mine, Scan | Imu)
-        assert isinstance(others, Scan | Imu)
-        assert mine.time_ns - others.time_ns == 7_000_000_000
+        own_reading, other_reading = own[sensor], same[sensor]
+        assert isinstance(own_reading, Scan | Imu)
+        assert isinstance(other_reading, Scan | Imu)
+        assert own_reading.time_ns - other_reading.time_ns == 7_000_000_000
 
 
 # --- errors, and synchronisation ---
@@ -152,9 +154,9 @@ def test_after_synchronisation_half_the_asymmetry_of_the_delays_remains(there_s:
         radio={"preset": "ideal", "script": {"changes": changes}},
     )
     vcmvsp.run(scenario, agents={"car2": synchronised(witness)}, mcap=False)
-    errors_s = [each.clock_s - (each.time_s + 5.0) for each in witness.seen if each.time_s > 2.0]
+    errors_s = [each.clock_s - (each.time_s + 5.0) for each in witness.observations if each.time_s > 2.0]
     assert errors_s == pytest.approx([(there_s - back_s) / 2.0] * len(errors_s), abs=60e-6)
-    assert all("ts" not in each.message.body for each in witness.heard)
+    assert all("ts" not in each.message.body for each in witness.receptions)
 
 
 def synchronised(task: Agent) -> Agent:

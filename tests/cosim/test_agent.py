@@ -229,16 +229,16 @@ def test_an_agent_need_not_call_the_base_constructor() -> None:
             return None
 
     own = Own()
-    seen = Observation(vehicle="car1", time_ns=1_500_000_000, state=VehicleState(position=(0.0, 0.0, 0.0)), readings={})
-    assert seen.time_s == 1.5
-    assert own.act(seen, Radio("car1", VEHICLES)) is None
+    observation = Observation(vehicle="car1", time_ns=1_500_000_000, state=VehicleState(position=(0.0, 0.0, 0.0)), readings={})
+    assert observation.time_s == 1.5
+    assert own.act(observation, Radio("car1", VEHICLES)) is None
     assert own.drain_notes() == {"mine": 1.0}
 
 
 def test_the_base_class_does_not_act() -> None:
-    seen = Observation(vehicle="car1", time_ns=0, state=VehicleState(position=(0.0, 0.0, 0.0)), readings={})
+    observation = Observation(vehicle="car1", time_ns=0, state=VehicleState(position=(0.0, 0.0, 0.0)), readings={})
     with pytest.raises(NotImplementedError):
-        Agent().act(seen, Radio("car1", VEHICLES))
+        Agent().act(observation, Radio("car1", VEHICLES))
 
 
 def test_each_agent_has_its_own_streams() -> None:

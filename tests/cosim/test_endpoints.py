@@ -23,9 +23,9 @@ HOSTS = st.sampled_from(["localhost", "10.0.0.1", "a-b.example.org", "::1", "fe8
 
 @given(st.sampled_from(["tcp", "tls", "udp", "socket"]), HOSTS, st.none() | st.integers(0, 65535))
 def test_both_spellings_are_equal_and_one_is_written(protocol: str, host: str, port: int | None) -> None:
-    meant = Endpoint(protocol, host, port)
-    assert endpoint_of(str(meant)) == endpoint_of(str(meant).replace("/", "://", 1)) == meant
-    assert with_slash(str(meant).replace("/", "://", 1)) == str(meant)
+    endpoint = Endpoint(protocol, host, port)
+    assert endpoint_of(str(endpoint)) == endpoint_of(str(endpoint).replace("/", "://", 1)) == endpoint
+    assert with_slash(str(endpoint).replace("/", "://", 1)) == str(endpoint)
 
 
 @pytest.mark.parametrize(

@@ -14,9 +14,11 @@ EXPRESSIONS = st.lists(CHUNKS | st.sampled_from(["*", "**"]), min_size=1, max_si
 
 @given(EXPRESSIONS, KEYS)
 def test_keys_match_as_in_zenoh(expression: str, key: str) -> None:
-    theirs, concrete = zenoh.KeyExpr.autocanonize(expression), zenoh.KeyExpr(key)
-    assert theirs.intersects(concrete) == theirs.includes(concrete)  # equivalent for a key without wildcards
-    assert matches(expression, key) == theirs.includes(concrete)
+    zenoh_expression, concrete = zenoh.KeyExpr.autocanonize(expression), zenoh.KeyExpr(key)
+    assert zenoh_expression.intersects(concrete) == zenoh_expression.includes(
+        concrete
+    )  # equivalent for a key without wildcards
+    assert matches(expression, key) == zenoh_expression.includes(concrete)
 
 
 @given(KEYS, st.data())

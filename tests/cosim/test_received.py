@@ -105,12 +105,12 @@ def received() -> ReceivedMessages:
 
 
 def test_columns_equal_the_items() -> None:
-    heard = received()
-    assert heard.senders == tuple(each.message.sender for each in heard) == ("b", "a", "a", "b", "d", "c")
-    assert heard.rssi_dbm.tolist() == [each.rssi_dbm for each in heard]
-    assert heard.sent_ns.tolist() == [each.sent_ns for each in heard]
-    assert heard.received_ns.tolist() == [each.received_ns for each in heard]
-    assert heard.age_s.tolist() == [(50 - each.sent_ns) / 1e9 for each in heard]
+    messages = received()
+    assert messages.senders == tuple(each.message.sender for each in messages) == ("b", "a", "a", "b", "d", "c")
+    assert messages.rssi_dbm.tolist() == [each.rssi_dbm for each in messages]
+    assert messages.sent_ns.tolist() == [each.sent_ns for each in messages]
+    assert messages.received_ns.tolist() == [each.received_ns for each in messages]
+    assert messages.age_s.tolist() == [(50 - each.sent_ns) / 1e9 for each in messages]
 
 
 def test_the_latest_of_a_sender_was_sent_last() -> None:
@@ -119,18 +119,18 @@ def test_the_latest_of_a_sender_was_sent_last() -> None:
 
 
 def test_every_access_to_an_item_gives_one_object() -> None:
-    heard = received()
-    last = heard[-1]
-    assert heard[5] is last is list(heard)[5] is heard[3:][2] is heard.latest_by_sender()["c"]
+    messages = received()
+    last = messages[-1]
+    assert messages[5] is last is list(messages)[5] is messages[3:][2] is messages.latest_by_sender()["c"]
     with pytest.raises(IndexError):
-        heard[6]
+        messages[6]
 
 
 def test_a_sequence_of_given_items_has_the_same_columns() -> None:
-    heard = received()
-    again = ReceivedMessages.of(list(heard), 50)
-    assert again == heard
-    assert (again.senders, again.age_s.tolist()) == (heard.senders, heard.age_s.tolist())
+    messages = received()
+    again = ReceivedMessages.of(list(messages), 50)
+    assert again == messages
+    assert (again.senders, again.age_s.tolist()) == (messages.senders, messages.age_s.tolist())
     assert not ReceivedMessages.none(0)
 
 

@@ -76,8 +76,8 @@ def test_another_name_is_an_attribute_error() -> None:
 def modules_after(code: str) -> set[str]:
     """Names of top-level modules, and of parts of vcmvsp, loaded by a fresh interpreter that has run ``code``."""
     script = f"{code}\nimport sys\nprint(*sys.modules, file=sys.stderr)"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=500, check=True)
-    return {name.removeprefix("vcmvsp.").partition(".")[0] for name in done.stderr.split()}
+    process = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=500, check=True)
+    return {name.removeprefix("vcmvsp.").partition(".")[0] for name in process.stderr.split()}
 
 
 @pytest.mark.parametrize("code", ["import vcmvsp", "import vcmvsp.cosim.cli.app", "from vcmvsp import ScenarioError"])

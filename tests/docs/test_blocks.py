@@ -130,19 +130,19 @@ def test_the_custom_federate() -> None:
 
 def test_the_call_of_a_study_on_slurm_is_valid(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without a cluster: its calls are recorded, and the arguments of the study are checked against its signature."""
-    asked: list[tuple[Any, ...]] = []
+    calls: list[tuple[Any, ...]] = []
     signature = inspect.signature(vcmvsp.study)
 
     class Cluster:
         def __init__(self, **options: Any) -> None:
-            asked.append(("cluster", options["processes"]))
+            calls.append(("cluster", options["processes"]))
 
         def scale(self, *, jobs: int) -> None:
-            asked.append(("jobs", jobs))
+            calls.append(("jobs", jobs))
 
     package = ModuleType("dask_jobqueue")
     package.SLURMCluster = Cluster  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "dask_jobqueue", package)
-    monkeypatch.setattr(vcmvsp, "study", lambda *args, **options: asked.append(signature.bind(*args, **options).args[:1]))
+    monkeypatch.setattr(vcmvsp, "study", lambda *args, **options: calls.append(signature.bind(*args, **options).args[:1]))
     exec(compile(block_of("docs/howto/cluster.md", "SLURMCluster("), "README.md", "exec", dont_inherit=True), {})
-    assert asked == [("cluster", 1), ("jobs", 100), ("formation-slalom",)]
+    assert calls == [("cluster", 1), ("jobs", 100), ("formation-slalom",)]

@@ -46,13 +46,13 @@ def defined_in(file: str) -> set[str]:
 
 def changes() -> list[tuple[str, list[str]]]:
     """Scenarios, and settings that the gallery, or a sentence of a page, offers for them."""
-    said = [(name, shlex.split(span)) for name in loader.names() for span in re.findall(r"`(--set [^`]+)`", section(name))]
+    settings = [(name, shlex.split(span)) for name in loader.names() for span in re.findall(r"`(--set [^`]+)`", section(name))]
     for mention in MENTIONS:
         words = words_of(mention.partition(": ")[2])
         for option, value in pairwise(words):
             if option in {"--set", "--vary"} and words[2] in loader.names():
-                said.append((words[2], ["--set", re.split("[,:]", value)[0]]))
-    return said
+                settings.append((words[2], ["--set", re.split("[,:]", value)[0]]))
+    return settings
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=str)

@@ -75,8 +75,8 @@ def test_programs_at_the_gateways(tmp_path: Path) -> None:
     with Stage(tmp_path) as stage:
         run = stage.start("run", "two.toml", "--out", "out", *ports.split())
         assert run.stderr is not None
-        told = [run.stderr.readline() for _ in range(3)]  # then the gateways are open
-        assert [line.partition(":")[0] for line in told] == ["bridge.wss", "bridge.zenoh", "bridge.zenoh"]
+        lines = [run.stderr.readline() for _ in range(3)]  # then the gateways are open
+        assert [line.partition(":")[0] for line in lines] == ["bridge.wss", "bridge.zenoh", "bridge.zenoh"]
         dialogue(wss)
         publications(first)
         run.send_signal(signal.SIGINT)
@@ -90,19 +90,19 @@ def dialogue(port: int) -> None:
         assert car2.ask("INIT {Robot car2} {Port 7002}") == "INITREPLY {Status OK}"
         for line, answer in zip(lines[::2], lines[1::2], strict=True):
             last = time.monotonic() + 20.0
-            while "NaN" in (said := car1.ask(line)) and time.monotonic() < last:
+            while "NaN" in (reply := car1.ask(line)) and time.monotonic() < last:
                 time.sleep(0.02)
-            assert re.sub(r"Port \d+", "Port", said) == re.sub(r"Port \d+", "Port", answer)
+            assert re.sub(r"Port \d+", "Port", reply) == re.sub(r"Port \d+", "Port", answer)
 
 
 def publications(first: int) -> None:
     """Enter is pressed as soon as the program has printed a reception."""
-    program, heard = block(PAGE, "declare_subscriber").replace("7461", str(first + 1)), threading.Event()
+    program, reception = block(PAGE, "declare_subscriber").replace("7461", str(first + 1)), threading.Event()
     printed: list[str] = []
 
     def print_(*words: object) -> None:
         printed.append(" ".join(map(str, words)))
-        heard.set()
+        reception.set()
 
     def enter(_: str) -> str:
         endpoints = {"endpoints": [f"tcp/127.0.0.1:{first}"]}
@@ -110,7 +110,7 @@ def publications(first: int) -> None:
         with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as car1:
             for _attempt in range(400):  # no notice when the router has connected both
                 car1.put("pose", "ahead")
-                if heard.wait(0.05):
+                if reception.wait(0.05):
                     break
         return ""
 

@@ -79,8 +79,8 @@ def test_hosts_started_with_the_run(machines: Machines) -> None:
     (machines.folder / "hosts.toml").write_text(HOSTS.format(port=machines.port, command=json.dumps(VCMVSP)))
     for key in re.findall(r"^(\w+) =", HOSTS, re.MULTILINE):
         assert f"{key} = " in block("cosim/deploy/README.md", "robot7")
-    code, said = exit_of(machines.python(*PROGRAM, *machines.words("vcmvsp launch gap.toml"), *BRIEF.split()))
-    assert code == 0, said
+    code, output = exit_of(machines.python(*PROGRAM, *machines.words("vcmvsp launch gap.toml"), *BRIEF.split()))
+    assert code == 0, output
     out = machines.folder / "runs" / "gap-0"
     assert json.loads((out / "about.json").read_text())["agents"] == {"car1": "zenoh", "car2": "zenoh"}
     assert {path.name for path in (out / "hosts").iterdir()} == {"car1.log", "car2.log"}

@@ -50,12 +50,12 @@ def test_the_errors_of_the_tutorial(row: tuple[str, str, str, str]) -> None:
 
 @pytest.mark.usefixtures("folder")
 def test_the_agent_of_the_tutorial_has_the_errors_on_the_page() -> None:
-    said = re.search(r"The error is (\S+) m with the gain of 1, and (\S+) m with 3", PAGES[TUTORIAL])
-    assert said
+    match = re.search(r"The error is (\S+) m with the gain of 1, and (\S+) m with 3", PAGES[TUTORIAL])
+    assert match
     errors = [
         vcmvsp.run("mine.toml", set={"agents.gain": gain}, mcap=False).metrics["formation"]["rms_m"] for gain in (1.0, 3.0)
     ]
-    assert [f"{each:.3f}" for each in errors] == [*said.groups()]
+    assert [f"{each:.3f}" for each in errors] == [*match.groups()]
 
 
 @pytest.mark.usefixtures("folder")
@@ -64,10 +64,10 @@ def test_the_agent_of_the_tutorial_passes_its_check() -> None:
 
 
 def test_the_shape_error_of_the_demo_is_that_of_the_tutorial() -> None:
-    said = re.search(r"rigid triangle instead: (\S+) m", " ".join(PAGES[TUTORIAL].split()))
-    assert said
+    match = re.search(r"rigid triangle instead: (\S+) m", " ".join(PAGES[TUTORIAL].split()))
+    assert match
     metrics = vcmvsp.run("formation-circle", agents="inprocess", mcap=False).metrics
-    assert f"{metrics['formation']['shape']['rms_m']:.3f}" == said[1]
+    assert f"{metrics['formation']['shape']['rms_m']:.3f}" == match[1]
 
 
 def test_own_metrics_agree_with_the_page(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

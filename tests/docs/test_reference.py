@@ -42,9 +42,9 @@ TABLES = tables()
 
 def assert_documents(documented: dict[str, str], target: Any, without: set[str]) -> None:
     """Every key once, ``required`` if it is, and its default as TOML if it has a TOML form."""
-    wanted = {name: each for name, each in binding.parameters(target).items() if name not in without}
-    assert set(documented) == set(wanted)
-    for name, parameter in wanted.items():
+    parameters = {name: each for name, each in binding.parameters(target).items() if name not in without}
+    assert set(documented) == set(parameters)
+    for name, parameter in parameters.items():
         says = documented[name]
         assert (says == "required") == parameter.required, name
         if says.startswith("`"):
@@ -88,7 +88,7 @@ def test_every_key_of_an_intervention_is_documented(target: Any) -> None:
 
 
 def test_materials_agree_with_the_walls() -> None:
-    said = re.search(r"of kind `itu` has losses for (.*?); these and `stone` have a colour", " ".join(TEXT.split()))
-    assert said
-    assert re.findall(r"`(\w+)`", said[1]) == list(ITU_MATERIALS)
+    match = re.search(r"of kind `itu` has losses for (.*?); these and `stone` have a colour", " ".join(TEXT.split()))
+    assert match
+    assert re.findall(r"`(\w+)`", match[1]) == list(ITU_MATERIALS)
     assert {*ITU_MATERIALS, "stone"} == {*MATERIAL_COLORS}

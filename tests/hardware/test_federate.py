@@ -47,8 +47,8 @@ def vehicle(**changes: Any) -> RealVehicle:
 def federate(*, period_ns: int = TENTH, log: Log = lambda *_: None, **changes: Any) -> tuple[Hardware, FakeStation]:
     """A federate connected to a fake station, at time 0."""
     station, radius_m = FakeStation(), {"car2": 0.3}
-    told = (vehicle(**changes),)
-    made = Hardware(told, run="test", clock=WallClock(), radius_m=radius_m, tell=lambda _: None, log=log, connect=False)
+    vehicles = (vehicle(**changes),)
+    made = Hardware(vehicles, run="test", clock=WallClock(), radius_m=radius_m, tell=lambda _: None, log=log, connect=False)
     info = RunInfo(scenario="test", seed=0, duration_ns=10 * SECOND_NS, vehicles=("car1", "car2"), instants=(each(period_ns),))
     made.start(info)
     made._connect = True
@@ -86,9 +86,9 @@ def test_orders_are_repeated_at_heartbeats_and_commands() -> None:
         times.append(step.next_ns)
         step = made.step(step.next_ns, ())
     assert times == [HEARTBEAT.at(k) for k in range(20)]
-    assert [order.number for order in station.heard] == list(range(1, 21))
+    assert [order.number for order in station.orders] == list(range(1, 21))
     made.step(times[-1], [Event("car1/command", times[-1], Velocity(linear=(0.1, 0.0, 0.0)))])
-    assert station.heard[-1].command == Velocity(linear=(0.1, 0.0, 0.0))
+    assert station.orders[-1].command == Velocity(linear=(0.1, 0.0, 0.0))
 
 
 def test_a_station_gets_current_positions_of_others() -> None:
@@ -96,13 +96,13 @@ def test_a_station_gets_current_positions_of_others() -> None:
     seen_ns = made._clock.logical_ns(time.monotonic_ns()) - SECOND_NS // 2
     made.step(0, [world(seen_ns, x=2.0, v=-1.0)])
     longest_s = (made._clock.logical_ns(time.monotonic_ns()) - seen_ns) / SECOND_NS
-    others = station.heard[-1].others
+    others = station.orders[-1].others
     assert others is not None
     ((x, y, z, vx, vy, vz, radius),) = others.tolist()
     assert 2.0 - min(longest_s, KNOWN_S) - 1e-6 <= x <= 1.5 + 1e-6  # extrapolated by 0.5 s plus the duration of this test
     assert (y, z, vx, vy, vz, radius) == (0.0, 0.0, -1.0, 0.0, 0.0, 0.3)
     made.step(TENTH, [world(seen_ns - 100 * SECOND_NS, x=2.0, v=-1.0)])
-    others = station.heard[-1].others
+    others = station.orders[-1].others
     assert others is not None
     assert others[0, 0] == pytest.approx(2.0 - KNOWN_S)
 
@@ -183,13 +183,13 @@ def test_a_run_may_continue_without_a_lost_robot(on_lost: str) -> None:
     assert (incident.what, "unplugged; plug it in" in incident.cause) == ("lost", True)
     assert ("operator/outage" in events) == ("car1/follows" in events) == (on_lost == "remove")
     assert ("car1/outage" in dict(logged)) == (on_lost == "remove")  # a replay repeats it
-    heard = len(station.heard)
+    order_count = len(station.orders)
     event = Event("car1/command", 2 * TENTH, Velocity(linear=(0.4, 0.0, 0.0)))
     later = [made.step(k * TENTH, [event] if k == 2 else ()).events for k in range(2, 9)]
     (status,) = [each.value for each in later[-1] if each.key == "car1/real"]
     assert isinstance(status, RealStatus)
     assert status.causes == ("its robot is lost",)
-    assert len(station.heard) == heard  # no further orders
+    assert len(station.orders) == order_count  # no further orders
     made._clock._origin -= 3 * SECOND_NS  # 3 s later
     places = {state.position for k in range(40, 60) for state in made.states(k * TENTH)}
     assert len(places) == 1
@@ -229,13 +229,17 @@ def test_a_station_silent_during_listening_hangs(monkeypatch: pytest.MonkeyPatch
 def test_a_robot_gets_a_stop_before_any_close() -> None:
     made, station = federate()
     made.release()
-    assert station.heard[-1].stop == "the run is over"
+    assert station.orders[-1].stop == "the run is over"
 
 
 def test_a_mission_has_all_of_safety_and_waits_for_slow_agents() -> None:
     fence = ((-1.0, -1.0), (1.0, -1.0), (0.0, 2.0))
-    told = mission(vehicle(safety=msgspec.structs.replace(SAFETY, fence=fence, max_speed=0.3)), "run", 1.0)
-    assert (told.safety.fence, told.safety.max_speed, told.safety.command_s) == (fence, 0.3, 2.5)
+    station_mission = mission(vehicle(safety=msgspec.structs.replace(SAFETY, fence=fence, max_speed=0.3)), "run", 1.0)
+    assert (station_mission.safety.fence, station_mission.safety.max_speed, station_mission.safety.command_s) == (
+        fence,
+        0.3,
+        2.5,
+    )
     assert mission(vehicle(), "run", 0.1).safety.command_s == 0.5
     assert mission(vehicle(safety=msgspec.structs.replace(SAFETY, command_s=0.7)), "run", 1.0).safety.command_s == 0.7
 
@@ -302,14 +306,14 @@ def test_a_fence_holds_in_a_run_and_outputs_name_the_limiting_laws(tmp_path: Pat
     assert real["limited_by_s"]["geofence"] > 0.5
     assert real["limited_by_s"]["limits"] > 0.5  # during acceleration
     assert sum(real["limited_by_s"].values()) > real["limited_s"] - 1e-9  # several may act at once
-    words = f"the fence {real['limited_by_s']['geofence']:.1f} s"
-    assert words in summary(result)
+    phrase = f"the fence {real['limited_by_s']['geofence']:.1f} s"
+    assert phrase in summary(result)
     (tables,) = export(tmp_path / "run", csv=tmp_path / "csv")
-    assert words in (tmp_path / "run/report.html").read_text()
+    assert phrase in (tmp_path / "run/report.html").read_text()
     with (tables / "real.csv").open() as stream:
-        told = list(csv.DictReader(stream))
-    assert {"geofence", "limits"} <= {cause for each in told for cause in each["causes"].split("; ")}
-    assert abs(float(told[-1]["sent_vx_m_s"])) < 0.3
+        rows = list(csv.DictReader(stream))
+    assert {"geofence", "limits"} <= {cause for each in rows for cause in each["causes"].split("; ")}
+    assert abs(float(rows[-1]["sent_vx_m_s"])) < 0.3
     with (tables / "incidents.csv").open() as stream:
         assert next(iter(csv.DictReader(stream)))["what"] == "connected"
 
@@ -425,7 +429,7 @@ def test_metrics_of_a_real_vehicle_by_hand() -> None:
         sent_ns=np.array([0, 0, 0]),
         received_ns=np.array([1, 5, 20]) * SECOND_NS // 100,
     )
-    told = [
+    statuses = [
         status(0.0, causes=("limits",)),
         status(0.5, gated=1),
         status(1.0, link=3, causes=("limits", "geofence"), gated=2),
@@ -433,7 +437,7 @@ def test_metrics_of_a_real_vehicle_by_hand() -> None:
         status(4.0),
     ]
     stopped = [("car1", Incident(what="stopped", cause="no command", happened_ns=0))] * 2
-    found = hardware_metrics({"car1": told}, stopped, {"car1": 7}, [got])["car1"]
+    found = hardware_metrics({"car1": statuses}, stopped, {"car1": 7}, [got])["car1"]
     assert found["age_s"] == {"p50": 0.1, "p99": 0.1, "max": 0.1}
     assert (found["fixes"], found["gated"], found["reconnects"]) == (7, 2, 2)
     assert found["stops"] == {"no command": 2}

@@ -24,7 +24,7 @@ def halt(time_ns: int, *names: str, halted: bool = True) -> Event:
 def command_at(made: Hardware, station: FakeStation, time_ns: int, *events: Event) -> Velocity | None:
     """Command to the station at a step."""
     made.step(time_ns, events)
-    return station.heard[-1].command
+    return station.orders[-1].command
 
 
 def status(made: Hardware, time_ns: int, *events: Event) -> RealStatus:
@@ -40,7 +40,7 @@ def test_a_halted_vehicle_gets_zero_then_the_newest_command() -> None:
     assert command_at(made, station, 3 * TENTH, drive(3 * TENTH, 0.2)) == STILL
     assert command_at(made, station, 4 * TENTH, halt(4 * TENTH, "car2", halted=False)) == STILL
     assert command_at(made, station, 5 * TENTH, halt(5 * TENTH, "car1", halted=False)) == Velocity(linear=(0.2, 0.0, 0.0))
-    assert {order.stop for order in station.heard} == {""}  # a stop would persist
+    assert {order.stop for order in station.orders} == {""}  # a stop would persist
 
 
 def test_a_halt_wakes_at_once() -> None:
@@ -53,11 +53,11 @@ def test_a_halt_wakes_at_once() -> None:
 def test_a_halt_keeps_the_age_of_the_agents_command() -> None:
     made, station = federate()
     made.step(0, [halt(0, "car1")])
-    assert (station.heard[-1].command, station.heard[-1].command_ns) == (None, None)  # no command so far
+    assert (station.orders[-1].command, station.orders[-1].command_ns) == (None, None)  # no command so far
     made.step(TENTH, [drive(TENTH, 0.3)])
-    given_ns = station.heard[-1].command_ns
+    given_ns = station.orders[-1].command_ns
     made.step(5 * TENTH, ())
-    assert (station.heard[-1].command, station.heard[-1].command_ns) == (STILL, given_ns)
+    assert (station.orders[-1].command, station.orders[-1].command_ns) == (STILL, given_ns)
     assert given_ns == made._clock.monotonic_ns(TENTH)
 
 
@@ -76,6 +76,6 @@ def test_a_robot_brakes_at_its_limits_and_resumes() -> None:
     there: Any = Turning(mission())
     there.drive(2.0, 0.4)
     there.drive(2.0, 0.0)
-    assert there.said[-1].odometry.v == 0.0
+    assert there.reports[-1].odometry.v == 0.0
     assert there.drive(2.0, 0.4).odometry.v > 0.3
-    assert [what for what, _ in there.notices] == ["connected"]
+    assert [kind for kind, _ in there.notices] == ["connected"]

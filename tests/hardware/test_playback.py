@@ -114,10 +114,10 @@ def test_before_its_first_instant_it_is_at_its_start() -> None:
 
 
 def test_after_the_end_it_stands_with_one_notice() -> None:
-    told: list[str] = []
-    playback = Playback(("car1", "car2"), recording(500, ("car1", "car2")), tell=told.append)
+    lines: list[str] = []
+    playback = Playback(("car1", "car2"), recording(500, ("car1", "car2")), tell=lines.append)
     events = events_of(playback, 2000)
-    assert told == ["the recording ends at 0.500 s: car1, car2 stand still from then on"]
+    assert lines == ["the recording ends at 0.500 s: car1, car2 stand still from then on"]
     last = {each.key: each for each in events}
     for name in ("car1", "car2"):
         estimate, odometry = last[f"{name}/estimate"], last[f"{name}/odometry"]
@@ -133,10 +133,10 @@ def test_after_the_end_it_stands_with_one_notice() -> None:
 
 
 def test_a_complete_recording_has_no_end_notice() -> None:
-    told: list[str] = []
-    events_of(Playback(("car1",), recording(500), tell=told.append), 500)
-    events_of(Playback(("car1",), recording(500), tell=told.append), 300)
-    assert told == []
+    lines: list[str] = []
+    events_of(Playback(("car1",), recording(500), tell=lines.append), 500)
+    events_of(Playback(("car1",), recording(500), tell=lines.append), 300)
+    assert lines == []
 
 
 def test_vehicles_not_named_are_omitted() -> None:

@@ -85,9 +85,9 @@ def test_before_any_report_it_stands_at_its_start() -> None:
     made, _ = connected_proxy()
     assert made.state(0).position == (1.0, 0.0, 0.0)
     assert made.state(0).yaw == pytest.approx(math.pi / 2)
-    told = events(made, 0.0)
-    assert [*told] == ["car1/estimate", "car1/real"]
-    assert told["car1/real"][0] == RealStatus(link=0, age_s=None)
+    values = events(made, 0.0)
+    assert [*values] == ["car1/estimate", "car1/real"]
+    assert values["car1/real"][0] == RealStatus(link=0, age_s=None)
 
 
 def test_each_instant_uses_the_report_before_it() -> None:
@@ -140,12 +140,12 @@ def test_each_instant_has_ranges_and_incidents_of_all_reports_since() -> None:
         report(0.02, None, sonar=((10, 1.0), (2, 2.0)), notices=(lost,)),
         report(0.04, None, sonar=((2, 2.5),), causes=("limits",)),
     ]
-    told = events(made, 0.1)
-    measured = told["car1/sonar"][0]
+    values = events(made, 0.1)
+    measured = values["car1/sonar"][0]
     assert isinstance(measured, Measured)
     assert list(measured.values.items()) == [("2", 2.5), ("10", 1.0)]
-    assert told["car1/incident"][0].happened_ns == -SECOND_NS
-    assert told["car1/real"][0].causes == ("limits",)
+    assert values["car1/incident"][0].happened_ns == -SECOND_NS
+    assert values["car1/real"][0].causes == ("limits",)
 
 
 def test_uncertainty_is_that_along_the_worse_axis() -> None:
@@ -171,10 +171,10 @@ def test_a_repeated_command_keeps_its_time() -> None:
     made.command(Event("car1/command", SECOND_NS, Velocity(linear=(0.2, 0.0, 0.0))))
     made.order(None)
     made.order(None)
-    first, *rest = station.heard
+    first, *rest = station.orders
     assert (first.command, first.command_ns) == (None, None)
     assert [(each.command, each.command_ns) for each in rest] == [(Velocity(linear=(0.2, 0.0, 0.0)), START_NS + SECOND_NS)] * 2
-    assert [each.number for each in station.heard] == [1, 2, 3]
+    assert [each.number for each in station.orders] == [1, 2, 3]
 
 
 def test_a_real_vehicle_takes_no_way_points() -> None:

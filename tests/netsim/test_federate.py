@@ -79,13 +79,13 @@ def test_reports_leave_out_receivers_below_a_level_that_lost_the_frame(least_dbm
         steps = [federate.step(tick * 20 * MS, sent) for federate in (whole, part)]
         assert list(receptions_in(steps[0].events)) == list(receptions_in(steps[1].events))
         (all_,), (near,) = map(frames, steps)
-        kept = (all_.rssi_dbm >= least_dbm) | (all_.received_ns >= 0)
-        kept[all_.rssi_dbm.argmax()] = True
-        assert near.receivers == tuple(np.array(all_.receivers)[kept])
-        assert near.outcome == tuple(np.array(all_.outcome)[kept])
+        reported = (all_.rssi_dbm >= least_dbm) | (all_.received_ns >= 0)
+        reported[all_.rssi_dbm.argmax()] = True
+        assert near.receivers == tuple(np.array(all_.receivers)[reported])
+        assert near.outcome == tuple(np.array(all_.outcome)[reported])
         for column in ("rssi_dbm", "distance_m", "received_ns", "snr_db", "fading_db", "path_loss_db"):
-            np.testing.assert_array_equal(getattr(near, column), getattr(all_, column)[kept])
-        left_out += len(kept) - kept.sum()
+            np.testing.assert_array_equal(getattr(near, column), getattr(all_, column)[reported])
+        left_out += len(reported) - reported.sum()
     assert left_out
 
 
@@ -124,13 +124,13 @@ def test_sending_before_any_position_is_known_is_an_error(radio: RadioFederate) 
         radio.step(0, [sends(0, "a")])
 
 
-def code_is_had(patch: pytest.MonkeyPatch, told: Callable[[], None]) -> None:
+def code_is_had(patch: pytest.MonkeyPatch, on_load: Callable[[], None]) -> None:
     """Plain code stands in for compiled code, not loaded by earlier tests; the list grows with each load."""
 
     loaded: list[Core] = []
 
     def load(core: Core) -> Run:
-        told()
+        on_load()
         loaded.append(core)
         return core.interpreted
 

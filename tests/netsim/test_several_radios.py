@@ -19,10 +19,10 @@ class Both(vcmvsp.Agent):
     """Sends on each of some radios at each tick, and collects receptions."""
 
     def __init__(self, *names: str) -> None:
-        self.names, self.heard = names, list[tuple[str, str | None, Any]]()
+        self.names, self.received = names, list[tuple[str, str | None, Any]]()
 
     def act(self, obs: vcmvsp.Observation, radio: vcmvsp.Radio) -> vcmvsp.Velocity:
-        self.heard += [(each.message.sender, each.radio, each.message.body) for each in obs.heard]
+        self.received += [(each.message.sender, each.radio, each.message.body) for each in obs.heard]
         for name in self.names:
             radio[name].send(on=name)
         return vcmvsp.Velocity(linear=(0.5, 0.0, 0.0))
@@ -75,7 +75,7 @@ def test_networks_on_one_channel_are_one_medium() -> None:
         frames = result.radio.to_pandas().astype({"outcome": str})
         assert set(zip(frames.sender, frames.receiver, strict=True)) == {("car0", "car1"), ("car2", "car3")}
         outcomes[channel] = set(frames.outcome)
-        assert {each[1] for agent in agents.values() for each in agent.heard} <= {"a", "b"}
+        assert {each[1] for agent in agents.values() for each in agent.received} <= {"a", "b"}
     assert "collision" in outcomes["1"]
     assert outcomes["2"] == {"received"}
 
@@ -89,8 +89,8 @@ def test_receptions_name_their_radio_and_the_first_one_is_the_default() -> None:
     content = scenario({"name": "fast", "preset": "ideal"}, {"name": "slow", "preset": "ideal"}, vehicles=2)
     agents = {"car0": Plain("slow"), "car1": Plain()}
     vcmvsp.run(content, agents=agents, mcap=False)
-    assert {(radio, body["on"]) for _, radio, body in agents["car1"].heard} == {("fast", "the first"), ("slow", "slow")}
-    assert {(radio, body["on"]) for _, radio, body in agents["car0"].heard} == {("fast", "the first")}
+    assert {(radio, body["on"]) for _, radio, body in agents["car1"].received} == {("fast", "the first"), ("slow", "slow")}
+    assert {(radio, body["on"]) for _, radio, body in agents["car0"].received} == {("fast", "the first")}
 
 
 def test_a_radio_reaches_only_vehicles_that_have_it() -> None:
@@ -209,17 +209,17 @@ class Still(Both):
 @pytest.mark.parametrize("kind", ["flooding", "distance_vector"])
 def test_messages_are_forwarded_over_the_named_radio_alone(kind: str) -> None:
     """Equal rows but for the numbers in the run, which count the frames of both."""
-    tables, heard = [], []
+    results, receptions = [], []
     for routing in ({}, {"routing": {"kind": kind, "radio": "wifi"}}):
         agents = {f"car{i}": Still(*(("wifi",) if i < 3 else ()), "lora") for i in range(4)}
         result = vcmvsp.run(chain(**routing), agents=agents, mcap=False)
-        tables.append(result)
-        heard.append({(sender, name) for sender, name, _ in agents["car2"].heard})
-    without, routed = tables
+        results.append(result)
+        receptions.append({(sender, name) for sender, name, _ in agents["car2"].received})
+    without, routed = results
     relayed = ["origin", "destination", "origin_sent_ns", "origin_number", "message"]
     pd.testing.assert_frame_equal(rows(routed, "lora").drop(columns=relayed), rows(without, "lora"))
-    assert ("car0", "wifi") not in heard[0]
-    assert ("car0", "wifi") in heard[1]
+    assert ("car0", "wifi") not in receptions[0]
+    assert ("car0", "wifi") in receptions[1]
     frames = routed.radio.to_pandas().astype({"origin": str, "sender": str, "receiver": str})
     assert frames.frame.is_monotonic_increasing
     assert "car3" not in set(frames[frames.radio == "wifi"].receiver)

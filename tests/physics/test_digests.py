@@ -104,15 +104,15 @@ ORDERS: list[Command] = [  # time, vehicle, command
 ]
 
 
-def run(world: World, *, seed: int = 1, wanted: bool = False, late: bool = False) -> Generator[None, None, Digest]:
+def run(world: World, *, seed: int = 1, on_demand: bool = False, late: bool = False) -> Generator[None, None, Digest]:
     """One run as a generator that pauses after each step.
 
-    On-demand readings are computed together if ``wanted``, and at the end if ``late``.
+    On-demand readings are computed together if ``on_demand``, and at the end if ``late``.
     """
     physics = BulletPhysics(world=world, vehicles=vehicles())
-    keys = tuple(f"{spec.name}/{sensor}" for spec in physics.vehicles for sensor in spec.sensors) if wanted else ()
+    keys = tuple(f"{spec.name}/{sensor}" for spec in physics.vehicles for sensor in spec.sensors) if on_demand else ()
     needed = (Instants(Ticks.every(0.05)),)
-    kept, hashed, kinds = list[Event](), hashlib.blake2b(digest_size=16), Counter[str]()
+    batch, hashed, kinds = list[Event](), hashlib.blake2b(digest_size=16), Counter[str]()
 
     def take(events: list[Event]) -> None:
         for event in events:
@@ -121,12 +121,12 @@ def run(world: World, *, seed: int = 1, wanted: bool = False, late: bool = False
             kinds[type(value).__name__] += 1
 
     for events in steps_of(physics, ORDERS, 3.0, needed, seed=seed, wanted=keys):
-        kept += events
+        batch += events
         if not late:
-            take(kept)
-            kept = []
+            take(batch)
+            batch = []
         yield
-    take(kept)
+    take(batch)
     return Digest(hashed.hexdigest(), kinds)
 
 
@@ -167,7 +167,7 @@ def test_interleaved_runs_in_one_process_are_equal(alone: Digest) -> None:
     """In one world or in two, beside a run with other gusts; readings computed together, one by one, or at the end."""
     shared = mixed_world()
     first, other, second, third = digests(
-        run(shared), run(shared, seed=2), run(shared, wanted=True), run(mixed_world(), late=True)
+        run(shared), run(shared, seed=2), run(shared, on_demand=True), run(mixed_world(), late=True)
     )
     assert first.bits == second.bits == third.bits == alone.bits
     assert other.bits != alone.bits

@@ -39,12 +39,12 @@ def test_a_velocity_is_in_the_world_frame_and_a_way_point_is_reached(kind: type[
         (0.0, "uav", Velocity(linear=(0.0, 1.5, 0.5))),
         (4.0, "uav", Waypoint(position=(2.0, 2.0, 4.0), yaw=-1.0)),
     ]
-    told = values_by_step(physics, commands, 14.0)
-    before, end = told[40]["uav/estimate"], told[-1]["uav/estimate"]
+    steps = values_by_step(physics, commands, 14.0)
+    before, end = steps[40]["uav/estimate"], steps[-1]["uav/estimate"]
     assert before.velocity == pytest.approx((0.0, 1.5, 0.5), abs=0.06)
     assert end.position == pytest.approx((2.0, 2.0, 4.0), abs=0.1)
     assert end.yaw == pytest.approx(-1.0, abs=0.05)
-    assert "uav/odometry" not in told[0]  # no wheels
+    assert "uav/odometry" not in steps[0]  # no wheels
 
 
 @KINDS
@@ -52,13 +52,13 @@ def test_ground_and_air_move_together_each_in_its_place(kind: type[Physics]) -> 
     models: dict[str, Vehicle] = {"point": Point(), "car": P2DX(), "uav": Quadrotor(), "unicycle": Kinematic()}
     vehicles = [spec(name, model, (3.0 * k, 0.0, 2.0)) for k, (name, model) in enumerate(models.items())]
     commands: list[Command] = [(0.0, name, Velocity(linear=(0.4, 0.0, 0.0))) for name in models]
-    told = values_by_step(kind(world=World(), vehicles=vehicles), commands, 5.0)
-    first, last = told[0]["world/states"], told[-1]["world/states"]
+    steps = values_by_step(kind(world=World(), vehicles=vehicles), commands, 5.0)
+    first, last = steps[0]["world/states"], steps[-1]["world/states"]
     assert last.names == tuple(models)
     assert first.position[:, 2] == pytest.approx((2.0, 0.0, 2.0, 0.0), abs=1e-9)
     assert last.position[:, 0] - first.position[:, 0] == pytest.approx((2.0, 2.0, 2.0, 2.0), abs=0.4)
     assert last.position[:, 1:] == pytest.approx(first.position[:, 1:], abs=0.05)
-    assert [key for key in told[1] if key.endswith("/odometry")] == ["car/odometry", "unicycle/odometry"]
+    assert [key for key in steps[1] if key.endswith("/odometry")] == ["car/odometry", "unicycle/odometry"]
 
 
 @KINDS
@@ -89,11 +89,11 @@ def test_non_finite_commands_stop_the_run_and_name_the_vehicle(kind: type[Physic
 def test_a_quadrotor_uses_its_fixes_and_has_no_odometry() -> None:
     sensor = Positioning(rate_hz=5.0)
     uav = spec("uav", Quadrotor(), pose_source="positioning", positioning=sensor)
-    told = values_by_step(
+    steps = values_by_step(
         BulletPhysics(world=World(), vehicles=[uav]), [(0.0, "uav", Velocity(linear=(1.0, 0.0, 0.0), yaw_rate=0.3))], 2.0
     )
     fix: Any = None
-    for at in told:
+    for at in steps:
         fix = at.get("uav/fix", fix)
         estimate, states = at["uav/estimate"], at["world/states"]
         assert estimate.position == fix.position
@@ -110,9 +110,9 @@ def test_a_start_below_the_floor_is_raised_onto_it() -> None:
     assert spec("uav", Quadrotor(), (1.0, 2.0, 0.0)).start == (1.0, 2.0, 0.04)
     assert spec("uav", Quadrotor(), (1.0, 2.0, 0.5)).start == (1.0, 2.0, 0.5)
     assert spec("car", P2DX(), (1.0, 2.0, 0.5)).start == (1.0, 2.0, 0.0)
-    told = values_by_step(BulletPhysics(world=World(), vehicles=[spec("uav", Quadrotor(), (0.0, 0.0, 0.0))]), [], 1.0)
-    assert told[-1]["world/states"].position[0] == pytest.approx((0.0, 0.0, 0.04), abs=2e-3)
-    assert not any("world/contact" in at for at in told)
+    steps = values_by_step(BulletPhysics(world=World(), vehicles=[spec("uav", Quadrotor(), (0.0, 0.0, 0.0))]), [], 1.0)
+    assert steps[-1]["world/states"].position[0] == pytest.approx((0.0, 0.0, 0.04), abs=2e-3)
+    assert not any("world/contact" in at for at in steps)
 
 
 # --- refused before the start ------------------------------------------------------------------------------------------------

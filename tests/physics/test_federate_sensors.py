@@ -28,17 +28,17 @@ FIFTH = (Instants(Ticks.every(0.2)),)
 class SceneRecorder(Sensor):
     """Records the scenes given to it."""
 
-    seen: ClassVar[list[tuple[int, Scene]]] = []
+    scenes: ClassVar[list[tuple[int, Scene]]] = []
     offset: float = field(default=0.0)
 
     def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Measured:
-        SceneRecorder.seen.append((row, scene))
+        SceneRecorder.scenes.append((row, scene))
         return Measured(time_ns=scene.now_ns, values={"z": float(scene.position[row, 2]) + self.offset})
 
 
 @pytest.fixture(autouse=True)
 def clear_scenes() -> None:
-    SceneRecorder.seen.clear()
+    SceneRecorder.scenes.clear()
 
 
 @KINDS
@@ -50,7 +50,7 @@ def test_states_are_published_at_instants_and_readings_at_own_ticks(kind: type[P
         times.setdefault(event.key, []).append(event.time_ns / 1e9)
     assert times["world/states"] == times["car/estimate"] == pytest.approx([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
     assert times["car/fix"] == pytest.approx([0.0, 0.25, 0.5, 0.75, 1.0])
-    assert [scene.now_ns / 1e9 for _, scene in SceneRecorder.seen] == pytest.approx(np.arange(0.1, 1.001, 0.05))
+    assert [scene.now_ns / 1e9 for _, scene in SceneRecorder.scenes] == pytest.approx(np.arange(0.1, 1.001, 0.05))
     assert times["car/witness"] == pytest.approx(np.arange(0.15, 1.051, 0.05))  # delivered 0.05 s later
 
 
@@ -71,8 +71,8 @@ def test_a_sensor_gets_all_published_bodies_read_only(kind: type[Physics]) -> No
         VehicleSpec(name="point", model=Point(), position=(0.0, 1.0, 2.0)),
     ]
     states = values(run(kind(world=world, vehicles=vehicles), [(0.0, "car", 0.3, 0.0)], 1.0, FIFTH), "world/states")
-    assert len(SceneRecorder.seen) == len(states) == 6
-    for (row, scene), published in zip(SceneRecorder.seen, states, strict=True):
+    assert len(SceneRecorder.scenes) == len(states) == 6
+    for (row, scene), published in zip(SceneRecorder.scenes, states, strict=True):
         assert (row, scene.vehicles, len(scene.hulls)) == (1, ("car", "uav", "point"), 5)
         assert np.array_equal(scene.position[:3], published.position)
         assert scene.position[3] == pytest.approx((1.0, 0.0, 0.2), abs=0.05)
@@ -82,9 +82,9 @@ def test_a_sensor_gets_all_published_bodies_read_only(kind: type[Physics]) -> No
         assert np.isnan(scene.wheels[1:]).all()
         for array in (scene.position, scene.velocity, scene.attitude, scene.angular_velocity, scene.acceleration, scene.wheels):
             assert not array.flags.writeable
-    wheels = SceneRecorder.seen[-1][1].wheels[0]
+    wheels = SceneRecorder.scenes[-1][1].wheels[0]
     assert wheels == pytest.approx(wheels.mean(), rel=1e-3)
-    travelled = SceneRecorder.seen[-1][1].position[0, 0]
+    travelled = SceneRecorder.scenes[-1][1].position[0, 0]
     assert wheels.mean() * P2DX().wheel_radius_m == pytest.approx(travelled, abs=2e-3)
 
 
@@ -95,7 +95,7 @@ def test_accelerations_are_means_over_the_last_step() -> None:
         VehicleSpec(name="uav", model=Quadrotor(), position=(0.0, 3.0, 2.0)),
     ]
     run(BulletPhysics(world=World(), vehicles=vehicles), [(0.0, "car", 0.3, 0.2)], 1.0, FIFTH)
-    scenes = [scene for _, scene in SceneRecorder.seen]
+    scenes = [scene for _, scene in SceneRecorder.scenes]
     assert len(scenes) == 121
     for before, after in pairwise(scenes):
         by_difference = (after.velocity[:2] - before.velocity[:2]) * 120.0
@@ -123,11 +123,11 @@ def test_a_sensor_gets_contacts_only_while_they_last() -> None:
     wall = World(solids=(Box(center=(3.0, 0.0, 2.0), size=(0.2, 4.0, 4.0)),))
 
     def contact_flags(**others: Any) -> list[bool]:
-        SceneRecorder.seen.clear()
+        SceneRecorder.scenes.clear()
         sensors = {"witness": SceneRecorder(rate_hz=20.0), **others}
         uav = VehicleSpec(name="uav", model=Quadrotor(), position=(0.0, 0.0, 2.0), sensors=sensors)
         run(BulletPhysics(world=wall, vehicles=[uav]), [(0.0, "uav", 3.0, 0.0)], 2.0, FIFTH)
-        return [bool(scene.touching) for _, scene in SceneRecorder.seen if scene.now_ns % (SECOND_NS // 20) == 0]
+        return [bool(scene.touching) for _, scene in SceneRecorder.scenes if scene.now_ns % (SECOND_NS // 20) == 0]
 
     assert contact_flags() == contact_flags(bumper=Bumper(rate_hz=120.0))
 
@@ -138,10 +138,10 @@ def test_a_sensor_gets_all_contact_points() -> None:
     sensors: Any = {"witness": SceneRecorder(rate_hz=20.0)}
     car = VehicleSpec(name="car", model=P2DX(), sensors=sensors)
     run(BulletPhysics(world=posts, vehicles=[car]), [(0.0, "car", 0.3, 0.0)], 5.0, FIFTH)
-    sides = [{round(float(place[1]) / 0.15) for _, _, place in scene.touching} for _, scene in SceneRecorder.seen]
+    sides = [{round(float(place[1]) / 0.15) for _, _, place in scene.touching} for _, scene in SceneRecorder.scenes]
     assert {1, -1} in sides
     assert sides[0] == set()
-    row, other, place = SceneRecorder.seen[-1][1].touching[0]
+    row, other, place = SceneRecorder.scenes[-1][1].touching[0]
     assert (row, other) == (0, None)
     assert place[0] == pytest.approx(0.95, abs=0.02)
     assert all(side <= {1, -1} for side in sides)

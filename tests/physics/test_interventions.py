@@ -71,14 +71,14 @@ def contacts(events: Sequence[Event]) -> list[str | None]:
 @KINDS
 def test_a_halted_vehicle_resumes_with_its_newest_command(kind: type[Physics]) -> None:
     physics = kind(world=World(), vehicles=[spec("car1"), spec("car2", y=3.0)])
-    told = [drive(0.0, "car1", 0.4), drive(0.0, "car2", 0.4), halt(2.0, "car1"), drive(3.0, "car1", -0.2)]
-    events = run(physics, [*told, halt(5.0, "car1", halted=False), halt(5.0, "car2", halted=False)], 8.0)
-    mine, other = positions(events)[:, 0], positions(events, 1)[:, 0]
-    assert mine[20] == pytest.approx(other[20], abs=5e-3)
-    stood = mine[30]
-    assert mine[20] <= stood < mine[20] + 0.3  # brakes as for any other command
-    assert mine[30:51] == pytest.approx(stood, abs=5e-3)
-    assert mine[80] - mine[70] == pytest.approx(-0.2, abs=0.01)  # the command received while halted
+    orders = [drive(0.0, "car1", 0.4), drive(0.0, "car2", 0.4), halt(2.0, "car1"), drive(3.0, "car1", -0.2)]
+    events = run(physics, [*orders, halt(5.0, "car1", halted=False), halt(5.0, "car2", halted=False)], 8.0)
+    own, other = positions(events)[:, 0], positions(events, 1)[:, 0]
+    assert own[20] == pytest.approx(other[20], abs=5e-3)
+    stood = own[30]
+    assert own[20] <= stood < own[20] + 0.3  # brakes as for any other command
+    assert own[30:51] == pytest.approx(stood, abs=5e-3)
+    assert own[80] - own[70] == pytest.approx(-0.2, abs=0.01)  # the command received while halted
     assert other[80] - other[70] == pytest.approx(0.4, abs=0.01)
 
 
@@ -86,9 +86,9 @@ def test_without_new_commands_motion_resumes() -> None:
     physics = KinematicPhysics(
         world=World(), vehicles=[spec("car1", model=Kinematic()), spec("car2", y=3.0, model=Kinematic())]
     )
-    told = [drive(0.0, "car1", 0.5, 0.3), halt(1.0, "car1", "car2"), halt(1.5, "car2", "car1", halted=False)]
-    events = run(physics, told, 3.0)
-    plain = run(physics, told[:1], 2.5)
+    orders = [drive(0.0, "car1", 0.5, 0.3), halt(1.0, "car1", "car2"), halt(1.5, "car2", "car1", halted=False)]
+    events = run(physics, orders, 3.0)
+    plain = run(physics, orders[:1], 2.5)
     assert positions(events)[15:] == pytest.approx(positions(plain)[10:], abs=1e-12)
     assert np.ptp(positions(events)[10:16], axis=0) == pytest.approx(0.0, abs=0.0)
     assert np.ptp(positions(events, 1), axis=0) == pytest.approx(0.0, abs=0.0)
@@ -98,8 +98,8 @@ def test_without_new_commands_motion_resumes() -> None:
 @pytest.mark.parametrize("model", [Quadrotor(), Point(tau_s=0.3)], ids=["quadrotor", "point"])
 def test_a_halted_quadrotor_hovers_and_resumes_to_its_waypoint(kind: type[Physics], model: Vehicle) -> None:
     physics = kind(world=World(), vehicles=[spec("uav", z=2.0, model=model)])
-    told = [fly(0.0, "uav", 8.0, 0.0, 3.0), halt(1.0, "uav"), halt(6.0, "uav", halted=False)]
-    way = positions(run(physics, told, 14.0))
+    orders = [fly(0.0, "uav", 8.0, 0.0, 3.0), halt(1.0, "uav"), halt(6.0, "uav", halted=False)]
+    way = positions(run(physics, orders, 14.0))
     assert 1.0 < way[10, 0] <= way[60, 0] < 4.0
     assert way[40:61] == pytest.approx(np.tile(way[60], (21, 1)), abs=0.03)
     assert way[-1] == pytest.approx((8.0, 0.0, 3.0), abs=0.05)
@@ -126,9 +126,9 @@ RAYS = RangeScanner(beams=2, field_of_view=0.02, range_max=20.0, rate_hz=10.0, p
 @KINDS
 def test_moved_obstacles_are_in_place_also_for_scanners(kind: type[Physics]) -> None:
     physics = kind(world=WORLD, vehicles=[spec("car1", sensors={"scan": RAYS})])
-    told = [move(1.0, "crate", 0.0, 6.0), move(2.0, "barrel", 3.0, 0.0), move(3.0, "crate", 2.0, 0.0, math.pi / 4)]
-    events = run(physics, told, 4.0)
-    seen = ranges(events)
+    orders = [move(1.0, "crate", 0.0, 6.0), move(2.0, "barrel", 3.0, 0.0), move(3.0, "crate", 2.0, 0.0, math.pi / 4)]
+    events = run(physics, orders, 4.0)
+    distances = ranges(events)
     for tick, edge_m in (
         (9, 4.8),
         (11, math.inf),
@@ -138,25 +138,25 @@ def test_moved_obstacles_are_in_place_also_for_scanners(kind: type[Physics]) -> 
         (31, 1.735),  # range of the edge; the beams are 0.01 rad off
         (39, 1.735),
     ):
-        assert seen[tick] == pytest.approx(edge_m, abs=0.01), tick
+        assert distances[tick] == pytest.approx(edge_m, abs=0.01), tick
 
 
 @KINDS
 def test_changed_poses_of_movables_are_published(kind: type[Physics]) -> None:
     events = run(kind(world=WORLD, vehicles=[spec("car1")]), [move(1.0, "crate", 0.0, 6.0)], 5.0)
-    told = [(event.time_ns, event.value) for event in events if isinstance(event.value, Pushed)]
-    times = [time_ns for time_ns, _ in told if time_ns >= 10**9]
+    pushes = [(event.time_ns, event.value) for event in events if isinstance(event.value, Pushed)]
+    times = [time_ns for time_ns, _ in pushes if time_ns >= 10**9]
     assert times[0] == 10**9
     assert times == [10**9] or (kind is not KinematicPhysics and times[-1] < 4 * 10**9)  # until it is asleep
-    assert told[-1][1].names == ("crate", "barrel")
-    assert told[-1][1].position == pytest.approx(np.array([(0.0, 6.0, 0.2), (8.0, 3.0, 0.5)]), abs=2e-3)
+    assert pushes[-1][1].names == ("crate", "barrel")
+    assert pushes[-1][1].position == pytest.approx(np.array([(0.0, 6.0, 0.2), (8.0, 3.0, 0.5)]), abs=2e-3)
 
 
 def test_a_pushed_and_moved_obstacle_is_at_rest() -> None:
     physics = BulletPhysics(world=World(movables=(CRATE,)), vehicles=[spec("car1", 4.0)])
-    told = [drive(0.0, "car1", 0.6), halt(3.0, "car1"), move(3.5, "crate", 9.0, 1.0, 0.3)]
+    orders = [drive(0.0, "car1", 0.6), halt(3.0, "car1"), move(3.5, "crate", 9.0, 1.0, 0.3)]
     before, after = list[Array](), list[Array]()
-    for tick, _ in enumerate(steps_of(physics, told, 6.0)):
+    for tick, _ in enumerate(steps_of(physics, orders, 6.0)):
         motion = physics._movables()
         assert motion is not None
         (before if tick < 35 else after).append(np.concatenate([motion.position[0], motion.velocity[0]]))
@@ -177,9 +177,9 @@ def test_a_body_on_top_of_it_falls() -> None:
 def test_a_quadrotor_hits_a_placed_obstacle_at_once() -> None:
     """Although its proximity check runs at 20 Hz only, and the last one was just before."""
 
-    def flown(*told: Event) -> list[Event]:
+    def flown(*orders: Event) -> list[Event]:
         physics = BulletPhysics(world=World(movables=(BARREL,)), vehicles=[spec("uav", z=0.5, model=Quadrotor())])
-        return run(physics, [fly(0.0, "uav", 9.0, 0.0, 0.5), *told], 1.2, [Instants(Ticks.rate(120.0))])
+        return run(physics, [fly(0.0, "uav", 9.0, 0.0, 0.5), *orders], 1.2, [Instants(Ticks.rate(120.0))])
 
     reach = 0.3 + Quadrotor().radius_m
     x = positions(flown())[122, 0] + reach + 0.02

@@ -31,7 +31,7 @@ KINDS = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics, Mujoco
 CRATE = Movable(name="crate", solid=Box(center=(5.0, 0.0, 0.2), size=(0.4, 0.4, 0.4)), mass_kg=5.0)
 CART = Moving(name="cart", solid=CRATE.solid, times_s=(0.0, 9.0), way=((-9.0, 9.0, 0.3, 0.0), (-9.0, 12.0, 0.3, 3.0)))
 WIND = Wind(velocity=(1.0, 0.0, 0.0), gust=1.0)
-TOLD: list[Event | Command] = [
+ORDERS: list[Event | Command] = [
     *((0.5 * k + 0.1, name, 0.4, 0.3 * (-1.0) ** k) for k in range(5) for name in ("car", "lag", "unicycle", "uav")),
     (0.0, "point", Waypoint(position=(2.0, -3.0, 1.0))),
     Event("operator/halted", seconds_to_ns(1.037), Halted(vehicles=("car", "uav"), halted=True)),
@@ -58,13 +58,13 @@ def events(
     *instants: Instants,
     things: bool = True,
     more: Sequence[VehicleSpec] = (),
-    told: Sequence[Event] = (),
+    orders: Sequence[Event] = (),
     **rest: Any,
 ) -> list[Event]:
     outside = Courses(real=straight(-6.0, 0.2), **{each.name: straight(20.0) for each in more if each.name == "other"})
     world = World(movables=(CRATE,), moving=(CART,), wind=WIND) if things else World(wind=WIND)
     physics = kind(world=world, vehicles=[*vehicles, *more], outside=outside)
-    return run(physics, [*TOLD, *told], 3.0, instants or TENTH, **rest)
+    return run(physics, [*ORDERS, *orders], 3.0, instants or TENTH, **rest)
 
 
 def motion(found: Sequence[Event]) -> dict[tuple[int, str], Any]:
@@ -97,14 +97,14 @@ def test_more_instants_and_sensors_have_no_effect(kind: type[Physics]) -> None:
     (x, y, _), yaw = alone.position[0].tolist(), yaw_of(tuple(alone.attitude[0].tolist()))
     ahead_m = 0.5 * P2DX().length_m - P2DX().axle_ahead_m + 0.2 + 0.02
     places = {2.0031: (x + ahead_m * math.cos(yaw), y + ahead_m * math.sin(yaw)), 2.4931: (9.0, 9.0)}
-    told = [
+    orders = [
         Event("operator/moved", seconds_to_ns(at_s), Moved(obstacle="crate", position=place, yaw=yaw))
         for at_s, place in places.items()
     ]
-    plain = events(kind, cast(), told=told)
-    same(kind, plain, events(kind, cast(), *TENTH, Instants(Ticks.rate(60.0), seconds_to_ns(0.025)), told=told))
-    same(kind, plain, events(kind, cast(), told=told, paced=True))
-    same(kind, plain, events(kind, cast(imu=InertialUnit(rate_hz=40.0), scan=Ring()), told=told))
+    plain = events(kind, cast(), orders=orders)
+    same(kind, plain, events(kind, cast(), *TENTH, Instants(Ticks.rate(60.0), seconds_to_ns(0.025)), orders=orders))
+    same(kind, plain, events(kind, cast(), orders=orders, paced=True))
+    same(kind, plain, events(kind, cast(imu=InertialUnit(rate_hz=40.0), scan=Ring()), orders=orders))
 
 
 @KINDS
@@ -118,10 +118,10 @@ def test_every_run_begins_afresh(kind: type[Physics]) -> None:
     """Estimators, sensors and movables; the car hits the external vehicle."""
     vehicles = cast(near=NeighbourRange(), imu=InertialUnit(rate_hz=20.0), scan=Ring())
     physics = kind(world=World(movables=(CRATE,), moving=(CART,)), vehicles=vehicles, outside=Courses(real=straight(0.9)))
-    told = [*TOLD, Event("operator/moved", SECOND_NS, Moved(obstacle="crate", position=(2.0, 9.0), yaw=0.3))]
+    orders = [*ORDERS, Event("operator/moved", SECOND_NS, Moved(obstacle="crate", position=(2.0, 9.0), yaw=0.3))]
 
     def once() -> list[bytes]:
-        found = run(physics, told, 2.0)
+        found = run(physics, orders, 2.0)
         return [encode(each.value.get() if isinstance(each.value, Later) else each.value) for each in found]
 
     assert once() == once()

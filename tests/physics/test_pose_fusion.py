@@ -51,13 +51,13 @@ class InputRecorder:
     """Estimator that only records its inputs."""
 
     def __init__(self) -> None:
-        self.told: list[tuple[Any, ...]] = []
+        self.inputs: list[tuple[Any, ...]] = []
 
     def odometry(self, time_ns: int, distance_m: float, turn_rad: float) -> None:
-        self.told.append(("odometry", time_ns, distance_m, turn_rad))
+        self.inputs.append(("odometry", time_ns, distance_m, turn_rad))
 
     def fix(self, time_ns: int, x: float, y: float, sigma_m: float) -> None:
-        self.told.append(("fix", time_ns, x, y, sigma_m))
+        self.inputs.append(("fix", time_ns, x, y, sigma_m))
 
     def estimate(self, now_ns: int) -> None:
         return None
@@ -126,7 +126,7 @@ def test_inputs_have_their_own_instants_at_any_state_rate(kind: type[Physics]) -
         noted = InputRecorder()
         other = fusion_spec(InputRecorder(), "other", rate_hz=8.0, y=3.0)
         run(kind(world=World(), vehicles=[fusion_spec(noted, rate_hz=4.0), other]), TURNS, 6.0, instants)
-        return noted.told
+        return noted.inputs
 
     seldom, often = told(), told(Instants(Ticks.every(0.025)), Instants(Ticks.every(0.1), seconds_to_ns(0.05)))
     assert len(seldom) == len(often)
@@ -149,7 +149,7 @@ def test_inputs_are_equal_with_physics_ahead_of_the_wall_clock(kind: type[Physic
         vehicles = [fusion_spec(noted, rate_hz=1.0), spec("lag", y=3.0, model=Lag())]
         quarters = (Instants(Ticks.every(0.25)),)  # early steps pass instants of estimator input
         run(kind(world=World(), vehicles=vehicles), TURNS, 2.0, quarters, paced=paced)
-        return noted.told
+        return noted.inputs
 
     assert told(paced=True) == told(paced=False)
 
@@ -159,12 +159,12 @@ def test_odometry_inputs_add_up_to_the_path(kind: type[Physics]) -> None:
     noted = InputRecorder()
     events = run(kind(world=World(), vehicles=[fusion_spec(noted)]), TURNS, 12.0)
     pose = (0.0, 0.0, 0.0)
-    for what, _, distance, turn, *_ in noted.told:
-        if what == "odometry":
+    for source, _, distance, turn, *_ in noted.inputs:
+        if source == "odometry":
             pose = arc(pose, distance, turn, 1.0)
-    said = values(events, "car/odometry")[-1].pose
-    assert pose[:2] == pytest.approx(said[:2], abs=2e-3)
-    assert wrap(pose[2] - said[2]) == pytest.approx(0.0, abs=1e-9)
+    odometry = values(events, "car/odometry")[-1].pose
+    assert pose[:2] == pytest.approx(odometry[:2], abs=2e-3)
+    assert wrap(pose[2] - odometry[2]) == pytest.approx(0.0, abs=1e-9)
 
 
 POSES = st.tuples(st.floats(-9.0, 9.0), st.floats(-9.0, 9.0), st.floats(-3.0, 3.0))

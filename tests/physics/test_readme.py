@@ -53,17 +53,17 @@ def test_the_custom_sensor(folder: Path) -> None:
     places = {"a": 0.0, "b": 3.0, "c": 50.0}
     cars = [{"name": name, "kind": "kinematic", "position": [x, 0.0, 0.0]} for name, x in places.items()]
     scenario: dict[str, Any] = {"name": "s", "duration_s": 0.5, "vehicles": {"sensors": own}, "vehicle": cars}
-    seen: dict[str, float] = {}
+    distances: dict[str, float] = {}
 
     class Look(vcmvsp.Agent):
         def __init__(self, name: str) -> None:
             self.name = name
 
         def act(self, obs: vcmvsp.Observation, radio: vcmvsp.Radio) -> None:
-            seen[self.name] = obs.readings["sonar"].values["nearest_m"]  # type: ignore[union-attr]
+            distances[self.name] = obs.readings["sonar"].values["nearest_m"]  # type: ignore[union-attr]
 
     vcmvsp.run(scenario, agents={name: Look(name) for name in places})
-    assert seen == pytest.approx({"a": 3.0, "b": 3.0, "c": 4.0}, abs=0.1)
+    assert distances == pytest.approx({"a": 3.0, "b": 3.0, "c": 4.0}, abs=0.1)
 
 
 def test_the_custom_world(folder: Path) -> None:

@@ -149,8 +149,8 @@ def test_drop_outs_have_the_stated_rate_and_no_other_effect(sensor: Sensor) -> N
     lossy = type(sensor)(**{**vars_of(sensor), "drop_out": 0.3})
     some = run({"car0": {"a": lossy}}, n / 10)
     assert 1.0 - len(some) / n == pytest.approx(0.3, abs=4 * (0.3 * 0.7 / n) ** 0.5)
-    kept = {value_of(event).time_ns: value_of(event) for event in every}
-    assert all(value_of(event) == kept[value_of(event).time_ns] for event in some)
+    readings = {value_of(event).time_ns: value_of(event) for event in every}
+    assert all(value_of(event) == readings[value_of(event).time_ns] for event in some)
     gaps = np.diff([value_of(event).time_ns for event in some]) // 10**8
     assert np.mean(gaps == 1) == pytest.approx(0.7, abs=0.06)  # independent between readings
 
@@ -181,17 +181,17 @@ def test_requested_readings_are_batched_with_equal_values() -> None:
 
 
 def test_light_sensors_are_read_at_once_in_batches() -> None:
-    asked = []
+    batches = []
 
     @dataclass(kw_only=True)
     class Light(Draw):
         @classmethod
         def measure_all(cls, sensors: Any, scene: Any, rows: Any, rngs: Any) -> list[Reading]:
-            asked.append(rows)
+            batches.append(rows)
             return super().measure_all(sensors, scene, rows, rngs)
 
     run({"car1": {"a": Light()}, "car0": {"a": Light(), "b": Light(rate_hz=5.0)}}, 0.2)
-    assert asked == [[1, 0, 0], [1, 0]]
+    assert batches == [[1, 0, 0], [1, 0]]
 
 
 @pytest.mark.parametrize(
@@ -232,7 +232,7 @@ def test_a_failing_sensor_is_named() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("params", "words"),
     [
         ({"drop_out": 1.5}, ">= 0 and <= 1"),
         ({"drop_out": -0.1}, ">= 0 and <= 1"),
@@ -241,12 +241,12 @@ def test_a_failing_sensor_is_named() -> None:
         ({"rate_hz": 0.0}, ">= 1e-06"),
     ],
 )
-def test_impossible_values_are_refused_by_name(given: dict[str, float], words: str) -> None:
+def test_impossible_values_are_refused_by_name(params: dict[str, float], words: str) -> None:
     @dataclass(kw_only=True)
     class Own(Draw):
         rate_hz: Rate = 20.0
 
     for kind in (Draw, Own, Gps, Uwb):
         with pytest.raises(ScenarioError, match=f"must be a number {words}") as refused:
-            binding.call(kind, given, key="vehicle.car.sensors.a")
-        assert refused.value.key == f"vehicle.car.sensors.a.{next(iter(given))}"
+            binding.call(kind, params, key="vehicle.car.sensors.a")
+        assert refused.value.key == f"vehicle.car.sensors.a.{next(iter(params))}"

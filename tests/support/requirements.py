@@ -9,6 +9,7 @@ import importlib
 import os
 import shutil
 import sys
+import threading
 from collections import Counter
 from collections.abc import Generator
 from pathlib import Path
@@ -25,7 +26,6 @@ PACKAGES = {  # where a program and its package have different names
     "ssh-keygen": "openssh-client",
     "sshd": "openssh-server",
 }
-QUICK = "not processes and not sockets and not browser and not slow"  # of `make quick`
 NOT_ALLOWED = "this machine does not allow "
 APART = "installed apart from vcmvsp's environment: "
 
@@ -38,8 +38,8 @@ def program(name: str) -> Path:
     return Path(path)
 
 
-def not_allowed(what: str) -> NoReturn:
-    pytest.skip(f"{NOT_ALLOWED}{what}")
+def not_allowed(feature: str) -> NoReturn:
+    pytest.skip(f"{NOT_ALLOWED}{feature}")
 
 
 def installed_apart(module: str) -> Any:
@@ -67,29 +67,32 @@ OUTSIDE = {  # audit events, and the markers that allow them
     **dict.fromkeys(("subprocess.Popen", "os.fork", "os.posix_spawn"), frozenset(("processes", "browser"))),
     **dict.fromkeys(("socket.bind", "socket.connect"), frozenset(("sockets", "processes", "browser"))),
 }
-_unmarked: dict[str, set[str]] = {}  # markers of the running test, if unmarked tests are selected
+_markers: dict[int, set[str]] = {}  # of the running test, by its thread
 
 
 def pytest_configure(config: pytest.Config) -> None:
     for name, text in MARKERS.items():
         config.addinivalue_line("markers", f"{name}: {text}")
-    if config.option.markexpr == QUICK:
-        sys.addaudithook(_refuse)
+    sys.addaudithook(_refuse)
 
 
 def _refuse(event: str, arguments: object) -> None:
     """Fail a test without the marker that its work needs, so that `make quick` stays quick."""
-    if "test" in _unmarked and event in OUTSIDE and not OUTSIDE[event] & _unmarked["test"]:
+    if event not in OUTSIDE:
+        return
+    markers = _markers.get(threading.get_ident())
+    if markers is not None and not OUTSIDE[event] & markers:
         raise AssertionError(f"{event}{arguments}: mark this test as one of {', '.join(sorted(OUTSIDE[event]))}")
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
-    _unmarked["test"] = {mark.name for mark in item.iter_markers()}
+    thread = threading.get_ident()
+    _markers[thread] = {mark.name for mark in item.iter_markers()}
     try:
         return (yield)
     finally:
-        del _unmarked["test"]
+        del _markers[thread]
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
@@ -120,5 +123,5 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 
 def _reason(report: pytest.TestReport) -> str:
-    said = report.longrepr
-    return said[2].removeprefix("Skipped: ") if isinstance(said, tuple) else ""
+    long_text = report.longrepr
+    return long_text[2].removeprefix("Skipped: ") if isinstance(long_text, tuple) else ""

@@ -44,7 +44,7 @@ def test_every_corner_of_a_study_is_a_valid_scenario(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("who", "delay_s", "expected"),
+    ("estimator", "delay_s", "expected"),
     [
         ("hold", 0.1, 0.036),
         ("hold", 2.0, 0.656),
@@ -53,8 +53,8 @@ def test_every_corner_of_a_study_is_a_valid_scenario(name: str) -> None:
         ("plan", 2.0, 0.0061),
     ],
 )
-def test_the_error_over_delay_agrees_with_the_reference(who: str, delay_s: float, expected: float) -> None:
-    assert rms("study-delay", {WHO: who, DELAY: delay_s}) == pytest.approx(expected, rel=0.1)
+def test_the_error_over_delay_agrees_with_the_reference(estimator: str, delay_s: float, expected: float) -> None:
+    assert rms("study-delay", {WHO: estimator, DELAY: delay_s}) == pytest.approx(expected, rel=0.1)
 
 
 def test_nothing_is_random_in_the_study_of_delay() -> None:
@@ -73,7 +73,7 @@ def test_the_age_over_loss_is_the_closed_form(probability: float) -> None:
 
 
 def test_losses_matter_less_with_a_better_estimator() -> None:
-    hold, dr, acc, plan = (rms("study-loss", {WHO: who, LOSS: 0.7}) for who in ("hold", "dr", "acc", "plan"))
+    hold, dr, acc, plan = (rms("study-loss", {WHO: estimator, LOSS: 0.7}) for estimator in ("hold", "dr", "acc", "plan"))
     assert dr < 0.6 * hold
     assert acc < 0.7 * dr
     assert plan < 0.7 * acc

@@ -161,9 +161,9 @@ def test_robots_on_wheels_form_a_column_with_their_hand_points() -> None:
     """Column of four that finally heads north-east, from other headings; ten ticks of delay."""
     start = [(0.0, 0.0, 0.0), (-2.0, 1.0, 3.0), (1.0, -3.0, -1.5), (-1.0, -1.0, 1.0)]
     formation = {"shape": "column", "spacing": 0.8}
-    asked: dict[str, Any] = {"handle": 0.3, "heading": math.pi / 4, "velocity": (0.2, 0.2), "max_speed": 0.8}
+    params: dict[str, Any] = {"handle": 0.3, "heading": math.pi / 4, "velocity": (0.2, 0.2), "max_speed": 0.8}
     result = vcmvsp.run(
-        team(start, 90.0, kind="kinematic", delay_s=1.0, graph="path", formation=formation, **asked), mcap=False
+        team(start, 90.0, kind="kinematic", delay_s=1.0, graph="path", formation=formation, **params), mcap=False
     )
     _, moved = poses(result)
     assert moved[-1, :, 2] % math.tau == pytest.approx(np.full(4, math.pi / 4), abs=1e-3)

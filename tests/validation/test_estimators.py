@@ -92,9 +92,9 @@ def integrated(
     """
     ticks, count = missed.shape
     lead = plain.leader(path, ticks * T)
-    told = lead if noise is None else plain.LeaderTrack(lead.speeds, lead.pose + noise[: len(lead.pose)])
+    track = lead if noise is None else plain.LeaderTrack(lead.speeds, lead.pose + noise[: len(lead.pose)])
     kinds = sorted({*crew})
-    tables = [predictions(told, each) for each in kinds]
+    tables = [predictions(track, each) for each in kinds]
     oldest = max(table.shape[1] for table in tables) - 1
     table = np.stack([np.pad(each, ((0, 0), (0, oldest + 1 - each.shape[1]), (0, 0)), "edge") for each in tables])
     which, everyone = np.array([kinds.index(each) for each in crew]), np.arange(count)
@@ -116,13 +116,13 @@ def integrated(
     return np.asarray(np.sqrt(square / (ticks - FROM)))
 
 
-def predictions(told: plain.LeaderTrack, estimator: str) -> Floats:
+def predictions(track: plain.LeaderTrack, estimator: str) -> Floats:
     """State by each report and age, (reports, ages, 5), constant beyond the last age."""
     if estimator != FREE:
-        return plain._predictions(told, estimator, SETTLED)
+        return plain._predictions(track, estimator, SETTLED)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(plain, "HORIZON", TICKS)
-        return plain._predictions(told, "dr", 400)
+        return plain._predictions(track, "dr", 400)
 
 
 def with_inertia(pose: Floats, speeds: Floats, command: Floats) -> tuple[Floats, Floats]:

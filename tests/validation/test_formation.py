@@ -61,8 +61,8 @@ def test_the_platform_adds_nothing_to_the_law() -> None:
     """A start off the slot decays by (1 - k1 T) a period, to rounding: no delay and no lost sample."""
     result = vcmvsp.run(fleet(10.0, [{"pose": (-1.5, 0.0, 0.0), **UNLIMITED}], path="straight"), mcap=False)
     times, z = errors(result)
-    heard = 0.5 + V * T  # the first report acts at the second tick
-    assert z[1:, 0, 0] == pytest.approx(heard * (1 - K1 * T) ** np.arange(len(times) - 1), abs=1e-12)
+    offset_m = 0.5 + V * T  # the first report acts at the second tick
+    assert z[1:, 0, 0] == pytest.approx(offset_m * (1 - K1 * T) ** np.arange(len(times) - 1), abs=1e-12)
 
 
 @pytest.mark.parametrize("path", ["straight", "circle"])

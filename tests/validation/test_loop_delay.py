@@ -41,8 +41,8 @@ def test_late_reports_shift_the_follower_and_never_destabilise_it(delay_s: float
         vcmvsp.run(fleet(delay_s + 25.0, [UNLIMITED], path="straight", radio=radio, agents={"estimator": "hold"}), mcap=False)
     )
     assert z[-1, 0, 0] == pytest.approx(V * delay_s, rel=1e-6)
-    heard = z[times >= delay_s + 0.05, 0, 0] - V * delay_s
-    assert heard[:50] == pytest.approx(heard[0] * (1.0 - K1 * T) ** np.arange(50), abs=1e-9)
+    deviation = z[times >= delay_s + 0.05, 0, 0] - V * delay_s
+    assert deviation[:50] == pytest.approx(deviation[0] * (1.0 - K1 * T) ** np.arange(50), abs=1e-9)
 
 
 def test_late_reports_on_a_circle_shift_the_follower_along_its_arc() -> None:

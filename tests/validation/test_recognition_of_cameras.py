@@ -48,7 +48,7 @@ class BackAndForth(Agent):
     def __init__(self, watching: Watching) -> None:
         self.watch = Watch(watching)
         self.sensors = self.watch.sensors
-        self.seen: list[tuple[float, tuple[float, float]]] = []  # tilt, rad, and place, m
+        self.records: list[tuple[float, tuple[float, float]]] = []  # tilt, rad, and place, m
 
     def start(self, info: vcmvsp.VehicleInfo) -> None:
         self.watch.start(info)
@@ -57,7 +57,7 @@ class BackAndForth(Agent):
         shown = self.watch.look(obs)
         if shown is not None:
             tilt = math.acos(min(1.0, shown.nadir.upright))
-            self.seen += [(tilt, each.place) for each in shown.sightings if each.target == "alpha"]
+            self.records += [(tilt, each.place) for each in shown.sightings if each.target == "alpha"]
         right = obs.time_s % 3.0 < 1.5
         return Velocity(linear=(2.5 if right else -2.5, 0.0, 0.0), yaw_rate=0.8)
 
@@ -70,9 +70,9 @@ def test_an_accelerating_quadrotor_sees_its_target_in_place(tmp_path: Path) -> N
     vcmvsp.run(
         {"name": "darting", "duration_s": 9.0, "seed": 3, "world": town(tmp_path), "vehicle": [uav]}, agents={"uav": agent}
     )
-    assert max(tilt for tilt, _ in agent.seen) > math.atan(3.0 / 9.81)
-    assert len(agent.seen) > 45
-    assert max(math.dist(place, PLACES["alpha"][0]) for _, place in agent.seen) < 0.1
+    assert max(tilt for tilt, _ in agent.records) > math.atan(3.0 / 9.81)
+    assert len(agent.records) > 45
+    assert max(math.dist(place, PLACES["alpha"][0]) for _, place in agent.records) < 0.1
 
 
 def test_a_quadrotor_finds_a_moving_target_and_stays_over_it(tmp_path: Path) -> None:

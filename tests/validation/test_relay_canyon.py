@@ -7,6 +7,8 @@ import vcmvsp
 RELAYS = "vehicle.relay.count"
 
 
+@pytest.mark.processes
+@pytest.mark.slow
 def test_rays_reach_around_corners_and_walls_do_not() -> None:
     """A second relay helps with rays, and hardly if all links without line of sight are lost."""
     shares = []

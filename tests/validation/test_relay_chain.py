@@ -53,8 +53,8 @@ def test_without_routing_distant_followers_receive_nothing() -> None:
     assert "routing" not in result.metrics
     assert "origin" not in result.radio.column_names
     receivers, to = names_of(result.radio, "receiver")
-    heard = numbers(result.radio, "received_ns", -1) >= 0
-    assert {receivers[code] for code in to[heard].tolist()} == {"car2", "car3"}
+    received = numbers(result.radio, "received_ns", -1) >= 0
+    assert {receivers[code] for code in to[received].tolist()} == {"car2", "car3"}
 
 
 @pytest.mark.parametrize("kind", ["flooding", "static", "distance_vector"])
@@ -84,8 +84,8 @@ def test_an_agent_calls_another_over_several_hops(kind: str) -> None:
     settings = {**SETTINGS, **KINDS[kind], "duration_s": 18.0}
     vcmvsp.run("relay-chain", set=settings, agents={"car6": Caller()}, mcap=False, observe=events.append)
     calls = [each.value for each in events if isinstance(each.value, Routed) and each.value.to == "car1"]
-    heard = [each for vehicle, each in receptions_in(events) if vehicle == "car1"]
-    answered = {each.sent_ns: each.received_ns for each in heard if each.message.sender == "car6"}
+    receptions = [each for vehicle, each in receptions_in(events) if vehicle == "car1"]
+    answered = {each.sent_ns: each.received_ns for each in receptions if each.message.sender == "car6"}
     hops = 5 if kind == "static" else 3
     came = [each for each in calls if "car1" in each.receivers]
     assert len(came) >= 5

@@ -140,11 +140,11 @@ def test_hosts_started_by_hand(reference: dict[str, bytes], tmp_path: Path) -> N
         return subprocess.Popen([*VCMVSP, "agent", *names, "--connect", endpoint], stderr=log, text=True)
 
     started = [host(logs[0], "car1", "car3")]
-    told: list[str] = []
+    lines: list[str] = []
 
     def tell(text: str) -> None:
-        told.append(text)
-        if len(told) == 4:  # the address, and a line for each vehicle
+        lines.append(text)
+        if len(lines) == 4:  # the address, and a line for each vehicle
             started.append(host(logs[1], "car2"))
 
     try:

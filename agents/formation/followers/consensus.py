@@ -107,7 +107,7 @@ class Consensus(Agent):
         if self.neighbours is None:
             self._neighbours = neighbours_of(self.graph, self._index, len(members))
         else:
-            self._neighbours = self._named_neighbours(info.name)
+            self._neighbours = self._neighbours_by_name(info.name)
         if self.formation and self.formation.passage:
             raise ValueError("formation.passage needs a leader, and consensus has none; leave it out")
         if self.formation:
@@ -208,7 +208,7 @@ class Consensus(Agent):
             return self.heading
         return math.atan2(self.velocity[1], self.velocity[0]) if any(self.velocity) else None
 
-    def _named_neighbours(self, me: str) -> tuple[int, ...]:
+    def _neighbours_by_name(self, me: str) -> tuple[int, ...]:
         named = self.neighbours or ()
         if wrong := [name for name in named if name not in self._members or name == me]:
             others = ", ".join(name for name in self._members if name != me)

@@ -96,7 +96,7 @@ class LeaderFollower(FormationFollower):
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
         """Follow the newest report, around obstacles."""
-        v, w, leader = self._wanted(obs, radio)
+        v, w, leader = self._speeds_without_avoidance(obs, radio)
         if self._steering is not None:
             settings, mates = self._steering.settings, (self._listening, self.estimator)
             obs = self._visible.without_members(obs, *mates, settings.scanner)
@@ -112,7 +112,7 @@ class LeaderFollower(FormationFollower):
             self._v, self._w = v, w
         return Velocity(linear=(v, 0.0, 0.0), yaw_rate=w)
 
-    def _wanted(self, obs: Observation, radio: Radio) -> tuple[float, float, LeaderState | None]:
+    def _speeds_without_avoidance(self, obs: Observation, radio: Radio) -> tuple[float, float, LeaderState | None]:
         """Speeds without avoidance, m/s and rad/s; while it follows, also the leader's motion."""
         newest = self._hear(obs)
         if self.feed == "leader":

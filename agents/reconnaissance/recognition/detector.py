@@ -86,7 +86,7 @@ class _Search:
         """Places of the whole picture in this one; the edges of pixels coincide, not their middles."""
         return (u - self.left + 0.5) * self.exact[0] - 0.5, (v - self.top + 0.5) * self.exact[1] - 0.5
 
-    def whole(self, u: Array, v: Array) -> tuple[Array, Array]:
+    def outside(self, u: Array, v: Array) -> tuple[Array, Array]:
         """Places of this picture in the whole one."""
         return (u + 0.5) / self.exact[0] - 0.5 + self.left, (v + 0.5) / self.exact[1] - 0.5 + self.top
 
@@ -141,7 +141,7 @@ class Detector:
             peaks = colour_peaks(score, window, _inside(small, search.inside))
             if not len(peaks):
                 continue
-            places = np.column_stack([*small.whole(peaks[:, 0], peaks[:, 1]), peaks[:, 2]])
+            places = np.column_stack([*small.outside(peaks[:, 0], peaks[:, 1]), peaks[:, 2]])
             sharp = sharp or search.reduced(PATCH / side)
             detections += self._judge(target.name, template, places, sharp, side)
         return detections
@@ -168,7 +168,7 @@ class Detector:
                 score, pose = match(search.image, template, pose)
                 if score < MATCH:
                     continue
-            across, down = search.whole(np.array([pose.u]), np.array([pose.v]))
+            across, down = search.outside(np.array([pose.u]), np.array([pose.v]))
             centre, size = (float(across[0]), float(down[0])), pose.side_px / search.scale
             detections.append(Detection(name, centre, wrap(pose.angle), size, float(places[i, 2]), float(rings[i]), score))
         return detections

@@ -53,7 +53,7 @@ def as_json(outcomes: Sequence[Outcome]) -> str:
     for each in outcomes:
         about = {name: getattr(each.check, name) for name in ("name", "area", "title", "source", "reduced")}
         checks.append({**about, "ok": each.ok, "problem": each.problem, "rows": [row.plain for row in each.rows]})
-    return to_json({"schema": SCHEMA, "made_with": _made_with(), "ok": all(each.ok for each in outcomes), "checks": checks})
+    return to_json({"schema": SCHEMA, "made_with": _versions(), "ok": all(each.ok for each in outcomes), "checks": checks})
 
 
 def as_markdown(outcomes: Sequence[Outcome]) -> str:
@@ -67,7 +67,7 @@ def as_markdown(outcomes: Sequence[Outcome]) -> str:
         all_checks=len(CHECKS),
         rows=rows,
         verdict=f"{len(off)} off" if off else "all hold",
-        made_with=", ".join(_made_with()),
+        made_with=", ".join(_versions()),
         minutes=max(1.0, seconds / 60.0),
         only=only if len(outcomes) < len(CHECKS) else "",
     )
@@ -97,6 +97,6 @@ def failures(outcomes: Sequence[Outcome]) -> list[str]:
     return lines
 
 
-def _made_with() -> list[str]:
+def _versions() -> list[str]:
     versions = [f"{name} {version_of(name)}" for name in ("vcmvsp", *LIBRARIES)]
     return [*versions, f"Python {platform.python_version()}", platform.machine()]

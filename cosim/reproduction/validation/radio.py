@@ -117,7 +117,7 @@ def send(
     return on.send(sent_ns, message, names, position)
 
 
-def heard(on: Channel, position: Array, **frame: int) -> FrameReport:
+def report_of(on: Channel, position: Array, **frame: int) -> FrameReport:
     """The report of a frame on a channel that decides at once."""
     (report,) = send(on, position, **frame)
     return report
@@ -125,7 +125,7 @@ def heard(on: Channel, position: Array, **frame: int) -> FrameReport:
 
 def part(name: str, on: Channel, position: Array, **frame: int) -> Array:
     """A component of the link budget of a frame at all its receivers, by its name in the report."""
-    return np.asarray(getattr(heard(on, position, **frame), name))
+    return np.asarray(getattr(report_of(on, position, **frame), name))
 
 
 def decided(on: Channel) -> Iterator[FrameReport]:
@@ -157,7 +157,7 @@ def path_loss() -> Sequence[Row]:
     for exponent in (2.0, 2.5, 3.0, 4.0):
         reach = 2.0 * 10.0 ** ((-49.67 + 93.0) / (10.0 * exponent))
         edge = np.linspace(reach - 0.05, reach + 0.05, 1001)
-        report = heard(channel("wss", path_loss={"exponent": exponent}), line(edge.tolist()))
+        report = report_of(channel("wss", path_loss={"exponent": exponent}), line(edge.tolist()))
         rows.append(
             absolute(f"wss, exponent {exponent:g}: range, m", reach, edge[np.array(report.received_ns) >= 0].max(), 2e-4)
         )
@@ -299,7 +299,7 @@ def air_time() -> Sequence[Row]:
 
 
 def _air_us(preset: str, size: int) -> float:
-    return heard(channel(preset, mac={"kind": "ideal"}), line([1.0]), size_bytes=size).air_time_ns / 1e3
+    return report_of(channel(preset, mac={"kind": "ideal"}), line([1.0]), size_bytes=size).air_time_ns / 1e3
 
 
 def chance() -> Sequence[Row]:
@@ -307,13 +307,13 @@ def chance() -> Sequence[Row]:
     position, rows = line(np.linspace(1.0, 2.0, LINKS).tolist()), []
     for p in (0.1, 0.5, 0.9):
         on = channel("ideal", loss={"kind": "bernoulli", "probability": p})
-        share = float(np.mean([_lost(heard(on, position, sent_ns=k * T_NS).outcome) for k in range(200)]))
+        share = float(np.mean([_lost(report_of(on, position, sent_ns=k * T_NS).outcome) for k in range(200)]))
         rows.append(absolute(f"bernoulli {p:g}: share lost", p, share, 5.0 * math.sqrt(p * (1.0 - p) / (200 * LINKS))))
     for bad, good in ((2.0, 3.0), (5.0, 0.5)):
         layer = {"kind": "gilbert_elliott", "to_bad_per_s": bad, "to_good_per_s": good, "bad_loss": 1.0, "good_loss": 0.0}
         on, rate, share = channel("ideal", loss=layer), bad + good, bad / (bad + good)
         step_ns = round(0.02 / rate * 1e9)
-        lost = np.array([_lost(heard(on, position, sent_ns=k * step_ns).outcome) for k in range(1500)])
+        lost = np.array([_lost(report_of(on, position, sent_ns=k * step_ns).outcome) for k in range(1500)])
         case = f"gilbert_elliott, {bad:g} and {good:g} per s"
         rows.append(absolute(f"{case}: share lost, p / (p + r)", share, lost.mean(), 0.015))
         for lag in (15, 50):
@@ -334,7 +334,7 @@ def queue() -> Sequence[Row]:
     for load in (0.3, 0.6, 0.8):
         on = channel("wifi-b-1", mac={"kind": "ideal"})
         times = np.cumsum(np.rint(np.random.default_rng(1).exponential(air_ns / load, 60_000)))
-        waits = np.array([heard(on, position, sent_ns=int(at)).queue_ns for at in times.tolist()])
+        waits = np.array([report_of(on, position, sent_ns=int(at)).queue_ns for at in times.tolist()])
         walk = np.concatenate([[0.0], np.cumsum(air_ns - np.diff(times))])
         exact = walk - np.minimum.accumulate(walk)
         mean = load * air_ns / (2.0 * (1.0 - load))
@@ -355,7 +355,7 @@ def age() -> Sequence[Row]:
         }
         on = channel("ideal", **layers)
         position, sent_ns = line(np.linspace(1.0, 2.0, 100).tolist()), np.arange(1000) * T_NS
-        received_ns = np.array([heard(on, position, sent_ns=int(at)).received_ns for at in sent_ns])
+        received_ns = np.array([report_of(on, position, sent_ns=int(at)).received_ns for at in sent_ns])
         ramps = [_ramps(sent_ns[arrived], column[arrived]) for column in received_ns.T if (arrived := column >= 0).any()]
         start, end = (np.concatenate(parts) for parts in zip(*ramps, strict=True))
         mean = (end**2 - start**2).sum() / 2.0 / (end - start).sum()

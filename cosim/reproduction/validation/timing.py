@@ -59,19 +59,19 @@ def late_loop() -> Sequence[Row]:
     """``z' = -k z(t - d)``, sampled and held: every latency exact to the tick, and the stability limit."""
     rows = []
     for latency_s in (0.0, 0.05, 0.1, 0.25, 0.3):
-        _, z = _alone(2.0, latency_s, 10.0)
+        _, z = _delayed_follower(2.0, latency_s, 10.0)
         off = np.abs(z - _recursion(2.0, latency_s / T, len(z))).max()
         rows.append(absolute(f"latency {latency_s:g} s: furthest from the recursion, m", 0.0, off, 1e-9))
     for late in (0, 1, 2, 3, 5):
         limit = 2.0 * math.sin(math.pi / (2 * (2 * late + 1))) / T
         for factor in (0.97, 1.03):
-            time_s, z = _alone(factor * limit, late * T, 40.0)
+            time_s, z = _delayed_follower(factor * limit, late * T, 40.0)
             begin, end = np.abs(z[(time_s > 5) & (time_s <= 15)]).max(), np.abs(z[time_s > 30]).max()
             case = f"{late} ticks late, {factor:g} of 2 sin(pi / (2 (2 d + 1))) / T: grows (1) or not (0)"
             rows.append(absolute(case, float(factor > 1.0), float(end > begin), 0.0))
     delay_s, period_s = 0.3, 0.01
     for k_d in (1.45, 1.52, 1.60, 1.70):
-        time_s, z = _alone(k_d / delay_s, delay_s, 12.0, period_s=period_s)
+        time_s, z = _delayed_follower(k_d / delay_s, delay_s, 12.0, period_s=period_s)
         age_s = delay_s + 0.5 * period_s
         exact = math.exp((lambertw(-k_d / delay_s * age_s) / age_s).real)
         rows.append(
@@ -80,7 +80,7 @@ def late_loop() -> Sequence[Row]:
     return rows
 
 
-def _alone(gain: float, latency_s: float, duration_s: float, *, period_s: float = T) -> tuple[Array, Array]:
+def _delayed_follower(gain: float, latency_s: float, duration_s: float, *, period_s: float = T) -> tuple[Array, Array]:
     """A follower behind its slot at a stationary leader, with delayed commands: times, s, and z1, m."""
     follower = {"pose": (-1.0 - START_M, 0.0, 0.0), "k1": gain, "latency_s": latency_s, **UNLIMITED}
     periods: dict[str, Any] = {"agents": {"period_s": period_s}, "record": {"period_s": period_s}}

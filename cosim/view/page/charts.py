@@ -131,9 +131,9 @@ class Chart:
             # The value axis has explicit limits: the page cannot find the limits of curves that begin with a gap.
             scale: uplot.Scale = {"range": ends, "distr": 3 if log else 1}
             with self._place:
-                self._node = self._made(title, data, scale, names, strokes)
+                self._node = self._make_plot(title, data, scale, names, strokes)
 
-    def _made(
+    def _make_plot(
         self, title: str, data: tuple[Array, ...], scale: uplot.Scale, names: list[str], strokes: list[str]
     ) -> viser.GuiUplotHandle:
         curves = (

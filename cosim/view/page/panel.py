@@ -29,7 +29,7 @@ def vehicle_page(known: PageState, row: int) -> str:
     if not known.names:
         return _boxed("There are no vehicles.")
     name = known.names[row]
-    rows = [*_who(known, row), *_motion(known, row), *_health(known, row)]
+    rows = [*_identity(known, row), *_motion(known, row), *_health(known, row)]
     parts = [_table(rows)]
     if notes := _notes(known, name):
         parts.append(_section("Noted by its agent", _table(notes)))
@@ -102,7 +102,7 @@ def log_page(known: PageState) -> str:
     return _boxed(f'<div style="max-height: 12em; overflow-y: auto">{lines or "Nothing yet."}</div>')
 
 
-def _who(known: PageState, row: int) -> Rows:
+def _identity(known: PageState, row: int) -> Rows:
     craft = known.scenery.vehicles[row]
     mark = f'<span style="color: {css_of(row)}; -webkit-text-stroke: 0.5px #888">&#9632;</span>'
     period = f", every {craft.period_s:g} s" if craft.period_s else ""

@@ -78,12 +78,12 @@ class RayPaths:
                 if site is None:
                     with only(NO_CODE):
                         _, _, site = site_of(json.loads(self._site), settings=None, seed=None, trust=False)
-                self._found = Found((), np.zeros(0), ()) if link is None else _found(site.channel, *link)
+                self._found = Found((), np.zeros(0), ()) if link is None else _link_paths(site.channel, *link)
             except VcmvspError:  # an antenna inside a solid, or a world of a class that is not imported here
                 self._found = Found((), np.zeros(0), ())
 
 
-def _found(channel: Any, sender: str, receiver: str, places: Array) -> Found:
+def _link_paths(channel: Any, sender: str, receiver: str, places: Array) -> Found:
     antennas = places + channel.budgets.antennas_above((sender, receiver))
     rows = ray_paths(channel, antennas).to_pylist()
     rows.sort(key=lambda row: -row["gain_db"])

@@ -72,7 +72,7 @@ class Collected:
         """Vehicles stopped by the operator at a time."""
         return next((names for when_ns, names in reversed(self._halted) if when_ns <= time_ns), ())
 
-    def said(self, time_ns: int, since_ns: int | None) -> tuple[LogLine, ...]:
+    def log_lines(self, time_ns: int, since_ns: int | None) -> tuple[LogLine, ...]:
         """The newest log lines; with ``since_ns``, the later ones only."""
         first = 0 if since_ns is None else bisect_right(self.lines, since_ns, key=_time_ns)
         last = bisect_right(self.lines, time_ns, key=_time_ns)
@@ -174,7 +174,7 @@ class Counts:
         shape = len(self._row), len(self._row)
         return both.sum(axis=1).reshape(shape), both[:, 1].reshape(shape)
 
-    def heard_ns(self, time_ns: int, since_ns: int | None) -> dict[str, int]:
+    def last_reception_ns(self, time_ns: int, since_ns: int | None) -> dict[str, int]:
         """Time of the newest reception of each vehicle up to a time and after ``since_ns``, as its frame was reported."""
         frames = self.frames(time_ns)
         rows = self._ends[frames - 1] if frames else 0

@@ -69,7 +69,7 @@ class ArcosSampler:
             stopped=stopped,
         )
 
-    def taken(self) -> None:
+    def clear_sonar(self) -> None:
         """Note that the newest sample was read: its sonar readings are not repeated."""
         self._sonar = {}
 
@@ -172,7 +172,7 @@ class ArcosDriver(ReconnectingDriver):
         self._motors = True
 
     def _was_read(self) -> None:
-        self._sampler.taken()
+        self._sampler.clear_sonar()
 
     def _connect(self, within_s: float) -> None:
         deadline_ns = time.monotonic_ns() + seconds_to_ns(within_s)
@@ -181,7 +181,7 @@ class ArcosDriver(ReconnectingDriver):
         baud = 0 if "://" in self.device else self._baud
         handshake = Handshake(device=self.device, kind=self._kind, settings=self._settings, baud=baud, give_up_s=remaining_s)
         line.write(handshake.start(time.monotonic_ns()))
-        while not handshake.done:
+        while not handshake.is_done:
             if self._wait(line.fileno(), handshake.due_ns):
                 answer = handshake.receive(line.read(), time.monotonic_ns())
             else:

@@ -69,7 +69,7 @@ class Handshake:
         self._bytes = self._packets = 0
 
     @property
-    def done(self) -> bool:
+    def is_done(self) -> bool:
         """The robot sends packets, stands at zero speed, and its motors are on."""
         return self._phase == "done"
 
@@ -85,11 +85,11 @@ class Handshake:
 
     def advance(self, now_ns: int) -> bytes:
         """Bytes to send at this time; raises `HandshakeError` after the deadline."""
-        if self.done or now_ns < self.due_ns:
+        if self.is_done or now_ns < self.due_ns:
             return b""
         # An apparent long packet may hold back a short answer.
         answer = b"".join(self._packet(data, now_ns) for data in self.reader.give_up())
-        if answer or self.done:
+        if answer or self.is_done:
             return answer
         if now_ns >= self._deadline_ns:
             raise self._error()

@@ -76,7 +76,7 @@ class MavlinkSampler:
             number=self._number,
             link=self._link,
             arrived_ns=now_ns,
-            measured_ns=self._clock.heard(message.time_boot_ms * MS, now_ns),
+            measured_ns=self._clock.local_time_ns(message.time_boot_ms * MS, now_ns),
             odometry=self._odometry(state),
             state=state,
             battery_v=self.battery_v,

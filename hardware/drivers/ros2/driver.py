@@ -56,7 +56,7 @@ class Ros2Sampler:
 
     def add(self, message: OdometryMessage, arrived_ns: int, stopped: str) -> Sample:
         """Sample of a message."""
-        measured_ns = self._clock.heard(message.stamp_ns, arrived_ns) if message.stamp_ns else arrived_ns
+        measured_ns = self._clock.local_time_ns(message.stamp_ns, arrived_ns) if message.stamp_ns else arrived_ns
         state = self._state(message) if self._kind == "world" else None
         if state is None:
             self._move(message, arrived_ns)
@@ -250,7 +250,7 @@ class Ros2Driver(ThreadedDriver):
                     with self._lock:
                         self._repeater.stop(self._repeater.stopped or NOT_YET)
             self._look(now_ns)  # before another node is followed: report the loss of the first
-            message = self._taken(news) if isinstance(news, ReceivedMessage) else None
+            message = self._decode_odometry(news) if isinstance(news, ReceivedMessage) else None
             if message is None:
                 continue
             self._look(now_ns)
@@ -263,7 +263,7 @@ class Ros2Driver(ThreadedDriver):
         twist = protocol.Twist((v, 0.0, 0.0), (0.0, 0.0, w), stamp_ns, self._command_frame)
         self._publish(protocol.encode_twist(twist, stamped=self._stamped))
 
-    def _taken(self, message: ReceivedMessage) -> tuple[OdometryMessage, int] | None:
+    def _decode_odometry(self, message: ReceivedMessage) -> tuple[OdometryMessage, int] | None:
         """Odometry of a message, and its arrival; the first rejected message of each cause is reported."""
         try:
             return self._checked(message), message.arrived_ns

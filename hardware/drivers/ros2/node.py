@@ -116,7 +116,7 @@ class Node:
             origin = origin_of(sample.attachment.to_bytes()) if sample.attachment is not None else None
             on_message(ReceivedMessage(name, sample.payload.to_bytes(), origin.gid if origin else None, arrived_ns))
 
-        expression = self._mapping.hears(what.topic) if any_type else self._mapping.publishes(what.topic, what.type)
+        expression = self._mapping.subscription_key(what.topic) if any_type else self._mapping.publishes(what.topic, what.type)
         self._references.append(self._session.declare_subscriber(expression, Callback(took, indirect=False)))
 
     def latch(self, what: Endpoint, data: bytes) -> None:

@@ -167,7 +167,7 @@ class RmwZenoh:
         """The key for messages of this type."""
         return f"{self._domain}/{topic}/{_dds_type(name)}/{self._hash(name)}"
 
-    def hears(self, topic: str) -> str:
+    def subscription_key(self, topic: str) -> str:
         """Key expression for a topic, of any type and any hash; ``**`` would also catch topics below this one."""
         return f"{self._domain}/{topic}/*/*"
 
@@ -214,7 +214,7 @@ class Ros2Dds:
         """Key of a topic: the topic itself."""
         return topic
 
-    def hears(self, topic: str) -> str:
+    def subscription_key(self, topic: str) -> str:
         """Key expression of a topic: the topic itself."""
         return topic
 

@@ -94,7 +94,7 @@ class SetPoints:
             if abs(self._left_m) <= _ARRIVED_M:
                 self._left_m = None
 
-    def wanted(self, heading: float) -> tuple[float, float]:
+    def target_speeds(self, heading: float) -> tuple[float, float]:
         """Forward speed (m/s) and yaw rate (rad/s) within the limits; towards a goal, as fast as it can still brake."""
         v, w = self._v, self._w
         if self._left_m is not None:
@@ -220,7 +220,7 @@ class Device:
         """Forward speed (m/s) and yaw rate (rad/s) to reach within `SetPoints.accel` etc., at once in an emergency."""
         if not self.motors_on or self.watchdog_stopped:
             return 0.0, 0.0
-        return self.motion.wanted(self.odometry[2])
+        return self.motion.target_speeds(self.odometry[2])
 
     def moved(self, pose: Vec3, v: float, w: float, ranges: Sequence[float] | None = None, stall: int = 0) -> None:
         """Set the present motion of the wheels: pose (x m, y m, yaw rad, in any fixed frame), speeds (m/s, rad/s).

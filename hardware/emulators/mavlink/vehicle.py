@@ -57,7 +57,7 @@ class Telemetry:
         for name, period_ns in self._period_ns.items():
             if now_ns >= self._next_ns[name]:
                 self._next_ns[name] = max(self._next_ns[name] + period_ns, now_ns + TICK_NS)
-                output.append(self._told(name, now_ns, now))
+                output.append(self._telemetry_message(name, now_ns, now))
         return output
 
     def ask(self, number: int, microseconds: float, now_ns: int) -> bool:
@@ -87,7 +87,7 @@ class Telemetry:
         number = self._autopilot.modes[now.mode]
         return mavlink.MAVLink_heartbeat_message(self._type, _NUMBERS[self._autopilot.kind], flags, number, status, 3)
 
-    def _told(self, name: str, now_ns: int, now: "Vehicle") -> Message:
+    def _telemetry_message(self, name: str, now_ns: int, now: "Vehicle") -> Message:
         boot_ms, state = now_ns // 1_000_000, now.state
         here: Vec3 = tuple(a - b for a, b in zip(state.position, self._origin, strict=True))  # type: ignore[assignment]
         north, east, down = world_flipped(here) if not now.blind else (math.nan,) * 3
@@ -352,12 +352,12 @@ class Vehicle:
     def _obey(self, message: Message) -> tuple[int, list[Message]]:
         match message.command:
             case mavlink.MAV_CMD_SET_MESSAGE_INTERVAL if not self.old:
-                supported = self._telemetry.ask(_whole(message.param1), message.param2, self.now_ns)
+                supported = self._telemetry.ask(_as_integer(message.param1), message.param2, self.now_ns)
                 return _OK if supported else _UNKNOWN, []
             case mavlink.MAV_CMD_DO_SET_MODE:
                 return self._set_mode(message), []
             case mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
-                return self._set_armed(_whole(message.param1)), []
+                return self._set_armed(_as_integer(message.param1)), []
             case mavlink.MAV_CMD_NAV_TAKEOFF if self._flies:
                 return self._take_off(message.param7), []
             case mavlink.MAV_CMD_NAV_LAND if self._flies:
@@ -368,7 +368,7 @@ class Vehicle:
         return _UNKNOWN, []
 
     def _set_mode(self, message: Message) -> int:
-        main, sub = _whole(message.param2), max(0, _whole(message.param3))
+        main, sub = _as_integer(message.param2), max(0, _as_integer(message.param3))
         number = main << 16 | sub << 24 if self.autopilot.kind == "px4" else main
         mode = self.autopilot.mode(number)
         if mode not in self.autopilot.modes:
@@ -413,6 +413,6 @@ class Vehicle:
                 self._target, self._target_yaw_rate = STILL, 0.0
 
 
-def _whole(number: float) -> int:
+def _as_integer(number: float) -> int:
     """A command's parameter as an integer; clients leave unused ones at NaN."""
     return int(number) if math.isfinite(number) else -1

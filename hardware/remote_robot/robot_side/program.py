@@ -70,7 +70,7 @@ class RobotProgram:
         self._echo = (0, 0, 0)  # newest order: number, its time, its arrival
         self._said_ns = 0
 
-    def told_to_end(self, number: int, _frame: FrameType | None) -> None:
+    def on_stop_signal(self, number: int, _frame: FrameType | None) -> None:
         """Signal handler; the second signal does not wait for the robot."""
         if self._ending:
             raise KeyboardInterrupt
@@ -113,7 +113,7 @@ class RobotProgram:
             else:
                 self._tell(f"connected to a run ({self._endpoint})")
                 watchdog.close("another run has connected", say)
-                watchdog.open(welcome.run, welcome.start, lambda: self._given_up(connection))
+                watchdog.open(welcome.run, welcome.start, lambda: self._reason_to_abort(connection))
             ended = self._drive(connection)
             watchdog.stop(ended if ended in (LEFT, self._ending) else f"the link to the run is lost ({ended})")
         except Exception as error:
@@ -164,13 +164,13 @@ class RobotProgram:
                 return None
         return None
 
-    def _given_up(self, connection: RunConnection) -> str:
+    def _reason_to_abort(self, connection: RunConnection) -> str:
         """Reason to abort the opening of the driver; sends the present status meanwhile."""
         self._say(connection)
         while (news := connection.next(0.0)) is not None:
             if news == "gone":
                 return "the run has ended"
-            order = self._taken(news)
+            order = self._decode_order(news)
             if order is not None and order.leave:
                 return "the run is over"
         return self._ending
@@ -185,7 +185,7 @@ class RobotProgram:
                 now_ns = time.monotonic_ns()
                 if news == "gone":
                     return "the run has ended, or the network failed"
-                if news is not None and (order := self._taken(news)) is not None:
+                if news is not None and (order := self._decode_order(news)) is not None:
                     heard_ns = now_ns
                     if order.leave:
                         return LEFT
@@ -197,7 +197,7 @@ class RobotProgram:
                     self._say(connection, sample)
         return self._ending
 
-    def _taken(self, news: "RunMessage | str") -> RobotOrder | None:
+    def _decode_order(self, news: "RunMessage | str") -> RobotOrder | None:
         """Decoded order of the run; None: invalid, or not newer than the last."""
         if isinstance(news, str):
             return None
@@ -287,8 +287,8 @@ def robot(
         raise UsageError(f"--vehicle {vehicle!r}: a name has only letters, digits, _ and -") from None
     bundle, foreign = _bundle(keys, vehicle, tell)
     connect = endpoints.endpoint_rules(connect, bundle, insecure=insecure, side="robot")
-    program = RobotProgram(vehicle, built(driver, params or {}), connect, bundle, pose=pose, foreign=foreign, tell=tell)
-    before = {each: signal.signal(each, program.told_to_end) for each in (signal.SIGINT, signal.SIGTERM)}
+    program = RobotProgram(vehicle, make_driver(driver, params or {}), connect, bundle, pose=pose, foreign=foreign, tell=tell)
+    before = {each: signal.signal(each, program.on_stop_signal) for each in (signal.SIGINT, signal.SIGTERM)}
     try:
         program.serve()
     finally:
@@ -313,7 +313,7 @@ def _bundle(keys: Path | None, vehicle: str, tell: Callable[[str], None]) -> "tu
     return bundle, ""
 
 
-def built(text: str, params: dict[str, Any]) -> Driver:
+def make_driver(text: str, params: dict[str, Any]) -> Driver:
     """The driver of ``KIND`` or ``KIND:ADDRESS``, not open; `ScenarioError`: unknown kind, or invalid parameters."""
     kind, address = kind_of(text)
     origin = Source("--set")

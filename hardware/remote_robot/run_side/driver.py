@@ -165,7 +165,7 @@ class ZenohDriver(ThreadedDriver):
         return finite(velocity)
 
     def _was_read(self) -> None:
-        self._sampler.taken()
+        self._sampler.clear_sonar()
 
     def _hold(self, cause: str) -> bool:
         super()._hold(cause)
@@ -215,7 +215,7 @@ class ZenohDriver(ThreadedDriver):
         )
         self._listener.say(encode(order))
 
-    def _heard(self, message: RobotMessage) -> None:
+    def _on_message(self, message: RobotMessage) -> None:
         try:
             status = messages.ups.decode(message.data)
         except ValueError as error:
@@ -337,7 +337,7 @@ class ZenohDriver(ThreadedDriver):
             elif isinstance(news, LinkEnded) and news.peer == self._peer:
                 self._let_go("the robot's program has ended, or its link is lost")
             elif isinstance(news, RobotMessage) and news.peer == self._peer:
-                self._heard(news)
+                self._on_message(news)
         if not self._ready.is_set():
             raise HandshakeError(self.device, "the driver was closed while waiting for the robot", "connect again")
 

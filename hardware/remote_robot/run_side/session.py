@@ -73,7 +73,7 @@ class RemoteSampler:
             stopped=stopped or plain(theirs.stopped),
         )
 
-    def taken(self) -> None:
+    def clear_sonar(self) -> None:
         """The newest sample was read: its sonar readings are not repeated."""
         self._sonar.clear()
 

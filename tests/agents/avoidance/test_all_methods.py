@@ -155,19 +155,19 @@ class RecordingVfh:
 
 
 def test_a_method_receives_the_command_after_all_limits() -> None:
-    made, asked = steering(Vfh()), RecordingVfh()
-    made._method = asked
+    made, recorder = steering(Vfh()), RecordingVfh()
+    made._method = recorder
     wall: list[Box] = [((0.4, -0.1), (0.5, 0.1))]
     for tick in range(3):
         made.drive(observation_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), wall, tick), tick), (0.5, 0.1), (0.3, 0.0))
     made.limit(observation_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), wall, 3), 3), (0.02, 0.2))
     last = made.drive(observation_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), wall, 4), 4), (0.5, 0.1), (0.3, 0.0))
-    assert asked.now[0] == (0.0, 0.0)
-    assert asked.now[1][0] <= 0.4 * (0.4 - 0.23 - 0.03) + 1e-9  # distance 0.4 m, keep 0.23 m
-    assert asked.now[3] == (0.02, 0.2)
+    assert recorder.now[0] == (0.0, 0.0)
+    assert recorder.now[1][0] <= 0.4 * (0.4 - 0.23 - 0.03) + 1e-9  # distance 0.4 m, keep 0.23 m
+    assert recorder.now[3] == (0.02, 0.2)
     made.steer(observation_from((0.0, 0.0, 0.0), None, 5), Task((0.5, 0.0)))
     made.drive(observation_from((0.0, 0.0, 0.0), sweep((0.0, 0.0, 0.0), wall, 6), 6), (0.5, 0.1), (0.3, 0.0))
-    assert asked.now[4] == (0.0, 0.0) != (last.velocity[0], last.yaw_rate)
+    assert recorder.now[4] == (0.0, 0.0) != (last.velocity[0], last.yaw_rate)
 
 
 # --- laws of all methods ---
@@ -186,8 +186,8 @@ places = st.none() | st.tuples(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0))
 def test_without_near_returns_the_task_is_unchanged(
     method: Settings, body: Body, v: float, w: float, aim: Point | None
 ) -> None:
-    for seen in (view(np.full(64, math.inf), math.tau), view(np.full(64, 2.0))):
-        assert method.method(body, 0.1).decide(seen, Task((v, 0.0), w, aim)) == ((v, 0.0), w, "task")
+    for free_view in (view(np.full(64, math.inf), math.tau), view(np.full(64, 2.0))):
+        assert method.method(body, 0.1).decide(free_view, Task((v, 0.0), w, aim)) == ((v, 0.0), w, "task")
 
 
 @pytest.mark.parametrize(("method", "body"), ALL)
@@ -421,7 +421,7 @@ def test_the_distance_kept_does_not_depend_on_the_place_of_the_scanner(method: S
     for tick in range(300):
         scan = sweep((x - 0.15, 0.0, 0.0), wall, tick)
         x += 0.1 * made.drive(observation_from((x, 0.0, 0.0), scan, tick, 0.3), (0.3, 0.0)).velocity[0]
-    assert 2.0 - x >= method.kept_m(WHEELS) - 1e-9
+    assert 2.0 - x >= method.clearance_m(WHEELS) - 1e-9
 
 
 def test_a_robot_moves_slowly_outside_its_field_of_view() -> None:

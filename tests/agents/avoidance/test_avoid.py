@@ -101,16 +101,16 @@ def test_it_reads_the_sensors_of_the_task_and_its_scanner(task: str, sensors: tu
 
 
 def test_on_wheels_velocities_are_in_the_body_frame() -> None:
-    said = Velocity(linear=(0.3, 0.0, 0.0), yaw_rate=0.1)
-    made = around(ScriptedTask(said, said))
-    assert act(made, yaw=1.0) == said
+    velocity = Velocity(linear=(0.3, 0.0, 0.0), yaw_rate=0.1)
+    made = around(ScriptedTask(velocity, velocity))
+    assert act(made, yaw=1.0) == velocity
     assert act(made, (0.5, *FREE[1:])).linear[0] == 0.0
 
 
 def test_in_the_air_velocities_are_in_the_world_frame() -> None:
     """Heading north, with an obstacle 0.8 m north: the velocity to the north is limited, east and up are not."""
-    said = Velocity(linear=(0.2, 0.5, 0.1), yaw_rate=0.3)
-    made = around(ScriptedTask(said, said), WINGS, **PUSHLESS)
+    velocity = Velocity(linear=(0.2, 0.5, 0.1), yaw_rate=0.3)
+    made = around(ScriptedTask(velocity, velocity), WINGS, **PUSHLESS)
     free = act(made, yaw=math.pi / 2)
     assert (*free.linear, free.yaw_rate) == pytest.approx((0.2, 0.5, 0.1, 0.3))
     near = act(made, NEAR, yaw=math.pi / 2)
@@ -123,10 +123,10 @@ def test_without_a_usable_scan_a_vehicle_hovers() -> None:
 
 
 def test_a_command_in_force_is_limited_again() -> None:
-    said = Velocity(linear=(0.6, 0.0, 0.0))
-    made = around(ScriptedTask(None, said, None, None), WINGS, **PUSHLESS)
+    velocity = Velocity(linear=(0.6, 0.0, 0.0))
+    made = around(ScriptedTask(None, velocity, None, None), WINGS, **PUSHLESS)
     assert act(made) is None
-    assert act(made) == act(made) == said
+    assert act(made) == act(made) == velocity
     assert act(made, NEAR).linear[0] == pytest.approx(0.4 * 0.17, abs=1e-6)
 
 
@@ -204,9 +204,9 @@ def test_a_robot_driven_at_a_wall_does_not_touch_it(engine: str, turn: float) ->
     """The field has no effect; only the speed is limited. The body reaches 0.224 m from its reference point."""
     wall = {"kind": "boxes", "boxes": [{"center": [2.2, 0.0, 0.5], "size": [0.4, 8.0, 1.0]}]}
     straight = {"task": {"kind": f"{HERE}:Forward"}, "avoidance": {**FIELD, **PUSHLESS, "keep_m": 0.27}}
-    given = scenario(straight, "amigobot", physics={"kind": engine}, world=wall)
-    given["vehicle"][0]["pose"] = [0.0, 0.0, turn]
-    result = vcmvsp.run(given, mcap=False)
+    run_config = scenario(straight, "amigobot", physics={"kind": engine}, world=wall)
+    run_config["vehicle"][0]["pose"] = [0.0, 0.0, turn]
+    result = vcmvsp.run(run_config, mcap=False)
     assert result.metrics["safety"]["collisions"] == 0
     x = result.states["x"].to_numpy()
     assert 1.4 < x.max() < 2.0 - 0.224
@@ -217,10 +217,12 @@ def test_a_robot_driven_at_a_wall_does_not_touch_it(engine: str, turn: float) ->
 def test_a_patrol_without_sensors_is_steered_past_a_pillar(kind: str, method: str, keeps: float) -> None:
     pillar = {"kind": "boxes", "boxes": [{"center": [2.5, 0.05, 1.0], "size": [0.5, 0.5, 2.0]}]}
     task = {"kind": "patrol", "way": [[5.0, 0.0, 1.0]], "speed": 0.5, "loop": False, "flies": kind == "quadrotor"}
-    given = scenario({"task": task, "avoidance": {"kind": method}, "goal": [5.0, 0.0]}, kind, world=pillar, duration_s=25.0)
-    given["vehicle"][0]["sensors"]["scan"] = {"kind": "ring" if kind == "quadrotor" else "lms"}
-    given["vehicle"][0]["position"] = [0.0, 0.0, 1.0]
-    states = vcmvsp.run(given, mcap=False).states
+    run_config = scenario(
+        {"task": task, "avoidance": {"kind": method}, "goal": [5.0, 0.0]}, kind, world=pillar, duration_s=25.0
+    )
+    run_config["vehicle"][0]["sensors"]["scan"] = {"kind": "ring" if kind == "quadrotor" else "lms"}
+    run_config["vehicle"][0]["position"] = [0.0, 0.0, 1.0]
+    states = vcmvsp.run(run_config, mcap=False).states
     x, y = (states[name].to_numpy() for name in ("x", "y"))
     clearance = np.hypot(np.maximum(np.abs(x - 2.5) - 0.25, 0.0), np.maximum(np.abs(y - 0.05) - 0.25, 0.0))
     assert clearance.min() > keeps

@@ -21,8 +21,8 @@ PERIOD_S, BRAKING = 0.1, 0.3
 
 
 def points_of(view: View) -> Array:
-    seen = np.isfinite(view.ranges)
-    return view.units[seen] * view.ranges[seen, None]
+    hits = np.isfinite(view.ranges)
+    return view.units[hits] * view.ranges[hits, None]
 
 
 def along(curvature: float, length: float, step: float = 2e-4) -> Array:

@@ -168,7 +168,7 @@ def test_a_gap_must_have_room_for_the_body_and_the_margins(body: Body, half: flo
 
 
 def test_a_larger_distance_needs_a_wider_gap() -> None:
-    assert Gap().kept_m(SMALL) == pytest.approx(0.225)
+    assert Gap().clearance_m(SMALL) == pytest.approx(0.225)
     walls = [*wall_with_doors(0.8, [(0.2, 0.9)], half=1.0), ((-0.2, -1.0), (0.8, -1.0)), ((-0.2, 1.0), (0.8, 1.0))]
     assert decide(seen(walls), Task((0.3, 0.0)), lookahead_m=1.25).mode == "avoid"
     assert decide(seen(walls), Task((0.3, 0.0)), lookahead_m=1.25, keep_m=0.4).mode == "turn"

@@ -199,8 +199,8 @@ def test_a_gate_hardly_wider_than_the_reach_is_closed_and_safe(width: float, y0:
 def test_it_is_read_from_a_scenario_with_its_defaults() -> None:
     settings = msgspec.convert({"kind": "potential_field"}, PotentialField)
     assert settings == PotentialField(reach=1.2, core=0.6, gain=0.1, tang=1.0)
-    assert (settings.reach_m, settings.kept_m(AIR)) == (1.2, 0.6)
-    assert settings.kept_m(Body(width_m=2.0, radius_m=1.0)) == 1.05
+    assert (settings.reach_m, settings.clearance_m(AIR)) == (1.2, 0.6)
+    assert settings.clearance_m(Body(width_m=2.0, radius_m=1.0)) == 1.05
 
 
 def test_a_reach_within_the_core_is_refused() -> None:

@@ -42,10 +42,10 @@ class FixedAnswer(Settings, frozen=True, kw_only=True, tag="asked"):
 
 class FixedAnswerMethod:
     def __init__(self, settings: FixedAnswer) -> None:
-        self.settings, self.asked = settings, list[tuple[View, Task]]()
+        self.settings, self.calls = settings, list[tuple[View, Task]]()
 
     def decide(self, view: View, task: Task) -> Decision:
-        self.asked.append((view, task))
+        self.calls.append((view, task))
         if self.settings.answer is None:
             return Decision(task.velocity, task.yaw_rate, "task")
         x, y, w = self.settings.answer
@@ -81,7 +81,7 @@ def test_places_in_the_world_are_handed_on_in_the_body_frame() -> None:
     """At (1, 2), heading north: a place 3 m to the north is ahead, one 1 m to the west is on the left."""
     made = steering(FixedAnswer(max_speed=0.7), WHEELS)
     made.drive(obs(scan(FREE), yaw=math.pi / 2), (0.3, 0.1), aim=(1.0, 5.0), leader=(0.0, 2.0))
-    _, task = made._method.asked[0]  # type: ignore[attr-defined]
+    _, task = made._method.calls[0]  # type: ignore[attr-defined]
     assert (task.velocity, task.yaw_rate, task.max_speed) == ((0.3, 0.0), 0.1, 0.7)
     assert task.aim == pytest.approx((3.0, 0.0))
     assert task.leader == pytest.approx((0.0, 1.0))
@@ -109,11 +109,11 @@ def test_limits_apply_without_the_method() -> None:
 
 
 def test_notes_contain_only_changes() -> None:
-    made, told = steering(), []
+    made, notes = steering(), []
     for tick, reading in enumerate([FREE, FREE, ahead(1.1), ahead(0.7), ahead(0.7), [], FREE]):
         made.steer(obs(scan(reading, 100 * tick), 100 * tick), Task((0.1, 0.0)))
-        told.append(made.notes)
-    assert told == [{"mode": "task", "level": 0}, {}, {"level": 1}, {"level": 2}, {}, {"mode": "blind"}, {"mode": "task"}]
+        notes.append(made.notes)
+    assert notes == [{"mode": "task", "level": 0}, {}, {"level": 1}, {"level": 2}, {}, {"mode": "blind"}, {"mode": "task"}]
 
 
 def test_a_second_run_begins_afresh() -> None:
@@ -187,12 +187,12 @@ BAD: dict[str, Any] = {
 }
 
 
-@pytest.mark.parametrize("what", BAD)
+@pytest.mark.parametrize("fault", BAD)
 @pytest.mark.parametrize("level", [1, 2])
-def test_without_a_usable_scan_the_vehicle_stops(what: str, level: int) -> None:
+def test_without_a_usable_scan_the_vehicle_stops(fault: str, level: int) -> None:
     made = steering(PotentialField(level=level))
     made.steer(obs(scan(ahead(3.0))), GO)
-    assert made.steer(obs(BAD[what], 100), GO) == Decision((0.0, 0.0), 0.0, "blind")
+    assert made.steer(obs(BAD[fault], 100), GO) == Decision((0.0, 0.0), 0.0, "blind")
     assert made.steer(obs(scan(ahead(3.0), 200), 200), GO).mode == "task"
 
 
@@ -202,13 +202,13 @@ def test_an_old_scan_is_not_used() -> None:
     assert modes == ["task", "task", "blind"]
 
 
-@pytest.mark.parametrize("gone", [math.inf, 6.0])
+@pytest.mark.parametrize("range_m", [math.inf, 6.0])
 @pytest.mark.parametrize("level", [1, 2])
-def test_an_empty_scan_after_near_returns_is_doubted_for_half_a_second(gone: float, level: int) -> None:
+def test_an_empty_scan_after_near_returns_is_doubted_for_half_a_second(range_m: float, level: int) -> None:
     made = steering(FixedAnswer(level=level))
     slow, later, levels = made.steer(obs(scan(ahead(0.8))), GO).velocity[0], [], []
     for at_ms in (100, 200, 500, 590, 600, 700):
-        later.append(made.steer(obs(scan([gone] * 32, at_ms), at_ms), GO).velocity[0])
+        later.append(made.steer(obs(scan([range_m] * 32, at_ms), at_ms), GO).velocity[0])
         levels.append(made.level)
     if level == 2:
         assert 0.0 < slow < 0.2
@@ -319,16 +319,16 @@ def test_a_limited_velocity_satisfies_every_beam_and_is_neither_longer_nor_rever
 @given(st.lists(st.floats(0.0, 3.0), min_size=3, max_size=24), speeds, speeds)
 def test_no_velocity_that_all_beams_allow_is_nearer_to_the_wanted_one(distances: list[float], x: float, y: float) -> None:
     """By brute force: the nearest of all feet on one limit and crossings of two."""
-    view, wanted = seen(distances), np.array((x, y))
+    view, velocity = seen(distances), np.array((x, y))
     most = allowed(view)
-    feet = wanted + (most - view.units @ wanted)[:, None] * view.units
+    feet = velocity + (most - view.units @ velocity)[:, None] * view.units
     i, j = np.triu_indices(len(most), 1)
     pairs = np.stack([view.units[i], view.units[j]], axis=1)
     real = np.abs(np.linalg.det(pairs)) > 1e-6
     crossings = np.linalg.solve(pairs[real], np.stack([most[i], most[j]], axis=1)[real][..., None])[..., 0]
-    tried = np.vstack([wanted, feet, crossings, (0.0, 0.0)])
+    tried = np.vstack([velocity, feet, crossings, (0.0, 0.0)])
     fit = tried[(tried @ view.units.T <= most + 1e-7).all(axis=1)]
-    best = np.hypot(*(fit - wanted).T).min()
+    best = np.hypot(*(fit - velocity).T).min()
     assert math.dist(limited_flight((x, y), view, KEEP, APPROACH), (x, y)) == pytest.approx(best, abs=1e-5)
 
 

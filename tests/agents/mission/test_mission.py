@@ -72,12 +72,12 @@ class MissionRun:
         self.sent: list[list[Any]] = []
         self.agent.start(info(name, NAMES, body=BODY, sensors=("scan",)))
 
-    def tick(self, number: int, nearest: float = 9.0, *heard: tuple[str, Any], velocity: Vec3 = (1.0, 0.0, 0.0)) -> Any:
+    def tick(self, number: int, nearest: float = 9.0, *messages: tuple[str, Any], velocity: Vec3 = (1.0, 0.0, 0.0)) -> Any:
         ranges = np.full(32, 9.0)
         ranges[12:20] = nearest  # ahead
         scan = scan_of(ranges, 6.0, time_ns=number * T_NS)
         uav = Uav((0.0, 0.0, 20.0), velocity=velocity)
-        command = self.agent.act(uav.see(number * T_NS, [reception_of_body(*each) for each in heard], scan=scan), self.radio)
+        command = self.agent.act(uav.see(number * T_NS, [reception_of_body(*each) for each in messages], scan=scan), self.radio)
         self.notes.append(self.agent.drain_notes())
         self.sent.append([message.body for message in self.radio.drain()])
         return command

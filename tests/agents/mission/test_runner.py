@@ -31,19 +31,19 @@ class Scripted(Agent):
     sensors: tuple[str, ...] | None = ("gps",)
 
     def __init__(self, name: str, *answers: Command | None) -> None:
-        self.name, self.answers, self.asked = name, answers, 0
-        self.heard, self.calls = list[Reception](), list[str]()
+        self.name, self.answers, self.act_count = name, answers, 0
+        self.receptions, self.calls = list[Reception](), list[str]()
 
     def start(self, info: VehicleInfo) -> None:
         self.calls.append("start")
 
     def act(self, obs: Observation, radio: Radio) -> Command | None:
-        self.heard += obs.heard
-        self.asked += 1
+        self.receptions += obs.heard
+        self.act_count += 1
         self.calls.append("act")
-        self.note(asked=self.asked)
-        radio.send(who=self.name, asked=self.asked)
-        return self.answers[min(self.asked, len(self.answers)) - 1]
+        self.note(asked=self.act_count)
+        radio.send(who=self.name, asked=self.act_count)
+        return self.answers[min(self.act_count, len(self.answers)) - 1]
 
     def close(self) -> None:
         self.calls.append("close")
@@ -53,16 +53,16 @@ class ScriptedWithStandBy(Scripted):
     """Only receives while it is suspended."""
 
     def stand_by(self, obs: Observation, radio: Radio) -> None:
-        self.heard += obs.heard
+        self.receptions += obs.heard
         self.calls.append("stand_by")
 
 
 class HalfSpeed(Scripted):
     """Avoidance: half of the wanted speed."""
 
-    def around(self, obs: Observation, radio: Radio, wanted: Command | None) -> Command | None:
-        self.calls.append(f"around {getattr(wanted, 'linear', wanted)}")
-        return going(*(0.5 * v for v in wanted.linear)) if isinstance(wanted, Velocity) else self.answers[0]
+    def around(self, obs: Observation, radio: Radio, requested: Command | None) -> Command | None:
+        self.calls.append(f"around {getattr(requested, 'linear', requested)}")
+        return going(*(0.5 * v for v in requested.linear)) if isinstance(requested, Velocity) else self.answers[0]
 
 
 def going(*linear: float, turn: float = 0.0) -> Velocity:
@@ -86,12 +86,12 @@ def ask(
     *,
     task: str | None = None,
     why: str = "",
-    heard: tuple[Reception, ...] = (),
+    receptions: tuple[Reception, ...] = (),
     velocity: Vec3 = (0.0, 0.0, 0.0),
     yaw: float = 0.0,
     turning: float = 0.0,
 ) -> Any:
-    obs = Uav((0.0, 0.0, 3.0), yaw, velocity, turning).see(tick * 100_000_000, heard)
+    obs = Uav((0.0, 0.0, 3.0), yaw, velocity, turning).see(tick * 100_000_000, receptions)
     runner.look(obs)
     return runner.act(obs, RADIO, commander, task=task, why=why)
 
@@ -104,13 +104,13 @@ def test_the_commander_is_obeyed_and_the_others_continue() -> None:
     runner = runner_of(search, track)
     message = reception_of_body("b", {})
     RADIO.drain()
-    assert ask(runner, 0, "search", heard=(message,)) == going(1.0)
-    ask(runner, 1, "track", heard=(message,))
+    assert ask(runner, 0, "search", receptions=(message,)) == going(1.0)
+    ask(runner, 1, "track", receptions=(message,))
     ask(runner, 2, "search")
     runner.close()
     assert search.calls == ["start", "act", "act", "act", "close"]
     assert track.calls == ["start", "stand_by", "act", "stand_by", "close"]
-    assert len(search.heard) == len(track.heard) == 2
+    assert len(search.receptions) == len(track.receptions) == 2
     sent = [(m.body["who"], m.body["asked"]) for m in RADIO.drain() if isinstance(m.body, dict)]
     assert sent == [("search", 1), ("search", 2), ("track", 1), ("search", 3)]
 
@@ -239,19 +239,19 @@ def wish(tick: int) -> tuple[float, float, float]:
     return 3.0 * math.sin(tick), 3.0 * math.cos(1.7 * tick), 0.0
 
 
-@pytest.mark.parametrize("wanted", [lambda tick: (2.0, -1.0, 0.5), wish])
-def test_a_run_up_ends_at_the_commanders_command(wanted: Callable[[int], Vec3]) -> None:
+@pytest.mark.parametrize("velocity_at", [lambda tick: (2.0, -1.0, 0.5), wish])
+def test_a_run_up_ends_at_the_commanders_command(velocity_at: Callable[[int], Vec3]) -> None:
     """A constant command is reached at that acceleration; the difference from the command never grows."""
-    track = Scripted("track", *(going(*wanted(tick), turn=-0.7) for tick in range(100)))
+    track = Scripted("track", *(going(*velocity_at(tick), turn=-0.7) for tick in range(100)))
     runner = runner_of(Scripted("search", going(-1.0)), track, acceleration=2.0)
     last = ask(runner, 0, "search")
     for tick in range(1, 60):
-        command, goal = ask(runner, tick, "track"), wanted(tick)
+        command, goal = ask(runner, tick, "track"), velocity_at(tick)
         short, turning = math.dist(last.linear, goal), abs(last.yaw_rate + 0.7)
         assert math.dist(command.linear, goal) <= max(0.0, short - 0.2) + 1e-9 or command.linear == goal
         assert abs(command.yaw_rate + 0.7) <= max(0.0, turning - 0.2) + 1e-9
         last = command
-    if wanted is not wish:
+    if velocity_at is not wish:
         assert last == going(2.0, -1.0, 0.5, turn=-0.7)
 
 

@@ -36,12 +36,12 @@ def nadir(
 def test_pixel_and_ground_point_are_inverse_at_any_attitude(
     place: Point, yaw: float, pitch: float, roll: float, height: float
 ) -> None:
-    seen = nadir(1.0, 2.0, height, yaw, pitch, roll)
-    pixel = seen.pixel(place)
+    view = nadir(1.0, 2.0, height, yaw, pitch, roll)
+    pixel = view.pixel(place)
     if pixel is None:
         assert math.dist(place, (1.0, 2.0)) > height
     else:
-        assert seen.ground_point(pixel) == pytest.approx(place, abs=1e-6 * height * (1.0 + max(map(abs, pixel)) / F) ** 2)
+        assert view.ground_point(pixel) == pytest.approx(place, abs=1e-6 * height * (1.0 + max(map(abs, pixel)) / F) ** 2)
 
 
 def test_above_the_horizon_and_in_the_ground_there_is_no_ground_point() -> None:
@@ -66,9 +66,9 @@ def test_the_footprint_is_the_picture_on_the_ground() -> None:
 def test_a_region_contains_all_pixels_of_its_disc(
     place: Point, yaw: float, pitch: float, roll: float, reach: float, bearing: float, share: float
 ) -> None:
-    seen = nadir(yaw=yaw, pitch=pitch, roll=roll)
+    view = nadir(yaw=yaw, pitch=pitch, roll=roll)
     near = place[0] + share * reach * math.cos(bearing), place[1] + share * reach * math.sin(bearing)
-    pixel, region = seen.pixel(near), seen.region(place, reach)
+    pixel, region = view.pixel(near), view.region(place, reach)
     if pixel is None or not (0.0 <= pixel[0] <= WIDTH - 1 and 0.0 <= pixel[1] <= HEIGHT - 1):
         return
     assert region is not None
@@ -94,10 +94,10 @@ def test_a_region_beyond_the_horizon_is_the_whole_picture() -> None:
 def test_the_pinhole_is_where_the_camera_is_mounted() -> None:
     image = Image(pixels=np.zeros((HEIGHT, WIDTH, 3), np.uint8), focal_px=F)
     state = VehicleState(position=(1.0, 2.0, 10.0), attitude=attitude_of(0.5 * math.pi))
-    seen = nadir_of(image, state, mount=(0.3, 0.1, -0.2), ground_m=2.0)
-    assert seen.position == pytest.approx((0.9, 2.3, 9.8))
-    assert seen.height_m == pytest.approx(7.8)
-    assert (seen.width, seen.height, seen.focal_px) == (WIDTH, HEIGHT, F)
+    view = nadir_of(image, state, mount=(0.3, 0.1, -0.2), ground_m=2.0)
+    assert view.position == pytest.approx((0.9, 2.3, 9.8))
+    assert view.height_m == pytest.approx(7.8)
+    assert (view.width, view.height, view.focal_px) == (WIDTH, HEIGHT, F)
 
 
 @given(angles, tilts, tilts)
@@ -114,18 +114,18 @@ def test_it_agrees_with_the_simulated_camera(u: float, v: float, yaw: float, pit
     ray = ((u + 0.5 - 80.0) / camera.focal_px, (v + 0.5 - 60.0) / camera.focal_px, 1.0)
     x, y, z = turned(attitude_of(yaw, pitch, roll), tuple((camera.body_from_camera @ ray).tolist()))
     image = Image(pixels=np.zeros((120, 160, 3), np.uint8), focal_px=camera.focal_px)
-    seen = nadir_of(image, VehicleState(position=(0.0, 0.0, 10.0), attitude=attitude_of(yaw, pitch, roll)))
-    x0, y0, z0 = seen.position
-    assert math.dist(seen.position, (0.0, 0.0, 10.0)) == pytest.approx(math.hypot(*camera.mount))
-    assert seen.ground_point((u, v)) == pytest.approx((x0 - x * z0 / z, y0 - y * z0 / z), abs=1e-9)
+    view = nadir_of(image, VehicleState(position=(0.0, 0.0, 10.0), attitude=attitude_of(yaw, pitch, roll)))
+    x0, y0, z0 = view.position
+    assert math.dist(view.position, (0.0, 0.0, 10.0)) == pytest.approx(math.hypot(*camera.mount))
+    assert view.ground_point((u, v)) == pytest.approx((x0 - x * z0 / z, y0 - y * z0 / z), abs=1e-9)
 
 
 def test_the_footprint_of_a_part_is_that_of_its_outer_edges() -> None:
-    seen = Nadir((1.0, 2.0, 30.0), (0.98, 0.1, -0.05, 0.16), 400.0, 640, 480)
+    view = Nadir((1.0, 2.0, 30.0), (0.98, 0.1, -0.05, 0.16), 400.0, 640, 480)
     part = (100, 50, 300, 200)
-    corners = [seen.ground_point(pixel) for pixel in ((99.5, 49.5), (99.5, 199.5), (299.5, 199.5), (299.5, 49.5))]
-    assert seen.footprint(part) == tuple(corners)
-    assert seen.footprint() == seen.footprint((0, 0, 640, 480))
+    corners = [view.ground_point(pixel) for pixel in ((99.5, 49.5), (99.5, 199.5), (299.5, 199.5), (299.5, 49.5))]
+    assert view.footprint(part) == tuple(corners)
+    assert view.footprint() == view.footprint((0, 0, 640, 480))
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.3, 1.5, 2.5])

@@ -117,11 +117,11 @@ def test_messages_may_come_in_any_order_and_any_number_of_times(
     history: tuple[list[tuple[str, Any]], Ledger], data: st.DataObject
 ) -> None:
     air, _ = history
-    heard = [each for each in air if each[0] != "c"]
-    copies = data.draw(st.lists(st.sampled_from(heard), max_size=10))
-    mixed = data.draw(st.permutations(heard + copies))
+    received = [each for each in air if each[0] != "c"]
+    copies = data.draw(st.lists(st.sampled_from(received), max_size=10))
+    mixed = data.draw(st.permutations(received + copies))
     straight, shuffled = ledger("c", max_bytes=400), ledger("c", max_bytes=400)
-    for mind, messages in ((straight, heard), (shuffled, mixed)):
+    for mind, messages in ((straight, received), (shuffled, mixed)):
         for sender, body in messages:
             before = mind.counts
             assert mind.take(sender, body, 10 * S)
@@ -168,8 +168,8 @@ def test_the_latest_changes_are_sent_first() -> None:
     tile = {cell: mind.tiling.index[cell] // mind.tiling.per_tile for cell in (0, 1000, 2400)}
     for tick, cell in enumerate(tile, start=1):
         mind.look(np.array([cell]), np.array([True]), tick * S)
-    told = [entry[1] for body in mind.messages(4 * S, 10) for entry in body["l"]]
-    assert told == [tile[2400], tile[1000], tile[0]]
+    tiles = [entry[1] for body in mind.messages(4 * S, 10) for entry in body["l"]]
+    assert tiles == [tile[2400], tile[1000], tile[0]]
     mind.look(np.array([0]), np.array([True]), 5 * S)
     (body,) = mind.messages(5 * S, 1)
     assert [entry[1] for entry in body["l"]][:2] == [tile[0], tile[2400]]
@@ -204,12 +204,12 @@ def test_tiles_relayed_by_another_are_relayed_later() -> None:
 
 def test_consensus_moves_once_for_each_message_and_never_for_an_old_one() -> None:
     mind, nothing = exchange("consensus", SMALL, SENSOR, "a", TEAM), (np.empty(0, int), np.empty(0, bool))
-    said = {ms: {"ms": ms, "c": [[0, np.full(256, odds * 1600, "<i2").tobytes()]]} for ms, odds in ((1, 6), (2, 9))}
+    bodies = {ms: {"ms": ms, "c": [[0, np.full(256, odds * 1600, "<i2").tobytes()]]} for ms, odds in ((1, 6), (2, 9))}
     mind.look(*nothing, S)
     values = []
-    for heard in ([1], [], [1], [2, 1], []):
-        for ms in heard:
-            assert mind.take("b", said[ms], S)
+    for arrivals in ([1], [], [1], [2, 1], []):
+        for ms in arrivals:
+            assert mind.take("b", bodies[ms], S)
         mind.look(*nothing, S)
         values.append(mind.log_odds[0, 0])
     assert values == pytest.approx([2.0, 2.0, 2.0, 2.0 * 2 / 3 + 3.0, 2.0 * 2 / 3 + 3.0])
@@ -275,9 +275,9 @@ def test_no_more_messages_than_asked_for() -> None:
 def test_tiles_without_room_are_sent_next(kind: Kind) -> None:
     mind = exchange(kind, GRID, SENSOR, "a", TEAM, max_bytes=100)
     mind.look(np.arange(2500), np.zeros(2500, bool), S)
-    told = [entry[0] for _ in range(600) for body in mind.messages(S, 1) for entry in body[kind[0]]]
-    assert len(set(told)) == 169  # ceil(50 / 4)^2
-    assert kind == "consensus" or len(told) == 169
+    tiles = [entry[0] for _ in range(600) for body in mind.messages(S, 1) for entry in body[kind[0]]]
+    assert len(set(tiles)) == 169  # ceil(50 / 4)^2
+    assert kind == "consensus" or len(tiles) == 169
 
 
 def test_a_message_must_have_room_for_a_cell() -> None:

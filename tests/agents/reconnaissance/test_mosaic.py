@@ -52,7 +52,7 @@ def test_every_cell_shows_the_picture_at_its_centre(
     sheet = Sheet(Mosaicking(area=AREA, cell_m=1.0))
     one = frame(RAMP, 0, (x, y, height), attitude(yaw, tilt, about))
     sheet.lay(one)
-    shown = sheet.shown(0)
+    shown = sheet.due_mosaic(0)
     assert shown is not None
     assert shown.pixels.shape == (40, 40, 3)
     for row in range(0, 40, 4):
@@ -68,9 +68,9 @@ def test_every_cell_shows_the_picture_at_its_centre(
 def test_the_newest_picture_lies_on_top_and_the_rest_stays() -> None:
     sheet = Sheet(Mosaicking(area=AREA, cell_m=0.5))
     sheet.lay(frame(RAMP, 0, (0.0, 0.0, 20.0), (1.0, 0.0, 0.0, 0.0)))
-    before = sheet.shown(0)
+    before = sheet.due_mosaic(0)
     sheet.lay(frame(RED, SECOND, (8.0, 0.0, 8.0), (1.0, 0.0, 0.0, 0.0)))  # covers 9.6 m ahead (east) and 12.8 m across
-    after = sheet.shown(11 * SECOND)
+    after = sheet.due_mosaic(11 * SECOND)
     assert before is not None
     assert after is not None
     red = (after.pixels == (255, 0, 0)).all(axis=-1)
@@ -86,15 +86,15 @@ def test_one_picture_a_second_is_laid_and_none_with_horizon_or_far_away() -> Non
     level = (1.0, 0.0, 0.0, 0.0)
     sheet = Sheet(Mosaicking(area=AREA))
     sheet.lay(frame(RED, 0, (0.0, 0.0, 20.0), attitude(0.0, 1.2, 0.3)))
-    assert sheet.shown(0) is None
+    assert sheet.due_mosaic(0) is None
     sheet.lay(frame(RED, 0, (500.0, 0.0, 20.0), level))
     sheet.lay(frame(RED, SECOND - 1, (0.0, 0.0, 20.0), level))
-    shown = sheet.shown(SECOND)
+    shown = sheet.due_mosaic(SECOND)
     assert shown is not None
     assert not shown.pixels.any()
-    assert sheet.shown(2 * SECOND) is None  # once per 10 s
+    assert sheet.due_mosaic(2 * SECOND) is None  # once per 10 s
     sheet.lay(frame(RED, SECOND, (0.0, 0.0, 20.0), level))
-    again = sheet.shown(11 * SECOND)
+    again = sheet.due_mosaic(11 * SECOND)
     assert again is not None
     assert again.pixels.any()
     assert not shown.pixels.any()  # a mosaic already shown does not change
@@ -105,7 +105,7 @@ def test_a_cell_is_the_mean_of_its_ground() -> None:
     board = np.repeat((np.indices((480, 640)).sum(axis=0) % 2 * 255).astype(np.uint8)[:, :, None], 3, axis=2)
     sheet = Sheet(Mosaicking(area=AREA, cell_m=1.0))
     sheet.lay(frame(cv2.GaussianBlur(board, (3, 3), 0), 0, (0.0, 10.0, 40.0), (1.0, 0.0, 0.0, 0.0)))
-    shown = sheet.shown(0)
+    shown = sheet.due_mosaic(0)
     assert shown is not None
     assert abs(shown.pixels[5:35, 5:35].astype(float) - 127.5).max() < 10.0
 

@@ -17,8 +17,8 @@ EVERY = np.arange(GRID.rows * GRID.columns)
 def bayes(prior: float, sensor: Sensor, looks: list[bool]) -> float:
     """P after looks, applied one by one."""
     p, q, belief = sensor.p, sensor.q, prior
-    for said in looks:
-        if said:
+    for hit in looks:
+        if hit:
             belief = p * belief / (p * belief + q * (1 - belief))
         else:
             belief = (1 - p) * belief / ((1 - p) * belief + (1 - q) * (1 - belief))
@@ -108,17 +108,17 @@ def test_a_footprint_contains_the_cells_with_centres_in_it(
     corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * (along / 2, across / 2)
     corners = corners @ np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]]) + (x, y)
     off = np.abs(ahead_and_aside(GRID.centres(EVERY))) - (along / 2, across / 2)
-    seen = GRID.inside(corners[::-1] if mirrored else corners)
-    assert set(EVERY[(off < -1e-9).all(axis=1)]) <= set(seen.tolist()) <= set(EVERY[(off <= 1e-9).all(axis=1)])
-    assert seen.tolist() == sorted(set(seen.tolist()))
+    cells = GRID.inside(corners[::-1] if mirrored else corners)
+    assert set(EVERY[(off < -1e-9).all(axis=1)]) <= set(cells.tolist()) <= set(EVERY[(off <= 1e-9).all(axis=1)])
+    assert cells.tolist() == sorted(set(cells.tolist()))
 
 
 def test_a_footprint_may_be_concave() -> None:
     corners = np.array([[-10, 5], [22, 5], [22, 25], [6, 9], [-10, 25]])
-    seen = set(GRID.inside(corners).tolist())
-    assert GRID.at(6.0, 8.0) in seen
-    assert GRID.at(6.0, 12.0) not in seen
-    assert {GRID.at(-9.0, 20.0), GRID.at(21.0, 20.0)} <= seen
+    cells = set(GRID.inside(corners).tolist())
+    assert GRID.at(6.0, 8.0) in cells
+    assert GRID.at(6.0, 12.0) not in cells
+    assert {GRID.at(-9.0, 20.0), GRID.at(21.0, 20.0)} <= cells
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])

@@ -16,8 +16,8 @@ S = 1_000_000_000
 NAMES = ("a", "b", "c", "d")
 
 
-def seen(now_s: float, *heard: tuple[str, Any]) -> Observation:
-    return Uav((0.0, 0.0, 9.0)).see(round(now_s * S), [reception(*each) for each in heard])
+def seen(now_s: float, *messages: tuple[str, Any]) -> Observation:
+    return Uav((0.0, 0.0, 9.0)).see(round(now_s * S), [reception(*each) for each in messages])
 
 
 def said(name: str, now_s: float, task: Any = "search", claim: Claim | None = None) -> tuple[str, Any]:
@@ -91,18 +91,18 @@ def test_a_target_belongs_to_the_vehicle_that_tracked_it_first() -> None:
     """For any times of the claims: of two vehicles that receive each other exactly one gives way."""
     for since_a, since_b in ((1.0, 2.0), (2.0, 1.0), (1.0, 1.0)):
         a, b = Roster("a", NAMES), Roster("b", NAMES)
-        mine, other = Claim("alpha", (5.0, 5.0), round(since_a * S)), Claim("alpha", (5.1, 5.0), round(since_b * S))
+        own, other = Claim("alpha", (5.0, 5.0), round(since_a * S)), Claim("alpha", (5.1, 5.0), round(since_b * S))
         a.hear(seen(3.0, tracks("b", 3.0, "alpha", (5.1, 5.0), since_b)))
         b.hear(seen(3.0, tracks("a", 3.0, "alpha", (5.0, 5.0), since_a)))
-        assert a.taken(mine, 3 * S) is (since_b < since_a)
-        assert b.taken(other, 3 * S) is not a.taken(mine, 3 * S)
+        assert a.has_prior_claim(own, 3 * S) is (since_b < since_a)
+        assert b.has_prior_claim(other, 3 * S) is not a.has_prior_claim(own, 3 * S)
 
 
 def test_a_claim_with_a_detection_does_not_yield_to_one_without() -> None:
     roster = Roster("b", NAMES)
     roster.hear(seen(3.0, tracks("a", 3.0, "", (5.0, 5.0), 1.0)))
-    assert not roster.taken(Claim("alpha", (5.1, 5.0), 2 * S), 3 * S)
-    assert roster.taken(Claim("", (5.1, 5.0), 2 * S), 3 * S)
+    assert not roster.has_prior_claim(Claim("alpha", (5.1, 5.0), 2 * S), 3 * S)
+    assert roster.has_prior_claim(Claim("", (5.1, 5.0), 2 * S), 3 * S)
 
 
 def test_targets_are_equal_by_name_or_without_a_name_by_place() -> None:
@@ -117,18 +117,18 @@ def test_targets_are_equal_by_name_or_without_a_name_by_place() -> None:
 def test_the_target_of_a_lost_member_is_free_later_than_its_sector() -> None:
     roster = Roster("a", NAMES, alive_s=5.0, claim_s=20.0)
     roster.hear(seen(1.0, tracks("b", 1.0, "alpha")))
-    mine = Claim("alpha", (5.0, 5.0), 2 * S)
-    assert roster.taken(mine, 20 * S)
+    own = Claim("alpha", (5.0, 5.0), 2 * S)
+    assert roster.has_prior_claim(own, 20 * S)
     assert "b" not in roster.alive(20 * S)
-    assert not roster.taken(mine, 21 * S)
+    assert not roster.has_prior_claim(own, 21 * S)
 
 
 @given(st.permutations(range(5)), st.lists(st.integers(0, 4), max_size=5))
 def test_copies_and_another_order_change_nothing(order: list[int], copies: list[int]) -> None:
-    told = [tracks("b", 1.0 + n, f"t{n}", since_s=0.5) for n in range(5)]
+    messages = [tracks("b", 1.0 + n, f"t{n}", since_s=0.5) for n in range(5)]
     straight, mixed = Roster("a", NAMES), Roster("a", NAMES)
-    straight.hear(seen(9.0, *told))
-    mixed.hear(seen(9.0, *(told[n] for n in [*order, *copies])))
+    straight.hear(seen(9.0, *messages))
+    mixed.hear(seen(9.0, *(messages[n] for n in [*order, *copies])))
     assert mixed.claims(9 * S) == straight.claims(9 * S) == {"b": Claim("t4", (5.0, 5.0), S // 2)}
 
 

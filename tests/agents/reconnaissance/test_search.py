@@ -54,33 +54,33 @@ def test_each_member_searches_its_whole_strip() -> None:
             assert agent.goal in lanes(strips(area, ("a", "b"))[name], REACH, 0.2)
     for name, agent in team.agents.items():
         strip, x = strips(area, ("a", "b"))[name], GRID.centres(np.arange(400))[:, 0]
-        mine = (x > strip.left) & (x < strip.right)
-        assert agent.map.shown().seen.ravel()[mine].mean() > 0.97
+        own_cells = (x > strip.left) & (x < strip.right)
+        assert agent.map.for_recording().seen.ravel()[own_cells].mean() > 0.97
 
 
 def test_the_strip_of_a_silent_member_is_divided_until_it_returns() -> None:
     team = Team({name: searcher(alive_s=3.0) for name in ("a", "b")})
-    mine, all_of_it = (set(lanes(strips(GRID.area, who)["a"], REACH, 0.2)) for who in (("a", "b"), ("a",)))
+    own_points, all_of_it = (set(lanes(strips(GRID.area, names)["a"], REACH, 0.2)) for names in (("a", "b"), ("a",)))
     ends = {(x, y) for x, _ in all_of_it for y in (3.0, 37.0)}
     team.run(5.0)
     before = team.agents["a"].goal
     team.run(2.0, dead=("b",))  # last received at 4.1 s
-    assert team.agents["a"].goal in mine
+    assert team.agents["a"].goal in own_points
     team.run(0.3, dead=("b",))
-    assert team.agents["a"].goal in ends - mine
+    assert team.agents["a"].goal in ends - own_points
     team.run(1.0)
-    assert team.agents["a"].goal in mine
-    assert before in mine
+    assert team.agents["a"].goal in own_points
+    assert before in own_points
 
 
 def test_in_stand_by_it_looks_and_shares_and_then_resumes_its_lane() -> None:
     team = Team({name: searcher() for name in ("a", "b")})
     team.run(6.0)
-    sent, seen, goal = len(of_map(team.sent["a"])), counts(team.agents["b"])[0].sum(), team.agents["a"].goal
+    sent, look_count, goal = len(of_map(team.sent["a"])), counts(team.agents["b"])[0].sum(), team.agents["a"].goal
     team.run(8.0, standing_by=("a",))
     assert team.agents["a"].goal is None
     assert len(of_map(team.sent["a"])) >= sent + 8
-    assert counts(team.agents["b"])[0].sum() > seen
+    assert counts(team.agents["b"])[0].sum() > look_count
     team.step()
     assert team.agents["a"].goal == goal
 
@@ -99,13 +99,13 @@ def test_a_climb_does_not_count_as_stuck() -> None:
 
 
 def test_a_second_start_repeats_the_first_run() -> None:
-    agents, said = {name: searcher() for name in ("a", "b")}, []
+    agents, runs = {name: searcher() for name in ("a", "b")}, []
     for _ in range(2):
         team = Team(agents)
         team.run(12.0, dead=())
         team.run(8.0, dead=("b",))
-        said.append((team.sent, team.notes, team.places))
-    assert said[0] == said[1]
+        runs.append((team.sent, team.notes, team.places))
+    assert runs[0] == runs[1]
 
 
 def test_messages_are_limited_and_counted() -> None:
@@ -125,12 +125,12 @@ def test_maps_agree_with_every_exchange_except_none(exchange: Any) -> None:
     team = Team({name: searcher(exchange=exchange, scaled=True, most=100) for name in ("a", "b")})
     team.run(40.0)
     a, b = (agent.map.odds for agent in team.agents.values())
-    told = [len(of_map(messages)) for messages in team.sent.values()]
+    message_counts = [len(of_map(messages)) for messages in team.sent.values()]
     if exchange == "none":
-        assert told == [0, 0]
+        assert message_counts == [0, 0]
         assert np.corrcoef(a.ravel(), b.ravel())[0, 1] < 0.5
     else:
-        assert min(told) >= 30
+        assert min(message_counts) >= 30
         assert np.corrcoef(a.ravel(), b.ravel())[0, 1] > 0.9
 
 
@@ -144,9 +144,9 @@ def test_a_consensus_continues_without_looks() -> None:
     for tick in range(31):
         sent: list[Message] = []
         for i, (name, agent) in enumerate(agents.items()):
-            heard = [reception_of(each) for each in air if each.sender != name]
+            receptions = [reception_of(each) for each in air if each.sender != name]
             readings: dict[str, Any] = {"looks": looks(10.0 + 10.0 * i, 20.0, 0)} if tick == 0 else {}
-            agent.act(observation((20.0, 20.0, 20.0), tick * S // 10, *heard, **readings), radios[name])
+            agent.act(observation((20.0, 20.0, 20.0), tick * S // 10, *receptions, **readings), radios[name])
             sent += radios[name].drain()
         air = sent
     a, b = (agent.map.odds for agent in agents.values())
@@ -200,12 +200,12 @@ def test_in_a_mission_the_clock_bound_is_that_of_the_mission() -> None:
     other, radio = searcher(), Radio("b", ("a", "b"))
     other.start(info("b", ("a", "b")))
     other.act(observation((9.0, 31.0, 20.0), 2 * S, looks=looks(9.0, 31.0, 2 * S)), radio)
-    heard = [reception_of(message) for message in radio.drain()]
+    receptions = [reception_of(message) for message in radio.drain()]
     for bound_s, now_s, believed in ((0.0, 2.0, True), (0.0, 1.5, False), (0.5, 1.5, True), (0.4, 1.5, False)):
         agent = searcher()
         agent.roster = Roster("a", ("a", "b"), clock_bound_s=bound_s)
         agent.start(info("a", ("a", "b")))
-        agent.stand_by(observation((30.0, 5.0, 20.0), round(now_s * S), *heard), Radio("a", ("a", "b")))
+        agent.stand_by(observation((30.0, 5.0, 20.0), round(now_s * S), *receptions), Radio("a", ("a", "b")))
         assert counts(agent).any() == believed
 
 
@@ -293,8 +293,8 @@ class Flight:
     """A searcher at one place, with pictures at 5 Hz; its sensor covers 12 m to all sides from 20 m."""
 
     def __init__(self, **params: Any) -> None:
-        self.agent, self.radio, self.seen = Search((0.0, 0.0, 40.0, 40.0), **params), Radio("a", ("a",)), list[Any]()
-        self.agent.watch = SimpleNamespace(look=lambda _: self.seen[-1])  # type: ignore[assignment]
+        self.agent, self.radio, self.frames = Search((0.0, 0.0, 40.0, 40.0), **params), Radio("a", ("a",)), list[Any]()
+        self.agent.watch = SimpleNamespace(look=lambda _: self.frames[-1])  # type: ignore[assignment]
         self.agent.start(info("a", ("a",), ("camera",)))
         self.tick = -1
 
@@ -304,7 +304,7 @@ class Flight:
         found = tuple(Sighting(target="x", place=at, centre_px=(1.0, 1.0), angle=0.0, side_px=4.0, score=1.0) for at in places)
         nadir = Nadir((20.0, 20.0, z), (1.0, 0.0, 0.0, 0.0), 40.0, PIXELS[1], PIXELS[0])
         frame = WatchFrame(now_ns, nadir, found, PICTURE, (0, 0, PIXELS[1], PIXELS[0]), True)
-        self.seen.append(replace(frame, **change) if picture else None)
+        self.frames.append(replace(frame, **change) if picture else None)
         return self.agent.act(observation((20.0, 20.0, z), now_ns), self.radio)
 
     @property

@@ -73,11 +73,11 @@ def test_looks_count_for_the_cells_that_contain_their_centres(left: float, botto
     rows = np.arange(math.floor(bottom / cell) - 2, math.floor((bottom + 9.0) / cell) + 3)
     cells = np.array([(column, row) for column in columns for row in rows], np.int32)
     hits = np.arange(len(cells)) % 3 == 0
-    found, said = of_reading(grid, Looks(time_ns=0, cell_m=cell, cells=cells, hits=hits))
+    found, grid_hits = of_reading(grid, Looks(time_ns=0, cell_m=cell, cells=cells, hits=hits))
     assert len(set(found.tolist())) == len(found)
     assert sorted(found.tolist()) == list(range(grid.rows * grid.columns))
     middles = (cells + 0.5) * cell
-    for number, hit in zip(found.tolist(), said.tolist(), strict=True):
+    for number, hit in zip(found.tolist(), grid_hits.tolist(), strict=True):
         away = np.abs(middles - grid.centres(np.array([number])))
         nearest = int(np.hypot(*away.T).argmin())
         assert away[nearest].max() <= 0.5 * cell + 1e-6
@@ -124,7 +124,7 @@ def test_a_camera_without_the_nadir_in_view_has_no_swath() -> None:
 
 
 def test_shown_probabilities_are_in_255ths() -> None:
-    shown = map_of((2, 1, 4), (3, 1, 2)).shown()
+    shown = map_of((2, 1, 4), (3, 1, 2)).for_recording()
     assert (shown.left, shown.bottom, shown.cell_m, shown.probability.shape) == (0.0, 0.0, 2.0, (10, 15))
     assert shown.probability[1, 1:5].tolist() == [128, 255, round(81 / 82 * 255), 128]
     assert np.argwhere(shown.seen).tolist() == [[1, 2], [1, 3]]

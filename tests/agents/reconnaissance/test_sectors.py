@@ -58,13 +58,13 @@ def test_lanes_overlap_as_set_and_are_the_fewest_possible(width: float, height: 
 def test_lanes_cover_the_area(overlap: float, radius: float) -> None:
     """The farthest point from a lane of half width w that ends r/2 before the border is at hypot(w, r/2) < r."""
     area = Rectangle(0.0, 0.0, 60.0, 90.0)
-    grid, seen = Grid(area, 3.0), set()
+    grid, cells = Grid(area, 3.0), set()
     way = lanes(area, radius, overlap)
     for a, b in pairwise(way):
         for part in np.linspace(0.0, 1.0, 31):
-            seen |= set(grid.within(a[0] + part * (b[0] - a[0]), a[1] + part * (b[1] - a[1]), radius).tolist())
+            cells |= set(grid.within(a[0] + part * (b[0] - a[0]), a[1] + part * (b[1] - a[1]), radius).tolist())
     assert math.hypot(radius * (1 - overlap), radius / 2) < radius
-    assert len(seen) == grid.rows * grid.columns
+    assert len(cells) == grid.rows * grid.columns
 
 
 @given(x=st.floats(-30, 90), y=st.floats(0, 120))

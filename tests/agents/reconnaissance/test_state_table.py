@@ -187,14 +187,14 @@ def test_a_spiral_counts_time_in_avoidance_and_ends_during_it(nearest: float) ->
 
 def test_an_interrupted_spiral_continues() -> None:
     """4 s of the spiral, 3 s of avoidance, then the remaining 3 s."""
-    seen = {"seen_ns": 9900 * MS}
-    state = run(tracking(), 10.0, 16.9, **seen)
-    state = run(state, 17.0, 19.4, nearest_m=NEAR, closing=True, **seen)
+    facts = {"seen_ns": 9900 * MS}
+    state = run(tracking(), 10.0, 16.9, **facts)
+    state = run(state, 17.0, 19.4, nearest_m=NEAR, closing=True, **facts)
     assert (state.name, state.spiral_ns) == ("avoid1", 6500 * MS)
-    state = run(state, 19.5, 20.0, **seen)
+    state = run(state, 19.5, 20.0, **facts)
     assert state.name == "track"
-    assert run(state, 20.1, 22.8, **seen).name == "track"
-    assert run(state, 20.1, 22.9, **seen).name == "search"
+    assert run(state, 20.1, 22.8, **facts).name == "track"
+    assert run(state, 20.1, 22.9, **facts).name == "search"
 
 
 # --- any facts ---
@@ -216,13 +216,13 @@ known = st.builds(
 
 def history(sequence: list[MissionFacts]) -> list[tuple[MissionState, MissionFacts]]:
     """States and the facts that led to them, with increasing times."""
-    state, now_ns, seen = MissionState(), 0, list[tuple[MissionState, MissionFacts]]()
+    state, now_ns, steps = MissionState(), 0, list[tuple[MissionState, MissionFacts]]()
     for each in sequence:
         now_ns += each.now_ns
         facts = each._replace(now_ns=now_ns)
         state = step(state, facts)
-        seen.append((state, facts))
-    return seen
+        steps.append((state, facts))
+    return steps
 
 
 @given(st.lists(known, max_size=60))
@@ -250,9 +250,9 @@ def test_level_2_begins_as_soon_as_a_switch_is_allowed(sequence: list[MissionFac
 @given(st.lists(known, max_size=60))
 def test_a_suspended_task_returns(sequence: list[MissionFacts]) -> None:
     """Some time after the last near obstacle the task commands; the task is always one of the three tasks."""
-    seen = history(sequence)
-    assert all(state.task in ("search", "formation", "track") for state, _ in seen)
-    state = seen[-1][0] if seen else MissionState()
+    steps = history(sequence)
+    assert all(state.task in ("search", "formation", "track") for state, _ in steps)
+    state = steps[-1][0] if steps else MissionState()
     now_ns = state.now_ns or 0
     for tick in range(1, 25):
         state = step(

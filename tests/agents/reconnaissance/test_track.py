@@ -99,7 +99,7 @@ def test_of_two_targets_the_nearest_is_found_first() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "place", "theirs"),
+    ("name", "place", "is_taken"),
     [
         ("alpha", (15.0, 0.0), True),
         ("alpha", (90.0, 0.0), False),  # another target with equal looks
@@ -107,7 +107,7 @@ def test_of_two_targets_the_nearest_is_found_first() -> None:
         ("bravo", (3.0, 0.0), False),
     ],
 )
-def test_a_target_tracked_by_another_is_not_recognised(name: str, place: tuple[float, float], theirs: bool) -> None:
+def test_a_target_tracked_by_another_is_not_recognised(name: str, place: tuple[float, float], is_taken: bool) -> None:
     track = started_agent(TrackTarget(), FakeWatch(at_rest(alpha=(3.0, -2.0))), alone=False)
     assert track.roster is not None
     uav, facts = Uav((0.0, 0.0, 30.0)), []
@@ -117,7 +117,7 @@ def test_a_target_tracked_by_another_is_not_recognised(name: str, place: tuple[f
         track.roster.hear(obs)
         facts.append(track.facts(obs))
         notes += track.drain_notes()
-    assert any("recognised" in each for each in facts) == ("found" in notes) == (not theirs)
+    assert any("recognised" in each for each in facts) == ("found" in notes) == (not is_taken)
 
 
 def test_the_later_claim_yields_and_the_place_is_given_up_for_a_minute() -> None:
@@ -126,8 +126,8 @@ def test_the_later_claim_yields_and_the_place_is_given_up_for_a_minute() -> None
     uav, targets = Uav((0.0, 0.0, 30.0)), []
     for tick in range(1, 21):
         since = {"since": 0} if tick >= 15 else {"since": tick * 100}
-        heard = [claim_from("other", tick, tg="alpha", at=[3.0, -2.0], **since)] if tick >= 8 else []
-        obs = uav.see(tick * T_NS, heard)
+        receptions = [claim_from("other", tick, tg="alpha", at=[3.0, -2.0], **since)] if tick >= 8 else []
+        obs = uav.see(tick * T_NS, receptions)
         track.roster.hear(obs)
         facts = track.facts(obs)
         if track.claim is None and "place" in facts:
@@ -138,8 +138,8 @@ def test_the_later_claim_yields_and_the_place_is_given_up_for_a_minute() -> None
         if "target" in (noted := track.drain_notes()):
             targets.append((tick, noted["target"]))
     assert targets == [(3, "alpha"), (15, "")]
-    assert track.roster.given_up(16 * T_NS) == [pytest.approx((3.0, -2.0))]
-    assert track.roster.given_up(15 * T_NS + 60_000_000_000) == []
+    assert track.roster.abandoned_places(16 * T_NS) == [pytest.approx((3.0, -2.0))]
+    assert track.roster.abandoned_places(15 * T_NS + 60_000_000_000) == []
 
 
 def test_alone_it_searches_for_a_lost_target_and_then_gives_the_place_up() -> None:
@@ -151,7 +151,7 @@ def test_alone_it_searches_for_a_lost_target_and_then_gives_the_place_up() -> No
     assert max(away[50 : round(lost / T)]) > 3.0  # the spiral
     assert was[round(lost / T) + 2].position == was[-1].position  # then hovering
     assert track.roster is not None
-    assert track.roster.given_up(0) == [pytest.approx((1.0, 0.0))]
+    assert track.roster.abandoned_places(0) == [pytest.approx((1.0, 0.0))]
     assert track.claim is None
 
 
@@ -174,7 +174,7 @@ def test_in_a_mission_the_mission_times_loss_and_search(params: dict[str, float]
     assert all(away[tick] > 2.0 for tick in range(100, 160))
     track.end(uav.see(160 * T_NS))
     assert track.roster is not None
-    assert track.roster.given_up(0) == [pytest.approx((1.0, 0.0))]
+    assert track.roster.abandoned_places(0) == [pytest.approx((1.0, 0.0))]
 
 
 def test_a_second_start_repeats_the_first_run() -> None:
@@ -184,7 +184,7 @@ def test_a_second_start_repeats_the_first_run() -> None:
         track.start(info("me", ("me", "other"), body=BODY))
         ways.append(positions_over(track, Uav((0.0, 0.0, 30.0)), 200))
         assert track.roster is not None
-        assert len(track.roster.given_up(0)) == 1
+        assert len(track.roster.abandoned_places(0)) == 1
     assert ways[0] == ways[1]
 
 
@@ -229,8 +229,8 @@ def test_the_way_to_a_reported_place_has_a_time_limit() -> None:
     uav = Uav((0.0, 0.0, 30.0))
     track.facts(uav.see(0))
     track.begin(uav.see(0), (60.0, 0.0))
-    seen = [track.facts(uav.see(tick * T_NS))["seen_ns"] for tick in range(1, 400)]
-    assert max(seen) == pytest.approx(2.0 * 60.0 / 4.0 * 1e9, abs=1.01 * T_NS)
+    times_ns = [track.facts(uav.see(tick * T_NS))["seen_ns"] for tick in range(1, 400)]
+    assert max(times_ns) == pytest.approx(2.0 * 60.0 / 4.0 * 1e9, abs=1.01 * T_NS)
 
 
 def test_the_claim_gets_its_name_with_the_first_detection() -> None:

@@ -34,9 +34,9 @@ def follow(
     for tick in range(ticks):
         to = target(tick)
         offsets.append((to[0] - x, to[1] - y))
-        seen = Nadir((x, y, 30.0), quaternion_from_yaw(yaw), 400.0, 640, 480)
-        pixel = seen.pixel(to)
-        place = seen.ground_point(pixel) if pixel else None
+        camera = Nadir((x, y, 30.0), quaternion_from_yaw(yaw), 400.0, 640, 480)
+        pixel = camera.pixel(to)
+        place = camera.ground_point(pixel) if pixel else None
         tracker.see(tick * T_NS, [place] if place and shown(tick) else [])
         vx, vy = tracker.command(tick * T_NS, (x, y, 30.0))
         x, y = x + T * vx, y + T * vy
@@ -52,10 +52,10 @@ def test_missed_frames_of_a_steady_target_cause_no_error(speed: float, heading: 
     """With a known speed the prediction is exact; gaps of up to 2.9 s."""
     hidden = {tick for tick in missed if not all(other in missed for other in range(tick - 28, tick))}
     target = moving(speed, heading)
-    seen, now_and_then = (
+    offsets, now_and_then = (
         follow(Tracker(T), target, 180, shown=shown) for shown in (lambda tick: True, lambda tick: tick not in hidden)
     )
-    assert now_and_then[-1] == pytest.approx(seen[-1], abs=1e-3)
+    assert now_and_then[-1] == pytest.approx(offsets[-1], abs=1e-3)
 
 
 def test_the_estimated_speed_converges_by_a_fifth_a_tick_with_missed_ticks_too() -> None:

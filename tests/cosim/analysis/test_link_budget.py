@@ -123,20 +123,20 @@ def test_without_its_scenario_a_run_still_has_budgets(folder: Path, tmp_path: Pa
 
 def test_a_loss_is_explained_by_its_cause(log: explain.Log, folder: Path) -> None:
     """Every text contains the level without the one item that caused the loss; it is above the threshold."""
-    seen = set()
+    outcomes = set()
     for pair in LINKS:
         for row in rows(folder, *pair)[::3]:
             report = link_budget.frame_report(log, pair, str(row["frame"]))
-            budget, words = report["budget"], report["why"]
-            seen.add(report["outcome"])
-            assert words.startswith((f"lost: {report['outcome']}: ", "received ", "under way"))
+            budget, explanation = report["budget"], report["why"]
+            outcomes.add(report["outcome"])
+            assert explanation.startswith((f"lost: {report['outcome']}: ", "received ", "under way"))
             if report["outcome"] in ("walls", "shadowing", "fading"):
                 assert budget["margin_db"] < 0.0
-                assert f"({-budget[report['outcome'] + '_db']:.1f} dB)" in words
-                assert words.endswith("above the sensitivity")
+                assert f"({-budget[report['outcome'] + '_db']:.1f} dB)" in explanation
+                assert explanation.endswith("above the sensitivity")
             if report["outcome"] == "below sensitivity":
-                assert words.endswith("below the sensitivity")
-    assert {"received", "under way", "walls", "fading", "random loss", "below sensitivity"} <= seen
+                assert explanation.endswith("below the sensitivity")
+    assert {"received", "under way", "walls", "fading", "random loss", "below sensitivity"} <= outcomes
 
 
 @pytest.mark.parametrize(

@@ -49,8 +49,8 @@ def file(tmp_path: Path) -> Path:
 
 
 def test_sightings_have_the_place_and_angle_of_the_target() -> None:
-    taken = Snapshots(flags())
-    pictures = [taken.take(number, 12) for number in range(12)]
+    snapshots = Snapshots(flags())
+    pictures = [snapshots.take(number, 12) for number in range(12)]
     assert all(len(each.targets) == 1 for each in pictures[::2])
     both = [(each.targets[0], each.sightings[0]) for each in pictures if each.targets and each.sightings]
     assert len(both) >= 4
@@ -64,16 +64,16 @@ def test_sightings_have_the_place_and_angle_of_the_target() -> None:
 
 def test_hits_are_the_map_cells_with_targets() -> None:
     """Cells of 2 m from the south-west corner of the area, (-30, -30): the target is in column 17, row 16, of 30 columns."""
-    taken = Snapshots(flags())
-    hit = [each.cells[each.hits].tolist() for each in (taken.take(number, 12) for number in range(12)) if each.sightings]
+    snapshots = Snapshots(flags())
+    hit = [each.cells[each.hits].tolist() for each in (snapshots.take(number, 12) for number in range(12)) if each.sightings]
     assert {tuple(cells) for cells in hit} == {(16 * 30 + 17,)}
 
 
 def test_half_a_target_under_a_roof_is_half_visible() -> None:
     """A roof on its eastern half, 0.5 m high, is displaced by 0.3 m in an oblique view; a roof on all of it covers all."""
     half = Snapshots(flags((0.0, 0.0), boxes=[box(1.5, 0.0, 3.0, 0.5)]))
-    seen = [half.take(number, 12).targets[0].visible for number in range(0, 12, 2)]
-    assert all(0.2 <= share <= 0.8 for share in seen)
+    shares = [half.take(number, 12).targets[0].visible for number in range(0, 12, 2)]
+    assert all(0.2 <= share <= 0.8 for share in shares)
     all_of_it = Snapshots(flags((0.0, 0.0), boxes=[box(0.0, 0.0, 4.0, 0.5)]))
     for number in range(0, 12, 2):
         covered = all_of_it.take(number, 12)
@@ -83,8 +83,8 @@ def test_half_a_target_under_a_roof_is_half_visible() -> None:
 
 def test_vehicles_keep_out_of_buildings() -> None:
     """At least 0.5 m away from walls; the buildings are higher than the flight height."""
-    taken = Snapshots(flags(boxes=[box(-15.0, -15.0, 20.0, 30.0), box(15.0, 15.0, 20.0, 30.0)]))
-    places = np.array([taken._placed(np.random.default_rng(i), 0.0, with_target=i % 2 == 0).position for i in range(100)])
+    snapshots = Snapshots(flags(boxes=[box(-15.0, -15.0, 20.0, 30.0), box(15.0, 15.0, 20.0, 30.0)]))
+    places = np.array([snapshots._placed(np.random.default_rng(i), 0.0, with_target=i % 2 == 0).position for i in range(100)])
     for middle in (-15.0, 15.0):
         assert np.abs(places[:, :2] - middle).max(axis=1).min() > 10.0 + 0.5
     assert np.ptp(places[:, 0]) > 40.0
@@ -108,16 +108,16 @@ def test_wilsons_interval() -> None:
     assert (Share(0, 8).mean, Share(8, 8).mean) == (0.1, 0.9)
 
 
-def picture(sightings: list[tuple[float, float]], **target: Any) -> Snapshot:
+def picture(places: list[tuple[float, float]], **target: Any) -> Snapshot:
     """Cells 0 to 9: a target at the origin is in cell 3; sightings within 1 m of it hit cell 3, others cell 7."""
     known = InSight("flag", (0.0, 0.0), 2.0, (50.0, 50.0), 0.0, 1.0, True, 3)._replace(**target)
-    said = tuple(
-        Sighting(target="flag", place=place, centre_px=(50.0, 50.0), angle=0.1, side_px=9.0, score=1.0) for place in sightings
+    sightings = tuple(
+        Sighting(target="flag", place=place, centre_px=(50.0, 50.0), angle=0.1, side_px=9.0, score=1.0) for place in places
     )
     cells = np.arange(10)
-    hits = (cells == 3) & any(math.hypot(*place) < 1.0 for place in sightings)
-    hits |= (cells == 7) & any(math.hypot(*place) >= 1.0 for place in sightings)
-    return Snapshot(np.zeros((101, 101, 3), np.uint8), (known,), said, cells, hits)
+    hits = (cells == 3) & any(math.hypot(*place) < 1.0 for place in places)
+    hits |= (cells == 7) & any(math.hypot(*place) >= 1.0 for place in places)
+    return Snapshot(np.zeros((101, 101, 3), np.uint8), (known,), sightings, cells, hits)
 
 
 def test_looks_and_targets_are_counted() -> None:
@@ -142,20 +142,20 @@ def test_looks_and_targets_are_counted() -> None:
 
 
 def test_the_last_lines_are_tables_of_a_scenario(file: Path) -> None:
-    given = vcmvsp_command("calibrate-recognition", str(file), "--frames", "12", "--quiet")
-    assert given.code == 0, given.err
-    assert "12 pictures from 15 m, cells of 2 m" in given.out
-    lines: Mapping[str, Any] = tomllib.loads(given.out[given.out.index("[agents]") :])["agents"]
+    outcome = vcmvsp_command("calibrate-recognition", str(file), "--frames", "12", "--quiet")
+    assert outcome.code == 0, outcome.err
+    assert "12 pictures from 15 m, cells of 2 m" in outcome.out
+    lines: Mapping[str, Any] = tomllib.loads(outcome.out[outcome.out.index("[agents]") :])["agents"]
     assert 0.0 < lines["q"] < 0.01 < 0.7 < lines["p"] < 1.0
-    assert given.err == ""
-    assert vcmvsp_command("calibrate-recognition", str(file), "--frames", "12", "--quiet").out == given.out
+    assert outcome.err == ""
+    assert vcmvsp_command("calibrate-recognition", str(file), "--frames", "12", "--quiet").out == outcome.out
 
 
 def test_json(file: Path) -> None:
-    given = vcmvsp_command(
+    outcome = vcmvsp_command(
         "calibrate-recognition", str(file), "--frames", "6", "--json", "--height", "12", "--cell", "3", "--quiet"
     )
-    answer = json.loads(given.out)
+    answer = json.loads(outcome.out)
     assert (answer["vehicle"], answer["height_m"], answer["cell_m"], answer["frames"]) == ("uav1", 12.0, 3.0, 6)
     assert answer["p"]["of"] == answer["recall"]["of"] >= 2
     assert answer["p"]["value"] == (answer["p"]["count"] + 1) / (answer["p"]["of"] + 2)
@@ -190,21 +190,21 @@ def test_json(file: Path) -> None:
     ],
 )
 def test_errors_are_reported_with_their_key(file: Path, arguments: tuple[str, ...], words: str) -> None:
-    given = vcmvsp_command("calibrate-recognition", str(file), "--quiet", *arguments)
-    assert given.code == 2, given.err
-    assert words in given.err
-    assert given.out == ""
+    outcome = vcmvsp_command("calibrate-recognition", str(file), "--quiet", *arguments)
+    assert outcome.code == 2, outcome.err
+    assert words in outcome.err
+    assert outcome.out == ""
 
 
 def test_a_camera_that_sees_the_horizon_can_be_measured() -> None:
     """Tilted by up to 5 deg, the corners of a picture of 173 deg are above the horizon: no target is placed there."""
     scenario = flags()
     scenario["vehicle"][1]["sensors"]["camera"]["field_of_view"] = 3.02
-    taken = Snapshots(scenario)
-    assert all(taken.take(number, 6).targets for number in (0, 2, 4))
+    snapshots = Snapshots(scenario)
+    assert all(snapshots.take(number, 6).targets for number in (0, 2, 4))
 
 
 def test_a_scenario_without_recognition_is_refused() -> None:
-    given = vcmvsp_command("calibrate-recognition", "lab-patrol")
-    assert given.code == 2
-    assert "lab-patrol: agents.watching: is missing" in given.err
+    outcome = vcmvsp_command("calibrate-recognition", "lab-patrol")
+    assert outcome.code == 2
+    assert "lab-patrol: agents.watching: is missing" in outcome.err

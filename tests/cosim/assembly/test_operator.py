@@ -37,14 +37,14 @@ def run(interventions: list[dict[str, Any]], observe: Any = None, **settings: An
 @given(st.lists(st.integers(0, 10**10), max_size=20))
 def test_each_is_executed_once_at_its_time_in_order(times_ns: list[int]) -> None:
     planned = [OutageTable(at_s=each / 1e9, for_s=1.0) for each in times_ns]
-    operator, done = Operator(planned, ["car1"], lambda *_: None), list[Event]()
+    operator, events = Operator(planned, ["car1"], lambda *_: None), list[Event]()
     due = operator.start(INFO)
     while due is not None:
         step = operator.step(due, ())
-        done += step.events
+        events += step.events
         assert all(event.time_ns == due for event in step.events)
         due = step.next_ns
-    assert [event.time_ns for event in done] == sorted(times_ns)
+    assert [event.time_ns for event in events] == sorted(times_ns)
 
 
 def test_a_live_request_is_executed_at_the_current_instant() -> None:
@@ -96,10 +96,10 @@ def test_a_scenario_with_an_impossible_one_is_refused(table: dict[str, Any], wor
 
 def test_an_outage_loses_its_frames_and_changes_no_others() -> None:
     calm, cut = (run(each) for each in ([], [{"kind": "outage", "at_s": 2.0, "for_s": 1.5, "vehicles": ["car2"]}]))
-    ours, theirs = (each.radio.to_pylist() for each in (cut, calm))
-    for mine, other in zip(ours, theirs, strict=True):
-        inside = 2.0 <= mine["sent_ns"] / 1e9 < 3.5
-        assert mine["outcome"] == ("outage" if inside else other["outcome"])
+    cut_frames, calm_frames = (each.radio.to_pylist() for each in (cut, calm))
+    for frame, calm_frame in zip(cut_frames, calm_frames, strict=True):
+        inside = 2.0 <= frame["sent_ns"] / 1e9 < 3.5
+        assert frame["outcome"] == ("outage" if inside else calm_frame["outcome"])
 
 
 @pytest.mark.parametrize("preset", ["ideal", "wifi-b-1"])
@@ -111,12 +111,12 @@ def test_live_interventions_are_repeated_to_the_byte(preset: str, tmp_path: Path
         33: HaltTable(at_s=0.0, vehicles=("car1",)),
         50: HaltTable(at_s=0.0, vehicles=("car1",), halted=False),
     }
-    seen: list[Operator] = []
+    operators: list[Operator] = []
     built = assembly._operator
 
     def build(*parts: Any) -> Operator:
-        seen.append(built(*parts))
-        return seen[-1]
+        operators.append(built(*parts))
+        return operators[-1]
 
     monkeypatch.setattr(assembly, "_operator", build)
     instants, settings = 0, {"radio.preset": preset}
@@ -125,7 +125,7 @@ def test_live_interventions_are_repeated_to_the_byte(preset: str, tmp_path: Path
         nonlocal instants
         instants += 1
         if instants in orders:
-            seen[-1].ask(orders[instants])
+            operators[-1].ask(orders[instants])
 
     live = vcmvsp.run(SCENARIO, set=settings, progress=progress, mcap=False)
     assert len(tomllib.loads(live.scenario)["intervention"]) == len(orders)

@@ -49,19 +49,21 @@ def test_plausible_values_are_not_remarked_on(changes: dict[str, Any]) -> None:
 
 
 def test_a_missing_error_is_explained_before_and_after(tmp_path: Any) -> None:
-    done = vcmvsp_command("run", "formation-circle", "--set", "duration_s=1", "--agents", "inprocess", "--out", f"{tmp_path}/x")
-    assert "metrics.from_s = 20: the run ends at 1 s" in done.err
-    assert "formation: no error: metrics.from_s = 20 s, the run ended at 1 s" in done.out
+    outcome = vcmvsp_command(
+        "run", "formation-circle", "--set", "duration_s=1", "--agents", "inprocess", "--out", f"{tmp_path}/x"
+    )
+    assert "metrics.from_s = 20: the run ends at 1 s" in outcome.err
+    assert "formation: no error: metrics.from_s = 20 s, the run ended at 1 s" in outcome.out
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "meant"),
+    ("key", "value", "proposal"),
     [("delay", 0.3, "seconds = 0.3"), ("loss", 0.3, "probability = 0.3"), ("path_loss", 3.0, "exponent = 3.0")],
 )
-def test_a_number_in_place_of_a_layers_table_proposes_the_key_that_it_fits(key: str, value: float, meant: str) -> None:
-    done = vcmvsp_command("check", "formation-circle", "--set", f"radio.{key}={value}")
-    assert done.code == 2
-    assert f"radio.{key}: must be a table, not {value}; did you mean radio.{key}.{meant}?" in done.err
+def test_a_number_in_place_of_a_layers_table_proposes_the_key_that_it_fits(key: str, value: float, proposal: str) -> None:
+    outcome = vcmvsp_command("check", "formation-circle", "--set", f"radio.{key}={value}")
+    assert outcome.code == 2
+    assert f"radio.{key}: must be a table, not {value}; did you mean radio.{key}.{proposal}?" in outcome.err
 
 
 def test_a_scenario_is_found_without_its_ending_and_a_module_that_is_a_file_is_proposed(
@@ -72,7 +74,7 @@ def test_a_scenario_is_found_without_its_ending_and_a_module_that_is_a_file_is_p
     (tmp_path / "gap.toml").write_text(
         'name = "gap"\nduration_s = 1.0\n[[vehicle]]\nname = "a"\nkind = "point"\nagent = { kind = "law:Law" }\n'
     )
-    done = vcmvsp_command("check", "gap")
-    assert done.code == 2
-    assert "gap.toml line 6" in done.err
-    assert "did you mean 'law.py:Law'?" in done.err
+    outcome = vcmvsp_command("check", "gap")
+    assert outcome.code == 2
+    assert "gap.toml line 6" in outcome.err
+    assert "did you mean 'law.py:Law'?" in outcome.err

@@ -32,9 +32,9 @@ pytestmark = pytest.mark.processes
 
 def test_without_the_sources_it_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reproduce, "HOME", tmp_path)
-    given = vcmvsp_command("bench")
-    assert given.code == 2
-    assert "in a checkout of the sources" in given.err
+    outcome = vcmvsp_command("bench")
+    assert outcome.code == 2
+    assert "in a checkout of the sources" in outcome.err
 
 
 def test_an_unknown_part_is_refused(capfd: pytest.CaptureFixture[str]) -> None:
@@ -51,9 +51,9 @@ def test_rows_as_json(
     row = Row("it", "1 us", "2 us", 0.5, demand, holds)
     monkeypatch.setattr(bench, "PARTS", {"a": lambda: [row], "b": pytest.fail})
     assert bench.main(["a", "--json"]) == code
-    told = json.loads(capsys.readouterr().out)
-    assert told["rows"] == [{"part": "a", **row._asdict()}]
-    assert told["schema"] == "vcmvsp.bench/1"
+    document = json.loads(capsys.readouterr().out)
+    assert document["rows"] == [{"part": "a", **row._asdict()}]
+    assert document["schema"] == "vcmvsp.bench/1"
 
 
 def test_a_missing_measurement_is_no_number_and_no_failure(
@@ -93,18 +93,18 @@ def test_every_part_of_a_run_is_clocked(name: str, monkeypatch: pytest.MonkeyPat
 
 @given(limit=st.integers(2, MOST + MOST // 2), power=st.floats(0.5, 3.0), first=st.integers(1, MOST - 1))
 def test_the_limit_of_a_power_law_is_between_two_measurements(limit: int, power: float, first: int) -> None:
-    asked: list[int] = []
+    counts: list[int] = []
 
     def cost(count: int) -> float:
-        asked.append(count)
+        counts.append(count)
         return float((count / (limit + 0.5)) ** power)
 
     found = reach(cost, first)
     assert abs(found.number - limit) <= 1
-    assert sorted(found.measured) == sorted(set(asked))
-    assert len(asked) == len(set(asked))
-    if max(asked) > limit:
-        assert min(asked) <= found.number <= max(asked)
+    assert sorted(found.measured) == sorted(set(counts))
+    assert len(counts) == len(set(counts))
+    if max(counts) > limit:
+        assert min(counts) <= found.number <= max(counts)
     else:  # extrapolated beyond the largest number that is measured
         assert "reckoned" in found.words
 
@@ -215,15 +215,15 @@ def test_a_fifth_of_all_broadcasts_is_lost(channel: dict[str, object]) -> None:
     agents = {f"car{n}": Counter() for n in range(count)}
     api.run(talk(count, channel, duration_s), agents=agents, mcap=False)
     sent = 10 * duration_s - 1  # messages of the last tick arrive after the end
-    shares = [each.heard / (sent * (count - 1)) for each in agents.values()]
+    shares = [each.received / (sent * (count - 1)) for each in agents.values()]
     assert shares == pytest.approx([1.0 - LOSS] * count, abs=0.08)
 
 
 @pytest.mark.parametrize("loss", [0.0, LOSS, 1.0])
 def test_the_simpy_program_has_the_given_loss(loss: float) -> None:
     count, span_s = 5, 20.0
-    heard = sum(node.heard for node in talked(count, span_s, loss))
-    assert heard / (10 * span_s * count * (count - 1)) == pytest.approx(1.0 - loss, abs=0.03)
+    reception_count = sum(node.received for node in talked(count, span_s, loss))
+    assert reception_count / (10 * span_s * count * (count - 1)) == pytest.approx(1.0 - loss, abs=0.03)
 
 
 class Clock:
@@ -252,8 +252,8 @@ def test_an_inner_call_counts_only_for_itself(monkeypatch: pytest.MonkeyPatch) -
     go_on(16.0)
     watch.change("end")
     go_on(32.0)
-    told = {"start": 8.0, "physics": 3.0, "Bullet": 4.0, "kernel": 16.0, "end": 32.0}
-    assert watch.spent() == dict.fromkeys(PARTS, 0.0) | told
+    expected = {"start": 8.0, "physics": 3.0, "Bullet": 4.0, "kernel": 16.0, "end": 32.0}
+    assert watch.spent() == dict.fromkeys(PARTS, 0.0) | expected
 
 
 def test_after_a_failed_call_time_counts_for_its_caller(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -102,8 +102,8 @@ def test_a_folder_that_cannot_be_written_is_refused(folder: Path, out: str, word
     (folder / "file").write_text("mine")
     (folder / "dangling").symlink_to("nowhere")
     before = sorted(folder.iterdir())
-    code, said, err = vcmvsp_command("run", "s.toml", "--out", out, *(["--force"] if force else []))
-    assert (code, said, err.count("\n")) == (2, "", 1), err
+    code, output, err = vcmvsp_command("run", "s.toml", "--out", out, *(["--force"] if force else []))
+    assert (code, output, err.count("\n")) == (2, "", 1), err
     assert words in err
     assert sorted(folder.iterdir()) == before
     assert (folder / "file").read_text() == "mine"
@@ -186,11 +186,11 @@ def test_json_is_the_metrics_and_nothing_else_even_if_agents_print(folder: Path,
     (folder / "chatty.py").write_text(CHATTY)
     (folder / "s.toml").write_text(two_cars(agents="deadline_s = 20", agent="kind='chatty.py:Chatty'"))
     command = [*VCMVSP, "run", "s.toml", "--json", "--out", "out", "--agents", where]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=500, check=True)
-    assert done.stdout == (folder / "out" / "metrics.json").read_text()
-    assert json.loads(done.stdout)["scenario"] == "two-cars"
+    process = subprocess.run(command, capture_output=True, text=True, timeout=500, check=True)
+    assert process.stdout == (folder / "out" / "metrics.json").read_text()
+    assert json.loads(process.stdout)["scenario"] == "two-cars"
     assert all(
-        f"{words}\n" in done.stderr for words in ("on import", "on construction", "at the start", "at a tick", "at the end")
+        f"{words}\n" in process.stderr for words in ("on import", "on construction", "at the start", "at a tick", "at the end")
     )
 
 
@@ -198,8 +198,8 @@ def test_json_is_clean_with_the_physics_engine_too() -> None:
     """PyBullet prints a greeting from C++, past Python's stdout."""
     settings = ["--set", "duration_s=0.5", "--agents", "inprocess"]
     command = [*VCMVSP, "run", "formation-circle", *settings, "--json", "--out", "out"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=500, check=True)
-    assert json.loads(done.stdout) == json.loads(Path("out/metrics.json").read_text())
+    process = subprocess.run(command, capture_output=True, text=True, timeout=500, check=True)
+    assert json.loads(process.stdout) == json.loads(Path("out/metrics.json").read_text())
 
 
 def test_check_and_show_are_clean_too(folder: Path) -> None:
@@ -216,8 +216,8 @@ def test_check_and_show_are_clean_too(folder: Path) -> None:
 def test_ctrl_c_while_a_process_ends_leaves_no_traceback() -> None:
     late = "import atexit, signal; atexit.register(signal.raise_signal, signal.SIGINT); "
     code = f"{late}from vcmvsp.cosim.cli.app import main; main()"
-    done = subprocess.run([sys.executable, "-c", code, "list"], capture_output=True, text=True, timeout=500, check=False)
-    assert (done.returncode, done.stderr) == (-signal.SIGINT, "")
+    process = subprocess.run([sys.executable, "-c", code, "list"], capture_output=True, text=True, timeout=500, check=False)
+    assert (process.returncode, process.stderr) == (-signal.SIGINT, "")
 
 
 @pytest.mark.parametrize(
@@ -291,7 +291,7 @@ def test_list_names_and_describes_every_scenario() -> None:
     about = json.loads(vcmvsp_command("list", "--json").out)
     assert code == 0
     assert list(about) == scenarios.names()
-    assert all(re.search(rf"^{name} +{re.escape(words)}$", out, re.MULTILINE) for name, words in about.items())
+    assert all(re.search(rf"^{name} +{re.escape(description)}$", out, re.MULTILINE) for name, description in about.items())
 
 
 def test_show_refuses_invalid_text(folder: Path) -> None:

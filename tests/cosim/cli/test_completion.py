@@ -176,8 +176,8 @@ def test_it_loads_nothing_heavy() -> None:
         "import sys\nfrom vcmvsp.cosim.cli.app import main\n"
         f"try: main()\nfinally: print([each for each in {HEAVY} if sys.modules.get(each)])"
     )
-    words = {"COMP_WORDS": "vcmvsp\nrun\nformation-circle\n--set\nradio.mac.a", "COMP_CWORD": "4"}
-    out = output_of("-c", code, _VCMVSP_COMPLETE="complete_bash", **words)
+    variables = {"COMP_WORDS": "vcmvsp\nrun\nformation-circle\n--set\nradio.mac.a", "COMP_CWORD": "4"}
+    out = output_of("-c", code, _VCMVSP_COMPLETE="complete_bash", **variables)
     assert out.splitlines() == ["radio.mac.attempts=", "radio.mac.acknowledge=", "[]"]
 
 
@@ -193,5 +193,5 @@ def test_bash_itself_completes(folder: Path) -> None:
     """
     root = ROOT
     environment = {**os.environ, "PATH": f"{folder}:{os.environ['PATH']}", "PYTHONPATH": str(root)}
-    done = subprocess.run(["bash", "-c", script], check=True, capture_output=True, text=True, timeout=500, env=environment)
-    assert (done.stdout.split(), done.stderr) == (["bernoulli", "bursts"], "")
+    process = subprocess.run(["bash", "-c", script], check=True, capture_output=True, text=True, timeout=500, env=environment)
+    assert (process.stdout.split(), process.stderr) == (["bernoulli", "bursts"], "")

@@ -70,14 +70,14 @@ def test_all_checks_pass_for_a_host(keys: Keys, stack: contextlib.ExitStack) -> 
     assert code == 0
     names = ["certificate", "endpoint", "run's certificate", "run", "versions", "round trip", "clocks", "access", "vehicles"]
     assert list(checks) == names
-    words = {name: said for name, (_, said) in checks.items()}
-    assert words["certificate"].startswith("'laptop', host of car1, car2, valid until 20")
-    assert "127.0.0.1" in words["run's certificate"]
-    assert f"valid until {keys.until:%Y-%m-%d}" in words["run's certificate"]
-    assert words["run"] == "here (2 vehicles), not begun yet"
-    assert words["versions"].endswith(f"protocol {protocol.PROTOCOL} at both ends")
-    assert words["access"] == "'laptop' does not receive the topics of the run and acts only for itself"
-    assert words["vehicles"] == "car1, car2; still missing: car2"
+    texts = {name: text for name, (_, text) in checks.items()}
+    assert texts["certificate"].startswith("'laptop', host of car1, car2, valid until 20")
+    assert "127.0.0.1" in texts["run's certificate"]
+    assert f"valid until {keys.until:%Y-%m-%d}" in texts["run's certificate"]
+    assert texts["run"] == "here (2 vehicles), not begun yet"
+    assert texts["versions"].endswith(f"protocol {protocol.PROTOCOL} at both ends")
+    assert texts["access"] == "'laptop' does not receive the topics of the run and acts only for itself"
+    assert texts["vehicles"] == "car1, car2; still missing: car2"
 
 
 def test_all_checks_pass_for_an_observer(keys: Keys, stack: contextlib.ExitStack) -> None:
@@ -106,8 +106,8 @@ def test_wrong_access_is_found(keys: Keys, stack: contextlib.ExitStack, monkeypa
     monkeypatch.setattr(access_control, "hub_security", lax)
     code, checks = doctor_checks(shown_hub(stack, keys), "--keys", str(keys.folder / "laptop.keys"))
     assert code == 1
-    words = "'laptop' receives the topics of the run and may act for other vehicles, which is wrong for a host"
-    assert checks["access"] == (False, words)
+    finding = "'laptop' receives the topics of the run and may act for other vehicles, which is wrong for a host"
+    assert checks["access"] == (False, finding)
 
 
 def test_the_first_failure_is_named_and_ends_the_checks(
@@ -148,12 +148,12 @@ def test_another_clock_and_another_version(stack: contextlib.ExitStack, off_s: f
     hub.session.declare_queryable(key_names.ABOUT, Callback(answer, indirect=False))
     code, checks = doctor_checks(hub.endpoint)
     assert code == 1
-    ok, words = checks["versions"]
+    ok, text = checks["versions"]
     assert not ok
-    assert words.endswith("vcmvsp 0.0.9, protocol 99 there: use the same vcmvsp version")
-    words = checks["clocks"][1]
-    found, spread = float(words.split()[4]), float(words.split()[-2])
-    assert ("ahead of" in words) == (off_s > 0)
+    assert text.endswith("vcmvsp 0.0.9, protocol 99 there: use the same vcmvsp version")
+    text = checks["clocks"][1]
+    found, spread = float(text.split()[4]), float(text.split()[-2])
+    assert ("ahead of" in text) == (off_s > 0)
     assert abs(found - abs(off_s) * 1e3) <= spread + 0.02  # ms; both are rounded
 
 
@@ -175,6 +175,6 @@ def test_a_run_without_a_description(stack: contextlib.ExitStack) -> None:
     ],
 )
 def test_bad_arguments(arguments: list[str], words: str) -> None:
-    code, out, said = vcmvsp_command("doctor", *arguments)
+    code, out, err = vcmvsp_command("doctor", *arguments)
     assert (code, out) == (2, "")
-    assert words in said
+    assert words in err

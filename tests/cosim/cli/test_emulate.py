@@ -237,11 +237,11 @@ def test_a_client_raises_the_baud_rate_and_comes_back_at_the_new_one() -> None:
         with serial.Serial(url, 9600, timeout=0.05) as port:
             reader = PacketReader()
 
-            def hear(what: Callable[[bytes], bool]) -> bytes:
+            def hear(condition: Callable[[bytes], bool]) -> bytes:
                 end = time.monotonic() + PATIENCE_S
                 while time.monotonic() < end:
                     for packet in reader.feed(port.read(200)):
-                        if what(packet):
+                        if condition(packet):
                             return packet
                 raise AssertionError("nothing comes")
 
@@ -273,11 +273,11 @@ def test_an_autopilot_sends_mavlink(port: str) -> None:
             address = json.loads(command_line.line())["url"].split(":")
             if port == "udp":
                 assert address == ["udpin", host, str(number)]
-                heard = ear.recv(4096)
+                data = ear.recv(4096)
             else:
                 with socket.create_connection((address[1], int(address[2])), PATIENCE_S) as client:
-                    heard = client.recv(4096)
-            assert heard[0] == 0xFD  # MAVLink 2
+                    data = client.recv(4096)
+            assert data[0] == 0xFD  # MAVLink 2
             code, out, _ = command_line.end()
     assert code == 0
     happened = json.loads(out)
@@ -291,10 +291,10 @@ def test_a_robot_that_runs_ros_2_is_driven(stack: ExitStack) -> None:
         driver = Ros2Driver(endpoint=endpoint, stamped=True, pose="world", connect_s=30.0, silence_s=20.0)
         driver.open()
         try:
-            x, said, end = 1.0, 0, time.monotonic() + PATIENCE_S
-            while (x < 1.05 or said < 5) and time.monotonic() < end:
+            x, command_count, end = 1.0, 0, time.monotonic() + PATIENCE_S
+            while (x < 1.05 or command_count < 5) and time.monotonic() < end:
                 driver.write(Velocity(linear=(0.3, 0.0, 0.0)))
-                said += 1
+                command_count += 1
                 time.sleep(0.05)
                 if (sample := driver.read()) is not None:
                     x = sample.odometry.pose[0]
@@ -307,7 +307,7 @@ def test_a_robot_that_runs_ros_2_is_driven(stack: ExitStack) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "words"),
     [
         (("amigobot", "--port", "/no/such/folder/robot"), "--port /no/such/folder/robot: No such file or directory"),
         (("amigobot", "--port", "tcp://no.such.host.invalid:8101"), "--port tcp://no.such.host.invalid:8101"),
@@ -327,10 +327,10 @@ def test_a_robot_that_runs_ros_2_is_driven(stack: ExitStack) -> None:
         (("mavlink", "--system-id", "0"), "from 1 to 255"),
     ],
 )
-def test_wrong_arguments_are_refused_in_one_line(arguments: tuple[str, ...], said: str) -> None:
+def test_wrong_arguments_are_refused_in_one_line(arguments: tuple[str, ...], words: str) -> None:
     outcome = vcmvsp_command("emulate", *arguments)
     assert outcome.code == 2
-    assert said in outcome.err
+    assert words in outcome.err
     assert outcome.err.count("\n") == 1
     assert outcome.out == ""
 

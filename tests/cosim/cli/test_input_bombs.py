@@ -131,18 +131,18 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> dict[str, CommandCost]:
     (top / "s.toml").write_text(two_cars())
     vcmvsp.run(top / "s.toml", out=top / "run", set={"duration_s": 1.0})
     vcmvsp.study(top / "s.toml", vary={"duration_s": [0.2, 0.3]}, seeds=1, jobs=1, out=top / "study")
-    asked = {}
+    commands = {}
     for name, (command, make) in GIVEN.items():
         folder = top / name.replace(" ", "-")
         folder.mkdir()
         make(folder)
-        asked[name] = command.replace("{}", str(folder))
+        commands[name] = command.replace("{}", str(folder))
     for name, make in IN_STUDY.items():
         for reader in STUDY_READERS:
             folder = Path(shutil.copytree(top / "study", top / f"{reader[:5].strip()}-{name.replace(' ', '-')}"))
             make(folder)
-            asked[f"{reader.split()[0]} {name}"] = reader.replace("{}", str(folder))
-    return dict(zip(asked, measure_commands(list(asked.values())), strict=True))
+            commands[f"{reader.split()[0]} {name}"] = reader.replace("{}", str(folder))
+    return dict(zip(commands, measure_commands(list(commands.values())), strict=True))
 
 
 @pytest.mark.parametrize("name", [*GIVEN, *(f"{reader.split()[0]} {name}" for name in IN_STUDY for reader in STUDY_READERS)])

@@ -58,13 +58,13 @@ def up(folder: Path, *options: str, name: str = NAME) -> Iterator["subprocess.Po
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
         try:
             assert process.stderr is not None
-            said = []
+            lines = []
             for line in process.stderr:
-                said.append(line)
+                lines.append(line)
                 if "vcmvsp net exec car1 -- ping car2" in line:
                     break
             else:
-                raise AssertionError("".join(said))
+                raise AssertionError("".join(lines))
             yield process
             process.send_signal(signal.SIGINT)
             process.communicate(timeout=READY_S)
@@ -82,18 +82,18 @@ def network(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 def test_names_of_vehicles_resolve_inside_and_others_still_do(network: str) -> None:
     usual = Path("/etc/hosts").read_text("utf-8")
-    seen = on("car1", "cat", "/etc/hosts", run=network).stdout
-    assert seen.startswith(usual.rstrip("\n"))
+    hosts_text = on("car1", "cat", "/etc/hosts", run=network).stdout
+    assert hosts_text.startswith(usual.rstrip("\n"))
     for line in ("10.77.0.1\tcar1", "fd77::1\tcar1", "10.77.0.2\tcar2", "fd77::2\tcar2"):
-        assert line in seen.splitlines()
+        assert line in hosts_text.splitlines()
     text = "import socket; print(*sorted({each[4][0] for each in socket.getaddrinfo('car2', 80)}))"
     assert on("car1", sys.executable, "-c", text, run=network).stdout == "10.77.0.2 fd77::2\n"
     assert Path("/etc/hosts").read_text("utf-8") == usual
 
 
 def test_a_program_has_its_own_input_output_and_exit_code(network: str) -> None:
-    done = on("car1", "sh", "-c", "cat; echo trouble >&2; exit 7", run=network, text="as it is\n")
-    assert (done.returncode, done.stdout, done.stderr) == (7, "as it is\n", "trouble\n")
+    process = on("car1", "sh", "-c", "cat; echo trouble >&2; exit 7", run=network, text="as it is\n")
+    assert (process.returncode, process.stdout, process.stderr) == (7, "as it is\n", "trouble\n")
 
 
 def test_a_program_sees_the_interfaces_of_its_machine_alone(network: str) -> None:
@@ -113,8 +113,8 @@ def test_signals_go_to_the_program(network: str) -> None:
 
 def test_a_pipe_that_ends_ends_the_program(network: str) -> None:
     """Python ignores SIGPIPE; a program that inherited this would never end."""
-    done = on("car1", "sh", "-c", "yes | head -1", run=network)
-    assert (done.stdout, done.stderr) == ("y\n", "")
+    process = on("car1", "sh", "-c", "yes | head -1", run=network)
+    assert (process.stdout, process.stderr) == ("y\n", "")
 
 
 @pytest.mark.parametrize(
@@ -133,9 +133,9 @@ def test_an_unknown_vehicle_or_run_is_refused_with_the_known_ones(
 
 
 def test_a_missing_program_is_reported_in_one_line(network: str) -> None:
-    done = on("car1", "no-such-program", "-x", run=network)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == "vcmvsp: no-such-program -x: No such file or directory\n"
+    process = on("car1", "no-such-program", "-x", run=network)
+    assert (process.returncode, process.stdout) == (2, "")
+    assert process.stderr == "vcmvsp: no-such-program -x: No such file or directory\n"
 
 
 def test_of_two_runs_one_must_be_named(network: str) -> None:
@@ -196,14 +196,14 @@ def test_ping_agrees_with_the_recorded_radio(tmp_path: Path) -> None:
         # 20 one by one, on an idle radio; then 80 at once: after these, ping waits for the time given by -W, not for two
         # round-trip times.
         pings = "ping -n -c 20 -i 0.03 -W 1 car2; ping -n -c 80 -l 80 -W 2 car2"
-        said = on("car1", "sh", "-c", pings, run=name).stdout
+        output = on("car1", "sh", "-c", pings, run=name).stdout
     rows = pq.read_table(tmp_path / name / "radio.parquet").to_pylist()
     there = [each["outcome"] == "received" for each in rows if each["sender"] == "car1"]
     back = [each["outcome"] == "received" for each in rows if each["sender"] == "car2"]
     assert len(there) == 20 + 80
     assert len(back) == sum(there) < len(there)  # car2 answers every request that it receives
-    assert f"80 packets transmitted, {sum(back[sum(there[:20]) :])} received" in said
-    quickest_ms = [float(each) for each in re.findall(r"min/avg/max/mdev = ([\d.]+)", said)]
+    assert f"80 packets transmitted, {sum(back[sum(there[:20]) :])} received" in output
+    quickest_ms = [float(each) for each in re.findall(r"min/avg/max/mdev = ([\d.]+)", output)]
     assert 40.0 <= min(quickest_ms) < 80.0  # 20 ms each way
 
 
@@ -218,8 +218,8 @@ def test_iperf_measures_the_rate_of_the_link(tmp_path: Path) -> None:
             while ":1451 " not in on("car2", "cat", "/proc/net/tcp6", "/proc/net/tcp", run=name).stdout:  # its port, 5201
                 assert time.monotonic() < end
             on("car1", "iperf3", "-c", "10.77.0.2", "-u", "-b", "5M", "-l", str(size), "-t", "4", run=name)
-            heard, _ = server.communicate(timeout=READY_S)
-    sums = [each["sum"] for each in json.loads(heard)["intervals"]][2:]
+            report, _ = server.communicate(timeout=READY_S)
+    sums = [each["sum"] for each in json.loads(report)["intervals"]][2:]
     rates = [each["bits_per_second"] for each in sums if each["seconds"] > 0.2]  # a shorter one is the last, or follows a stall
     assert len(rates) > 4
     share = size / (size + 28)  # without headers of UDP and IP
@@ -276,12 +276,12 @@ def test_missing_rights_are_named(tmp_path: Path) -> None:
     scenario.write_text(SCENARIO.format(name=f"{NAME}powerless"))
     without = "import ctypes, os, sys; ctypes.CDLL(None).prctl(24, 12); os.execv(sys.argv[1], sys.argv[1:])"  # PR_CAPBSET_DROP
     for arguments in (("up", str(scenario)), ("exec", "car1", "--", "true"), ("down",)):
-        done = subprocess.run(
+        process = subprocess.run(
             [sys.executable, "-c", without, *net(*arguments)], capture_output=True, text=True, check=False, cwd=tmp_path
         )
-        assert (done.returncode, done.stdout) == (2, "")
-        assert done.stderr.startswith("vcmvsp: network namespaces need CAP_NET_ADMIN: ")
-        assert done.stderr.count("\n") == 1
+        assert (process.returncode, process.stdout) == (2, "")
+        assert process.stderr.startswith("vcmvsp: network namespaces need CAP_NET_ADMIN: ")
+        assert process.stderr.count("\n") == 1
     assert not (tmp_path / "runs").exists()
 
 
@@ -316,8 +316,10 @@ def called_by_sudo(run: str, kind: str, folder: Path) -> list[str]:
     """Output of a program started with sudo by user nobody (65534): its ids, and the answer of the bridge that it starts."""
     code = CALLED_BY_SUDO.format(run=run, kind=kind, folder=str(folder))
     environment = {**os.environ, "SUDO_UID": "65534"}
-    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True, timeout=60)
-    return done.stdout.splitlines()
+    process = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True, timeout=60
+    )
+    return process.stdout.splitlines()
 
 
 def test_with_sudo_only_the_interfaces_are_made_as_root(tmp_path: Path) -> None:

@@ -28,9 +28,9 @@ def python(*arguments: str) -> str:
     """Output of Python with the checkout on its path; it must exit with 0."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, *arguments]
-    done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=140, env=environment)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+    process = subprocess.run(command, check=False, capture_output=True, text=True, timeout=140, env=environment)
+    assert process.returncode == 0, process.stdout + process.stderr
+    return process.stdout
 
 
 @pytest.mark.parametrize("part", kinds.PARTS)

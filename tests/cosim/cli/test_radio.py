@@ -40,25 +40,25 @@ def sets(*settings: str) -> list[str]:
 
 def channel(preset: str, *arguments: str) -> dict[str, Any]:
     """The counts of a trial."""
-    done = vcmvsp_command(*TRIAL, "--quiet", "--preset", preset, "--json", *arguments)
-    assert (done.code, done.err) == (0, "")
-    return json.loads(done.out)
+    outcome = vcmvsp_command(*TRIAL, "--quiet", "--preset", preset, "--json", *arguments)
+    assert (outcome.code, outcome.err) == (0, "")
+    return json.loads(outcome.out)
 
 
 def columns(*arguments: str) -> dict[str, Any]:
     """Columns printed by ``per`` or ``pathloss``."""
-    done = vcmvsp_command(*arguments, "--json")
-    assert (done.code, done.err) == (0, "")
-    return json.loads(done.out)
+    outcome = vcmvsp_command(*arguments, "--json")
+    assert (outcome.code, outcome.err) == (0, "")
+    return json.loads(outcome.out)
 
 
-def refused(done: Outcome, *words: str) -> None:
+def refused(outcome: Outcome, *words: str) -> None:
     """One line, exit code 2, nothing on stdout."""
-    assert (done.code, done.out) == (2, ""), done
-    assert done.err.startswith("vcmvsp: ")
-    assert done.err.count("\n") == 1
+    assert (outcome.code, outcome.out) == (2, ""), outcome
+    assert outcome.err.startswith("vcmvsp: ")
+    assert outcome.err.count("\n") == 1
     for word in words:
-        assert word in done.err
+        assert word in outcome.err
 
 
 # --- channel ----------------------------------------------------------------------------------------------------------------
@@ -75,11 +75,11 @@ def test_a_trial_counts_frames_and_receptions() -> None:
 
 
 def test_a_trial_in_words() -> None:
-    done = vcmvsp_command(*TRIAL, "--quiet", "--preset", "wifi-b-1", *sets("mac.kind=ideal"))
-    assert (done.code, done.err) == (0, "")
-    assert "wifi-b-1: 40 frames of 4 vehicles\n" in done.out
-    assert "50.00 % of frame x receiver (60 below sensitivity)\n" in done.out
-    assert "mean 1.28, p50 1.28, p95 1.28, p99 1.28 ms\n" in done.out
+    outcome = vcmvsp_command(*TRIAL, "--quiet", "--preset", "wifi-b-1", *sets("mac.kind=ideal"))
+    assert (outcome.code, outcome.err) == (0, "")
+    assert "wifi-b-1: 40 frames of 4 vehicles\n" in outcome.out
+    assert "50.00 % of frame x receiver (60 below sensitivity)\n" in outcome.out
+    assert "mean 1.28, p50 1.28, p95 1.28, p99 1.28 ms\n" in outcome.out
 
 
 @pytest.mark.parametrize("preset", ["ideal", "wss", "wifi-b-1", "wifi-g-6", "wifi-a-54", "zigbee"])
@@ -116,8 +116,8 @@ def test_frames_of_vehicles_on_paths_to_one_of_them(traffic: str, folder: Path) 
 
 def test_a_saturated_vehicle_needs_no_rate() -> None:
     arguments = [each for each in TRIAL if each not in ("--rate", "10")]
-    done = vcmvsp_command(*arguments, "--quiet", "--preset", "wifi-g-6", "--traffic", "saturated", "--json")
-    assert (done.code, done.err) == (0, "")
+    outcome = vcmvsp_command(*arguments, "--quiet", "--preset", "wifi-g-6", "--traffic", "saturated", "--json")
+    assert (outcome.code, outcome.err) == (0, "")
     refused(vcmvsp_command(*arguments, "--preset", "wifi-g-6"), "--traffic periodic needs --rate HZ")
 
 
@@ -150,8 +150,8 @@ def test_layers_are_set_in_any_order() -> None:
 def test_parameters_unknown_to_another_kind_are_dropped(folder: Path) -> None:
     channel("wifi-b-1", "--out", "rows.parquet", *sets("path_loss.kind=friis", "mac.kind=ideal"))
     rows = pq.read_table(folder / "rows.parquet")
-    wanted = 20.0 * np.log10(4.0 * np.pi * np.array(rows["distance_m"].to_pylist()) * 2.4e9 / 299_792_458.0)
-    assert rows["path_loss_db"].to_pylist() == pytest.approx(wanted)
+    expected = 20.0 * np.log10(4.0 * np.pi * np.array(rows["distance_m"].to_pylist()) * 2.4e9 / 299_792_458.0)
+    assert rows["path_loss_db"].to_pylist() == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(
@@ -225,16 +225,16 @@ def test_an_interrupted_trial_leaves_no_file(folder: Path, monkeypatch: pytest.M
 
     sending = made.send
     monkeypatch.setattr(made, "send", send)
-    done = vcmvsp_command(*TRIAL, "--preset", "ideal", "--out", "rows.parquet")
-    assert (done.code, done.out, done.err) == (130, "", "vcmvsp: interrupted\n")
+    outcome = vcmvsp_command(*TRIAL, "--preset", "ideal", "--out", "rows.parquet")
+    assert (outcome.code, outcome.out, outcome.err) == (130, "", "vcmvsp: interrupted\n")
     assert files(folder) == ["p.csv"]
 
 
 def test_a_long_trial_reports_its_progress(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vcmvsp.cosim.terminal.progress.LOG_EVERY_S", 0.0)
-    done = vcmvsp_command(*TRIAL, "--preset", "ideal", "--json")
-    assert " of 1 s simulated" in done.err
-    assert json.loads(done.out)["frames"] == 40
+    outcome = vcmvsp_command(*TRIAL, "--preset", "ideal", "--json")
+    assert " of 1 s simulated" in outcome.err
+    assert json.loads(outcome.out)["frames"] == 40
     assert vcmvsp_command(*TRIAL, "--preset", "ideal", "--json", "--quiet").err == ""
 
 
@@ -262,9 +262,9 @@ def test_the_model_of_packet_errors_can_be_chosen() -> None:
 
 
 def test_packet_errors_as_a_table() -> None:
-    done = vcmvsp_command("per", "--preset", "zigbee", "--snr", "0:2:1", "--size", "20")
-    head, names, *rows = done.out.splitlines()
-    assert (done.code, head) == (0, "# preset zigbee, model oqpsk, size_bytes 20")
+    outcome = vcmvsp_command("per", "--preset", "zigbee", "--snr", "0:2:1", "--size", "20")
+    head, names, *rows = outcome.out.splitlines()
+    assert (outcome.code, head) == (0, "# preset zigbee, model oqpsk, size_bytes 20")
     assert names.split() == ["snr_db", "success", "per", "payload_success"]
     assert [row.split()[0] for row in rows] == ["0", "1", "2"]
 
@@ -348,9 +348,9 @@ def test_rays_are_fitted_to_a_measured_log(corner: Path) -> None:
     (corner / "links.csv").write_text("\n".join([header, *rows]), "utf-8")
     (corner / "open.toml").write_text(CORNER.replace('kind = "rays"', 'kind = "rays", ground = "none"'), "utf-8")
     arguments = ("calibrate", str(corner / "links.csv"), "--rays", "--world", str(corner / "open.toml"))
-    told = vcmvsp_command(*arguments, "--out", str(corner / "fit"))
-    assert told.code == 0, told.err
-    assert "offset from the rays" in told.out
+    outcome = vcmvsp_command(*arguments, "--out", str(corner / "fit"))
+    assert outcome.code == 0, outcome.err
+    assert "offset from the rays" in outcome.out
     table = tomllib.loads((corner / "fit" / "radio.toml").read_text("utf-8"))["radio"]["path_loss"]
     assert table["kind"] == "rays"
     assert table["offset_db"] == pytest.approx(3.0, abs=0.3)
@@ -389,17 +389,17 @@ def test_antennas_that_drive_into_a_solid_are_counted_at_the_end(corner: Path) -
     """A vehicle without a body drives east through the building's west face."""
     into = CORNER.replace("duration_s = 1.0", 'duration_s = 3.0\nphysics = { kind = "kinematic" }')
     into = into.replace("agent = {", "pose = [4.5, 8.0, 0.0]\nagent = {") + SECOND
-    told: list[str] = []
+    lines: list[str] = []
     (corner / "into.toml").write_text(into, "utf-8")
-    vcmvsp.run(corner / "into.toml", out=corner / "into", tell=told.append)
-    (line,) = [each for each in told if "inside a solid" in each]
+    vcmvsp.run(corner / "into.toml", out=corner / "into", tell=lines.append)
+    (line,) = [each for each in lines if "inside a solid" in each]
     assert line.startswith("radio.path_loss: 1 antennas were inside a solid, reached over the roofs only: car1 in the box at")
 
 
 def test_paths_of_rays_between_points(corner: Path) -> None:
     out = corner / "paths.parquet"
-    told = vcmvsp_command("radio", str(corner / "corner.toml"), "--paths", str(corner / "points.csv"), "--out", str(out))
-    assert told.code == 0, told.err
+    outcome = vcmvsp_command("radio", str(corner / "corner.toml"), "--paths", str(corner / "points.csv"), "--out", str(out))
+    assert outcome.code == 0, outcome.err
     table = pq.read_table(out)
     assert table.column_names == ["a", "b", "kinds", "gain_db", "phase_rad", "delay_ns", "points"]
     rows = table.to_pylist()
@@ -429,19 +429,19 @@ def test_paths_of_rays_between_points(corner: Path) -> None:
 def test_invalid_use_of_rays_is_one_error(corner: Path, change: tuple[str, ...], points: str, words: str) -> None:
     (corner / "points.csv").write_text(points, "utf-8")
     sets = [word for each in change for word in ("--set", each)]
-    told = vcmvsp_command("radio", str(corner / "corner.toml"), "--paths", str(corner / "points.csv"), *sets)
-    assert told.code == 2
-    assert re.search(words, told.err), told.err
-    assert "Traceback" not in told.err
+    outcome = vcmvsp_command("radio", str(corner / "corner.toml"), "--paths", str(corner / "points.csv"), *sets)
+    assert outcome.code == 2
+    assert re.search(words, outcome.err), outcome.err
+    assert "Traceback" not in outcome.err
 
 
 def test_the_paths_of_a_frame_sum_to_its_level(corner: Path) -> None:
     second = '[[vehicle]]\nname = "car2"\nkind = "p2dx"\npose = [22.0, 16.0, 0.0]\nagent = { kind = "trajectory" }\n'
     (corner / "two.toml").write_text(f"{CORNER}{second}", "utf-8")
     vcmvsp.run(corner / "two.toml", set={"duration_s": 0.3, "physics.kind": "kinematic"}, out=corner / "run")
-    told = vcmvsp_command("radio", str(corner / "run"), "--link", "car1/car2", "--frame", "2", "--json")
-    assert told.code == 0, told.err
-    frame = json.loads(told.out)["frame"]
+    outcome = vcmvsp_command("radio", str(corner / "run"), "--link", "car1/car2", "--frame", "2", "--json")
+    assert outcome.code == 0, outcome.err
+    frame = json.loads(outcome.out)["frame"]
     levels = [path["level_dbm"] for path in frame["paths"]]
     assert levels == sorted(levels, reverse=True)
     total = 10.0 * math.log10(sum(10.0 ** (level / 10.0) for level in levels))
@@ -454,8 +454,8 @@ def test_the_paths_of_a_frame_sum_to_its_level(corner: Path) -> None:
 def test_antennas_are_at_the_vehicles_plus_their_heights(corner: Path) -> None:
     vcmvsp.run(corner / "corner.toml", set={"duration_s": 0.2, "physics.kind": "kinematic"}, out=corner / "run")
     places = corner / "places.csv"
-    told = vcmvsp_command("radio", str(corner / "run"), "--positions", str(places))
-    assert told.code == 0, told.err
+    outcome = vcmvsp_command("radio", str(corner / "run"), "--positions", str(places))
+    assert outcome.code == 0, outcome.err
     head, first, *_ = places.read_text("utf-8").splitlines()
     assert head == "t,name,x,y,z"
     assert first.startswith("0.0,car1,0.0,0.0,0.5")
@@ -467,12 +467,12 @@ def test_antennas_are_at_the_vehicles_plus_their_heights(corner: Path) -> None:
 
 def test_antennas_that_start_inside_a_solid_are_counted(corner: Path) -> None:
     low = "world.boxes=[{center=[0,0,0.65],size=[2,2,0.5]}]"
-    told = vcmvsp_command("check", str(corner / "corner.toml"), "--set", low)
-    assert told.code == 0, told.err
-    assert "radio.path_loss: 1 antennas start inside a solid, reached over the roofs only: car1 in the box at" in told.err
+    outcome = vcmvsp_command("check", str(corner / "corner.toml"), "--set", low)
+    assert outcome.code == 0, outcome.err
+    assert "radio.path_loss: 1 antennas start inside a solid, reached over the roofs only: car1 in the box at" in outcome.err
     assert "inside a solid" not in vcmvsp_command("check", str(corner / "corner.toml")).err
 
 
 def test_paths_exclude_other_outputs(corner: Path) -> None:
-    told = vcmvsp_command("radio", str(corner / "corner.toml"), "--paths", "points.csv", "--coverage", "car1")
-    assert (told.code, "--paths and --coverage exclude each other" in told.err) == (2, True)
+    outcome = vcmvsp_command("radio", str(corner / "corner.toml"), "--paths", "points.csv", "--coverage", "car1")
+    assert (outcome.code, "--paths and --coverage exclude each other" in outcome.err) == (2, True)

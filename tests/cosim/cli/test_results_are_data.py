@@ -110,9 +110,9 @@ def _swapped(table: Any, kind: str) -> Any:
 @pytest.mark.usefixtures("figures")
 def test_reading_executes_nothing_and_works_on_the_recording(evil: Path) -> None:
     for name, arguments in READING.items():
-        done = vcmvsp_command(*arguments)
-        assert done.code == 0, (name, done.err)
-        assert "Traceback" not in done.err
+        outcome = vcmvsp_command(*arguments)
+        assert outcome.code == 0, (name, outcome.err)
+        assert "Traceback" not in outcome.err
         assert not (evil.parent / "canary").exists(), name
     with closing(Recording(evil)) as recording:
         assert recording.troubles == []

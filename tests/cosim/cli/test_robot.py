@@ -15,7 +15,7 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.security import authority
 from vcmvsp.hardware.drivers.arcos.driver import ArcosDriver
 from vcmvsp.hardware.drivers.bench_robot import Bench
-from vcmvsp.hardware.remote_robot.robot_side.program import built, kind_of
+from vcmvsp.hardware.remote_robot.robot_side.program import kind_of, make_driver
 
 pytestmark = [pytest.mark.processes, pytest.mark.sockets]
 
@@ -44,13 +44,13 @@ def test_the_driver_is_a_kind_and_an_address(text: str, kind: str, address: str)
 
 
 def test_the_address_is_the_drivers_own_parameter() -> None:
-    made = built("arcos:socket://localhost:8101", {"robot": "amigo", "baud": 38400})
-    assert isinstance(made, ArcosDriver)
-    assert made.device == "socket://localhost:8101"
-    assert built("mavlink:udpin:0.0.0.0:14540", {}).device == "udpin:0.0.0.0:14540"
-    assert isinstance(built("bench", {"rate_hz": 50}), Bench)
+    driver = make_driver("arcos:socket://localhost:8101", {"robot": "amigo", "baud": 38400})
+    assert isinstance(driver, ArcosDriver)
+    assert driver.device == "socket://localhost:8101"
+    assert make_driver("mavlink:udpin:0.0.0.0:14540", {}).device == "udpin:0.0.0.0:14540"
+    assert isinstance(make_driver("bench", {"rate_hz": 50}), Bench)
     with pytest.raises(ScenarioError, match="the address is given twice"):
-        built("arcos:/dev/ttyUSB0", {"port": "/dev/ttyUSB1"})
+        make_driver("arcos:/dev/ttyUSB0", {"port": "/dev/ttyUSB1"})
 
 
 @pytest.mark.parametrize(
@@ -101,8 +101,8 @@ def test_the_certificate_of_an_observer_drives_nothing(tmp_path: Path) -> None:
 def test_it_waits_for_a_run_until_it_is_ended(number: int, stack: ExitStack) -> None:
     endpoint = f"tcp/127.0.0.1:{stack.enter_context(reserve_port())}"
     code = "from vcmvsp.cosim.cli import app as cli; cli.main()"
-    words = ["robot", "--vehicle", "car3", "--driver", "bench", "--connect", endpoint]
-    process = subprocess.Popen([sys.executable, "-c", code, *words], stderr=subprocess.PIPE, text=True)
+    arguments = ["robot", "--vehicle", "car3", "--driver", "bench", "--connect", endpoint]
+    process = subprocess.Popen([sys.executable, "-c", code, *arguments], stderr=subprocess.PIPE, text=True)
     try:
         assert process.stderr is not None
         assert process.stderr.readline().startswith(f"car3: waiting for a run at {endpoint}: no program listens there")

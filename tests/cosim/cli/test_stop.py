@@ -67,9 +67,9 @@ def test_all_are_stopped_and_stay_so() -> None:
     with ready_station(mission()) as first, ready_station(mission(vehicle="car2")) as second:
         drive(first)
         drive(second)
-        done = vcmvsp_command("stop")
-        assert sorted(done.stdout.splitlines()) == ["car1: stopped (run test)", "car2: stopped (run test)"]
-        assert (done.stderr, done.returncode) == ("", 0)
+        process = vcmvsp_command("stop")
+        assert sorted(process.stdout.splitlines()) == ["car1: stopped (run test)", "car2: stopped (run test)"]
+        assert (process.stderr, process.returncode) == ("", 0)
         for run in (first, second):
             report = run.until(
                 lambda each: each.odometry is not None and each.odometry.v == 0.0 and OPERATOR_STOP in each.causes, v=0.4
@@ -81,10 +81,10 @@ def test_all_are_stopped_and_stay_so() -> None:
 
 def test_one_is_stopped_and_a_missing_one_is_named() -> None:
     with ready_station(mission()) as first, ready_station(mission(vehicle="car2")) as second:
-        done = vcmvsp_command("stop", "car2", "car9", "--json")
-        assert done.returncode == 1
-        assert "as car9" in done.stderr
-        answers = json.loads(done.stdout)
+        process = vcmvsp_command("stop", "car2", "car9", "--json")
+        assert process.returncode == 1
+        assert "as car9" in process.stderr
+        answers = json.loads(process.stdout)
         assert [(each["vehicle"], each["state"], each["pid"]) for each in answers] == [("car2", "stopped", second.station.pid)]
         drive(first)
         with StopCaller() as caller:
@@ -93,9 +93,9 @@ def test_one_is_stopped_and_a_missing_one_is_named() -> None:
 
 
 def test_without_robots() -> None:
-    done = vcmvsp_command("stop")
-    assert (done.stdout, done.returncode) == ("", 1)
-    assert done.stderr == "vcmvsp: you drive no robot on this machine\n"
+    process = vcmvsp_command("stop")
+    assert (process.stdout, process.returncode) == ("", 1)
+    assert process.stderr == "vcmvsp: you drive no robot on this machine\n"
 
 
 def test_remains_of_a_killed_station_are_removed(runtime_folder: Path) -> None:
@@ -111,10 +111,10 @@ def test_remains_of_a_killed_station_are_removed(runtime_folder: Path) -> None:
 def test_a_hanging_station_is_reported() -> None:
     with ready_station(mission()) as run:
         os.kill(run.station.pid, signal.SIGSTOP)
-        done = vcmvsp_command("stop", answer_s=emergency_stop.ANSWER_S)
+        process = vcmvsp_command("stop", answer_s=emergency_stop.ANSWER_S)
         os.kill(run.station.pid, signal.SIGCONT)
-        assert done.returncode == 1
-        assert f"car1: DOES NOT ANSWER (process {run.station.pid})" in done.stdout
+        assert process.returncode == 1
+        assert f"car1: DOES NOT ANSWER (process {run.station.pid})" in process.stdout
         run.until(lambda each: OPERATOR_STOP in each.causes)  # it has received the stop
 
 
@@ -137,9 +137,9 @@ def test_robots_drive_while_there_is_an_operator() -> None:
         report = run.until(lambda _: time.monotonic() > end, v=0.4)
         assert report.causes == ("operator",)  # still stopped
         operator.send_signal(signal.SIGINT)
-        said, _ = operator.communicate(timeout=2 * PATIENCE_S)
+        output, _ = operator.communicate(timeout=2 * PATIENCE_S)
         assert operator.returncode == 0
-        assert said.splitlines() == ["robots drive while this runs; Ctrl-C stops them", "car1", "car1: stopped (run test)"]
+        assert output.splitlines() == ["robots drive while this runs; Ctrl-C stops them", "car1", "car1: stopped (run test)"]
         run.until(lambda each: OPERATOR_STOP in each.causes, v=0.4)
 
 
@@ -155,16 +155,18 @@ def test_a_robot_that_is_still_being_connected_is_given_up(tmp_path: Path) -> No
         "            time.sleep(0.02)\n"
         "        super().open(start)\n"
     )
-    told = msgspec.structs.replace(mission(PartSpec(group="driver", kind="slow.py:Slow", params={})), folder=str(tmp_path))
-    station = Station.start(told)
+    slow_mission = msgspec.structs.replace(
+        mission(PartSpec(group="driver", kind="slow.py:Slow", params={})), folder=str(tmp_path)
+    )
+    station = Station.start(slow_mission)
     try:
         end = time.monotonic() + 60.0
         with StopCaller() as caller:
             while not caller.say("who"):
                 assert time.monotonic() < end
                 time.sleep(0.02)
-        done = vcmvsp_command("stop")
-        assert (done.stdout, done.returncode) == ("car1: stopped (run test)\n", 0)
+        process = vcmvsp_command("stop")
+        assert (process.stdout, process.returncode) == ("car1: stopped (run test)\n", 0)
         (tmp_path / "go").touch()
         with pytest.raises(DriverError, match=OPERATOR_STOP):  # it might be taking off
             station.wait_ready()
@@ -189,8 +191,8 @@ def test_it_works_while_the_run_is_frozen(runtime_folder: Path) -> None:
         assert select.select([run.stdout], [], [], 60.0)[0]
         assert run.stdout.readline() == "drives\n"
         run.send_signal(signal.SIGSTOP)
-        done = vcmvsp_command("stop")
-        assert (done.stdout, done.returncode) == ("car1: stopped (run test)\n", 0)
+        process = vcmvsp_command("stop")
+        assert (process.stdout, process.returncode) == ("car1: stopped (run test)\n", 0)
     finally:
         run.kill()
         run.communicate(timeout=PATIENCE_S)
@@ -215,8 +217,8 @@ def test_unknown_words_are_ignored(runtime_folder: Path) -> None:
     ear = StopListener("a" * 200)
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as somebody:
-            for words in (b"", b"STOP", b"stop now", b"\xff" * 4000):
-                somebody.sendto(words, str(next(runtime_folder.iterdir())))
+            for data in (b"", b"STOP", b"stop now", b"\xff" * 4000):
+                somebody.sendto(data, str(next(runtime_folder.iterdir())))
         assert ear.hear() == []
         with StopCaller() as caller:
             assert len(caller.say("stop", ["a" * 200])) == 1

@@ -87,14 +87,14 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, str], C
     runs = tmp_path_factory.mktemp("runs")
     (runs / "s.toml").write_text(two_cars())
     vcmvsp.run(runs / "s.toml", out=runs / "run", set={"duration_s": 1.0})
-    asked = []
+    commands = []
     for number, (make, readers) in enumerate(IN_RESULTS.values()):
         folder = Path(shutil.copytree(runs / "run", runs / str(number)))
         make(folder)
         for path in folder.glob("*.parquet") if readers is ALONE else ():
             path.unlink()
-        asked += [reader.replace("{}", str(folder)) for reader in readers]
-    return dict(zip(CASES, measure_commands(asked), strict=True))
+        commands += [reader.replace("{}", str(folder)) for reader in readers]
+    return dict(zip(CASES, measure_commands(commands), strict=True))
 
 
 @pytest.mark.parametrize(("name", "reader"), CASES)

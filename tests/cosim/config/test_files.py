@@ -48,8 +48,8 @@ def test_a_string_named_path_is_no_file(tmp_path: Path) -> None:
     sensor = 'sensors = { t = { kind = "own.py:Table", path = "circle", file = "nothing", table = "table.csv" } }'
     (tmp_path / "s" / "s.toml").write_text(two_cars(car1=sensor))
     assert vcmvsp_command("run", "s/s.toml", "--out", "out", "--quiet").code == 0
-    kept = tomllib.loads((tmp_path / "out" / "scenario.toml").read_text())["vehicle"][0]["sensors"]["t"]
-    assert (kept["path"], kept["file"], kept["table"]) == ("circle", "nothing", "table.csv")
+    sensor_table = tomllib.loads((tmp_path / "out" / "scenario.toml").read_text())["vehicle"][0]["sensors"]["t"]
+    assert (sensor_table["path"], sensor_table["file"], sensor_table["table"]) == ("circle", "nothing", "table.csv")
     assert (tmp_path / "out" / "table.csv").read_text() == "1"
     assert not (tmp_path / "out" / "circle").exists()
 

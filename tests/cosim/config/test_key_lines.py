@@ -38,8 +38,8 @@ def test_every_key_of_the_gallery_has_a_line_with_it(path: Path) -> None:
     for key, number in found.items():
         name = re.sub(r"(\[\d+\])+$", "", key).rpartition(".")[2]
         word = key.removeprefix("vehicle.") if key.count(".") == 1 and key.startswith("vehicle.") else name
-        said = re.search(rf"\b{word}\b", lines[number - 1])
-        assert said or key.endswith("]") or lines[number - 1] in ("[[vehicle]]", "[[station]]"), key
+        match = re.search(rf"\b{word}\b", lines[number - 1])
+        assert match or key.endswith("]") or lines[number - 1] in ("[[vehicle]]", "[[station]]"), key
 
 
 WAYS: list[list[tuple[str, list[str]]]] = [

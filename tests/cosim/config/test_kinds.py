@@ -77,8 +77,8 @@ def test_a_world_is_counted_and_drawn_from_a_kind_a_file_and_a_scenario(
     monkeypatch.chdir(tmp_path)
     Path("hall.toml").write_text(HALL)
     Path("s.toml").write_text(PAIR + "[world]\nkind = 'file'\npath = 'hall.toml'\n")
-    for what, name in (("hall.toml", "hall"), ("s.toml", "pair")):
-        about = json.loads(vcmvsp_command("world", what, "--json").out)
+    for file, name in (("hall.toml", "hall"), ("s.toml", "pair")):
+        about = json.loads(vcmvsp_command("world", file, "--json").out)
         assert (about["world"], about["solids"], about["kinds"]) == (name, 2, {"box": 1, "cylinder": 1})
         assert about["materials"] == {"brick": 1, "concrete": 1}
         picture = cv2.imread(about["png"])
@@ -109,8 +109,8 @@ def test_a_step_response_is_that_of_the_vehicle(tmp_path: Path) -> None:
     scenario.write_text(PAIR)
 
     def response(vehicle: str, command: str) -> Any:
-        given = ("--vehicle", vehicle, "--command", command, "--seconds", "6", "--json")
-        return json.loads(vcmvsp_command("drive", str(scenario), *given).out)
+        options = ("--vehicle", vehicle, "--command", command, "--seconds", "6", "--json")
+        return json.loads(vcmvsp_command("drive", str(scenario), *options).out)
 
     about = response("car", "v=0.3,w=0.5")
     assert about["v"]["steady"] == pytest.approx(0.3, rel=2e-3)
@@ -164,6 +164,6 @@ def test_solids_are_drawn_in_the_figure_of_the_paths_within_its_limits(tmp_path:
     boxes = [{"center": [x, 2.0, 0.5], "size": [1.0, 1.0, 1.0]} for x in (3.0, 300.0)]
     (tmp_path / "s.toml").write_text(f"{PAIR}[world]\nkind = 'boxes'\nboxes = []\n")
     runs = [vcmvsp.run(tmp_path / "s.toml", set={"world.boxes": each}) for each in ([], boxes)]
-    plain, seen = (run.plot()["trajectory"].axes[0] for run in runs)
-    assert [len(each.collections[0].get_paths()) for each in (plain, seen)] == [0, 2]
-    assert plain.get_xlim() == seen.get_xlim()
+    plain_axes, solid_axes = (run.plot()["trajectory"].axes[0] for run in runs)
+    assert [len(each.collections[0].get_paths()) for each in (plain_axes, solid_axes)] == [0, 2]
+    assert plain_axes.get_xlim() == solid_axes.get_xlim()

@@ -170,16 +170,16 @@ def test_a_class_in_the_place_of_an_agent_is_refused() -> None:
 
 
 def test_an_agent_that_does_not_return_is_named() -> None:
-    told: list[str] = []
+    lines: list[str] = []
 
     def tell(line: str) -> None:
-        told.append(line)
+        lines.append(line)
         if "has been computing" in line:
             Still.let_go.set()
 
     settings = {"duration_s": 0.5, "agents.deadline_s": 0.1, "physics.kind": "kinematic"}
     vcmvsp.run("formation-circle", set=settings, agents={"car3": Still()}, tell=tell)
-    (line,) = [line for line in told if "has been computing" in line]
+    (line,) = [line for line in lines if "has been computing" in line]
     assert line.startswith("agent Still of vehicle car3 has been computing for ")
     assert "Ctrl-C" in line
     assert api.computing(None) == ("", "")

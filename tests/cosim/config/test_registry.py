@@ -134,5 +134,5 @@ def test_another_package_called_agents_does_no_harm(tmp_path: Path) -> None:
 def test_no_package_can_be_imported_under_a_second_name(part: str) -> None:
     """A program started in a checkout has the checkout's folders on its path."""
     code = f"import sys; sys.path.insert(0, {str(ROOT)!r}); import {part}"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=500, check=False)
-    assert f"ImportError: this is vcmvsp.{part}: import it by that name" in done.stderr
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=500, check=False)
+    assert f"ImportError: this is vcmvsp.{part}: import it by that name" in process.stderr

@@ -45,7 +45,7 @@ def test_the_error_is_at_most_the_least_extra_delay_and_drift(
     before: list[tuple[int, int]] = []
     last = -math.inf
     for now, arrived, extra in traffic(messages, least):
-        local = clock.heard(stamp(now, offset, ppm), arrived)
+        local = clock.local_time_ns(stamp(now, offset, ppm), arrived)
         before.append((arrived, extra))
         bounds = [extra + 2e-4 * (arrived - at) for at, extra in before if at >= arrived - 30 * SECOND]
         # plus the drift of the offset while the message was under way
@@ -71,7 +71,7 @@ def test_a_jump_is_counted_once_and_corrected(
     rows = traffic(before + after, 0.0)
     for number, (now, arrived, _) in enumerate(rows):
         jumped = number >= len(before)
-        local = clock.heard(now + (round(jump * SECOND) if jumped else 0), arrived)
+        local = clock.local_time_ns(now + (round(jump * SECOND) if jumped else 0), arrived)
         assert local <= arrived  # also before the jump is accepted
         if number >= len(before) + AGREE - 1:
             assert clock.jumps == 1
@@ -84,7 +84,7 @@ def test_one_wild_stamp_changes_nothing() -> None:
     for tick in range(50):
         now = tick * 100 * MS
         wild = {20: 0, 30: 10**18, 31: -(10**18)}.get(tick)
-        local = clock.heard(now + 7 * SECOND if wild is None else wild, now + 5 * MS)
+        local = clock.local_time_ns(now + 7 * SECOND if wild is None else wild, now + 5 * MS)
         if wild is None:
             assert local - now == 5 * MS
     assert clock.jumps == 0
@@ -94,17 +94,17 @@ def test_an_emptied_queue_is_no_jump() -> None:
     """Two seconds of messages arrive at once; their times remain exact."""
     clock = ForeignClock(drift_ppm=0.0)
     for tick in range(10):
-        clock.heard(tick * 100 * MS, tick * 100 * MS)
+        clock.local_time_ns(tick * 100 * MS, tick * 100 * MS)
     for tick in range(10, 30):
-        assert clock.heard(tick * 100 * MS, 3 * SECOND) == tick * 100 * MS
+        assert clock.local_time_ns(tick * 100 * MS, 3 * SECOND) == tick * 100 * MS
     assert clock.jumps == 0
 
 
 def test_the_window_drops_old_data() -> None:
     clock = ForeignClock(window_s=2.0, drift_ppm=0.0)
-    clock.heard(0, 0)
-    assert clock.heard(SECOND, SECOND + 300 * MS) == SECOND  # slower from now on
-    assert clock.heard(3 * SECOND, 3 * SECOND + 300 * MS) == 3 * SECOND + 300 * MS
+    clock.local_time_ns(0, 0)
+    assert clock.local_time_ns(SECOND, SECOND + 300 * MS) == SECOND  # slower from now on
+    assert clock.local_time_ns(3 * SECOND, 3 * SECOND + 300 * MS) == 3 * SECOND + 300 * MS
     assert clock.offset_ns(3 * SECOND) == 300 * MS
     assert ForeignClock().offset_ns(0) is None
 
@@ -119,14 +119,14 @@ def test_the_window_drops_old_data() -> None:
 def test_the_error_of_an_exchange_is_within_its_bound(
     trips: list[tuple[float, ...]], offset: int, ppm: float, later: float
 ) -> None:
-    exchange, now = EchoClock(drift_ppm=100.0), 0
+    exchange, now_ns = EchoClock(drift_ppm=100.0), 0
     for gap, there, stay, back in trips:
-        sent = now + round(gap * SECOND)
-        heard = sent + round(there * SECOND)
-        answered = heard + round(stay * SECOND)
-        now = answered + round(back * SECOND)
-        exchange.add(sent, stamp(heard, offset, ppm), stamp(answered, offset, ppm), now)
-    at = now + round(later * SECOND)
+        sent_ns = now_ns + round(gap * SECOND)
+        received_ns = sent_ns + round(there * SECOND)
+        answered_ns = received_ns + round(stay * SECOND)
+        now_ns = answered_ns + round(back * SECOND)
+        exchange.add(sent_ns, stamp(received_ns, offset, ppm), stamp(answered_ns, offset, ppm), now_ns)
+    at = now_ns + round(later * SECOND)
     best = exchange.best(at)
     assert best is not None
     assert abs(best.offset_ns - (at - stamp(at, offset, ppm))) <= best.error_ns + 2

@@ -42,12 +42,12 @@ class World:
 
     def go(self, v: float, w: float) -> tuple[float, float]:
         """Move for 100 ms; distance, m, and turn, rad, of odometry."""
-        said = OdometryMotion(0.1 * v, 0.1 * w, 0.1)
-        self.truth, _, added = moved(self.truth, said, self.noise)
+        motion = OdometryMotion(0.1 * v, 0.1 * w, 0.1)
+        self.truth, _, added = moved(self.truth, motion, self.noise)
         values, vectors = np.linalg.eigh(added)
         self.truth = self.truth + vectors @ (np.sqrt(np.maximum(values, 0.0)) * self.rng.standard_normal(SIZE))
         self.time_ns += 100 * MS
-        return said.distance_m, said.turn_rad
+        return motion.distance_m, motion.turn_rad
 
     def see(self) -> tuple[float, float]:
         x, y = (self.truth[:2] + self.sigma_m * self.rng.standard_normal(2)).tolist()
@@ -218,21 +218,23 @@ def test_drop_outs_of_two_seconds_are_bridged() -> None:
 def _log(seed: int) -> tuple[list[tuple[int, float, float]], list[tuple[int, float, float]]]:
     """Odometry (every 100 ms) and positions (at odd times between) of one run."""
     world = World(seed)
-    told, seen = [(0, 0.0, 0.0)], []
+    odometry, positions = [(0, 0.0, 0.0)], []
     for step in range(80):
         distance, turn = world.go(0.4, 0.5)
-        told.append((world.time_ns, distance, turn))
+        odometry.append((world.time_ns, distance, turn))
         if step % 2 == 0:
-            seen.append((world.time_ns - 37 * MS, *world.see()))
-    return told, seen
+            positions.append((world.time_ns - 37 * MS, *world.see()))
+    return odometry, positions
 
 
 def test_late_positions_count_as_timely_ones() -> None:
-    told, seen = _log(3)
+    odometry, positions = _log(3)
     poses = []
     for delay_ns in (0, 300 * MS, 1500 * MS):
         fusion = Fusion()
-        arrivals = [(entry[0], False, entry) for entry in told] + [(entry[0] + delay_ns, True, entry) for entry in seen]
+        arrivals = [(entry[0], False, entry) for entry in odometry] + [
+            (entry[0] + delay_ns, True, entry) for entry in positions
+        ]
         for _, is_fix, (time_ns, a, b) in sorted(arrivals):
             if is_fix:
                 fusion.fix(time_ns, a, b, 0.15)
@@ -248,13 +250,13 @@ def test_late_positions_count_as_timely_ones() -> None:
 @settings(max_examples=10, deadline=None)
 @given(st.randoms(use_true_random=False))
 def test_the_order_of_arrival_does_not_matter(random: object) -> None:
-    told, seen = _log(4)
-    seen = [each for t, x, y in seen[:10] for each in ((t, x, y), (t, x + 0.1, y))]  # two positions at each time
-    shuffled = list(seen)
+    odometry, positions = _log(4)
+    positions = [each for t, x, y in positions[:10] for each in ((t, x, y), (t, x + 0.1, y))]  # two positions at each time
+    shuffled = list(positions)
     random.shuffle(shuffled)  # type: ignore[attr-defined]
     one, other = Fusion(start=(3.0, -2.0, 0.0), start_sigma_rad=2.0), Fusion(start=(3.0, -2.0, 0.0), start_sigma_rad=2.0)
-    for fusion, fixes in ((one, seen), (other, shuffled)):
-        for entry in told[:20]:
+    for fusion, fixes in ((one, positions), (other, shuffled)):
+        for entry in odometry[:20]:
             fusion.odometry(*entry)
         for fix in fixes:
             fusion.fix(*fix, 0.15)

@@ -51,15 +51,21 @@ def test_states_and_radio_equal_the_runs_own_tables(tables: Path) -> None:
     assert [(round(float(row["time_s"]) * SECOND_NS), row["vehicle"]) for row in listed] == [
         (row["time_ns"], row["vehicle"]) for row in run.states.to_pylist()
     ]
-    for ours, own in zip(listed, run.states.to_pylist(), strict=True):
-        assert [float(ours[name]) for name in ("x_m", "qz", "vy_m_s", "wz_rad_s")] == [own[n] for n in ("x", "qz", "vy", "wz")]
-        assert float(ours["yaw_rad"]) == pytest.approx(own["yaw"], abs=1e-12)
+    for csv_row, own_row in zip(listed, run.states.to_pylist(), strict=True):
+        assert [float(csv_row[name]) for name in ("x_m", "qz", "vy_m_s", "wz_rad_s")] == [
+            own_row[n] for n in ("x", "qz", "vy", "wz")
+        ]
+        assert float(csv_row["yaw_rad"]) == pytest.approx(own_row["yaw"], abs=1e-12)
     frames = rows(tables / "radio.csv")
-    for ours, own in zip(frames, run.radio.to_pylist(), strict=True):
-        assert (ours["sender"], ours["receiver"], ours["outcome"]) == (own["sender"], own["receiver"], own["outcome"])
-        assert float(ours["rssi_dbm"]) == own["rssi_dbm"]
-        assert float(ours["sent_s"]) == pytest.approx(own["sent_ns"] / SECOND_NS)
-        assert (ours["received_s"] == "") == (own["received_ns"] is None)
+    for csv_row, own_row in zip(frames, run.radio.to_pylist(), strict=True):
+        assert (csv_row["sender"], csv_row["receiver"], csv_row["outcome"]) == (
+            own_row["sender"],
+            own_row["receiver"],
+            own_row["outcome"],
+        )
+        assert float(csv_row["rssi_dbm"]) == own_row["rssi_dbm"]
+        assert float(csv_row["sent_s"]) == pytest.approx(own_row["sent_ns"] / SECOND_NS)
+        assert (csv_row["received_s"] == "") == (own_row["received_ns"] is None)
     assert len(frames) > 3
 
 
@@ -74,12 +80,12 @@ def test_the_radio_table_of_a_run_has_frames_of_programs_and_routes(tmp_path: Pa
     table = table.append_column("origin_sent_ns", pa.array([1_500_000_000] * table.num_rows))
     folder = export_runs.truncated_copy("a crossing cart", tmp_path / "run", 1.0)
     write_table(table, folder / "radio.parquet")
-    said: list[str] = []
-    export(folder, csv=tmp_path / "csv", tell=said.append)
+    lines: list[str] = []
+    export(folder, csv=tmp_path / "csv", tell=lines.append)
     frames = rows(tmp_path / "csv/radio.csv")
     assert len({row["frame"] for row in frames}) == 2 * len(reports)
     assert {(row["origin"], float(row["origin_sent_s"])) for row in frames} == {("car-2", 1.5)}
-    assert said == []
+    assert lines == []
 
 
 @pytest.mark.parametrize("rows_at_once", [1, 7, 10**6])
@@ -98,10 +104,12 @@ def test_the_radio_is_equal_in_parts_of_any_size_and_from_the_recording(
 
 def test_each_sensor_of_numbers_has_its_table_with_units(tables: Path) -> None:
     assert {path.stem for path in tables.iterdir()} == {"states", "radio", "commands", "bumper", "odometer", "odometry"}
-    wheels, said = rows(tables / "odometer.csv"), topic_messages("lab-patrol", "ugv3/odometer")
-    mine = [row for row in wheels if row["vehicle"] == "ugv3"]
-    assert list(mine[0]) == ["time_s", "vehicle", "x_m", "y_m", "yaw_rad", "v_m_s", "w_rad_s"]
-    assert [[float(row["x_m"]), float(row["v_m_s"])] for row in mine] == [[each["pose"][0], each["v"]] for _, each in said]
+    wheels, readings = rows(tables / "odometer.csv"), topic_messages("lab-patrol", "ugv3/odometer")
+    ugv3_rows = [row for row in wheels if row["vehicle"] == "ugv3"]
+    assert list(ugv3_rows[0]) == ["time_s", "vehicle", "x_m", "y_m", "yaw_rad", "v_m_s", "w_rad_s"]
+    assert [[float(row["x_m"]), float(row["v_m_s"])] for row in ugv3_rows] == [
+        [each["pose"][0], each["v"]] for _, each in readings
+    ]
     assert set(rows(tables / "bumper.csv")[0]) == {"time_s", "vehicle", "front", "left", "back", "right"}
     for columns in csv_files.COLUMNS.values():
         assert all(name.endswith(("_m", "_rad", "_s", "_s2")) or name in csv_files.TURN for name in columns)
@@ -109,9 +117,9 @@ def test_each_sensor_of_numbers_has_its_table_with_units(tables: Path) -> None:
 
 def test_notes_have_a_column_for_each_name_and_empty_cells(tmp_path: Path) -> None:
     export(export_runs.run_of("a crossing cart"), csv=tmp_path / "tables")
-    noted, said = rows(tmp_path / "tables/notes.csv"), topic_messages("a crossing cart", "car-2/note")
-    assert len(noted) == len(said) > 5
-    for row, (_, each) in zip(noted, said, strict=True):
+    note_rows, notes = rows(tmp_path / "tables/notes.csv"), topic_messages("a crossing cart", "car-2/note")
+    assert len(note_rows) == len(notes) > 5
+    for row, (_, each) in zip(note_rows, notes, strict=True):
         assert {name: value for name, value in row.items() if value and name not in ("time_s", "vehicle")} == {
             name: str(value) for name, value in each["values"].items()
         }
@@ -177,15 +185,15 @@ def test_below_the_film_is_the_formation_error_so_far(tmp_path: Path) -> None:
 
 
 def test_the_film_shows_walls_vehicles_and_lost_frames(tmp_path: Path) -> None:
-    told: list[tuple[str, float]] = []
-    export(export_runs.run_of("a crossing cart"), mp4=tmp_path / "run.mp4", progress=lambda *each: told.append(each))
+    reports: list[tuple[str, float]] = []
+    export(export_runs.run_of("a crossing cart"), mp4=tmp_path / "run.mp4", progress=lambda *each: reports.append(each))
     film = cv2.VideoCapture(str(tmp_path / "run.mp4"))
     pictures = []
     while (each := film.read())[0]:
         pictures.append(each[1].astype(int))
     film.release()
     assert len(pictures) == 41  # 2 s at 20 pictures a second, both ends
-    assert told[-1] == ("mp4", 1.0)
+    assert reports[-1] == ("mp4", 1.0)
     assert np.abs(pictures[0] - pictures[-1]).max() > 100  # vehicles move
     red = [((picture[..., 2] - picture[..., 1] > 60) & (picture[..., 2] - picture[..., 0] > 60)).sum() for picture in pictures]
     lost = [time_ns for time_ns, each in topic_messages("a crossing cart", "radio/frame") if -1 in each["received_ns"]]
@@ -203,10 +211,10 @@ def test_a_layout_names_existing_topics_and_numbers(tmp_path: Path) -> None:
         newest: dict[str, Any] = {}
         with (export_runs.run_of(name) / "run.mcap").open("rb") as stream:
             for topic, _, data in messages(stream):
-                said = json.loads(data)
+                message = json.loads(data)
                 if topic.endswith("/note"):  # not every number is noted each time
-                    said["values"] = {**newest.get(topic, {}).get("values", {}), **said["values"]}
-                newest[topic] = said
+                    message["values"] = {**newest.get(topic, {}).get("values", {}), **message["values"]}
+                newest[topic] = message
         panels = layout["configById"]
         assert sorted(leaves(layout["layout"])) == sorted(panels)
         assert set(panels["3D!scene"]["topics"]) <= set(newest)
@@ -346,9 +354,9 @@ def test_a_damaged_radio_table_is_replaced_by_the_recording(tmp_path: Path) -> N
     folder = export_runs.truncated_copy("a crossing cart", tmp_path / "killed", 1.0)
     whole = (export_runs.run_of("a crossing cart") / "radio.parquet").read_bytes()
     (folder / "radio.parquet").write_bytes(whole[: len(whole) // 2])
-    told: list[str] = []
-    export(folder, csv=tmp_path / "csv", tell=told.append)
-    assert [line for line in told if "radio.parquet cannot be read: radio.csv lacks frames of programs" in line]
+    lines: list[str] = []
+    export(folder, csv=tmp_path / "csv", tell=lines.append)
+    assert [line for line in lines if "radio.parquet cannot be read: radio.csv lacks frames of programs" in line]
     export(export_runs.run_of("a crossing cart"), csv=tmp_path / "whole")
     for row, known in zip(rows(tmp_path / "csv/radio.csv"), rows(tmp_path / "whole/radio.csv"), strict=True):
         assert row == known or row["outcome"] == "under way"  # at the end of the recording

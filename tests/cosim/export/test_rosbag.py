@@ -62,8 +62,8 @@ def test_poses_and_transforms_are_true_and_twists_in_body_axes(bags: dict[str, P
         w, x, y, z = state["attitude"]
         _, *back = product(product((w, x, y, z), (0.0, linear.x, linear.y, linear.z)), (w, -x, -y, -z))
         assert back == pytest.approx(state["velocity"], abs=1e-12)
-        (mine,) = [each for each in transforms if each.child_frame_id == "ugv2"]
-        assert [getattr(mine.transform.translation, axis) for axis in "xyz"] == state["position"]
+        (own_transform,) = [each for each in transforms if each.child_frame_id == "ugv2"]
+        assert [getattr(own_transform.transform.translation, axis) for axis in "xyz"] == state["position"]
     assert [ns(clock.clock) for _, clock in bag["/clock"]] == [time_ns for time_ns, _ in expected]
     ((first, path),) = bag["/ugv2/state/path"]
     assert (first, len(path.poses)) == (0, len(expected))
@@ -71,15 +71,19 @@ def test_poses_and_transforms_are_true_and_twists_in_body_axes(bags: dict[str, P
 
 def test_readings_arrive_as_they_were_recorded(bags: dict[str, Path]) -> None:
     bag = read(bags["lab-patrol"])
-    (time_ns, scan), (_, said) = bag["/ugv1/scan"][3], topic_messages("lab-patrol", "ugv1/scan")[3]
-    ranges = [np.inf if each is None else each for each in said["ranges"]]
+    (time_ns, scan), (_, original) = bag["/ugv1/scan"][3], topic_messages("lab-patrol", "ugv1/scan")[3]
+    ranges = [np.inf if each is None else each for each in original["ranges"]]
     np.testing.assert_array_equal(scan.ranges, np.array(ranges, np.float32))
-    assert (ns(scan.header.stamp), scan.header.frame_id, scan.angle_min) == (time_ns, "ugv1", np.float32(said["start_angle"]))
-    assert scan.angle_min + (len(ranges) - 1) * scan.angle_increment == pytest.approx(said["end_angle"])
+    assert (ns(scan.header.stamp), scan.header.frame_id, scan.angle_min) == (
+        time_ns,
+        "ugv1",
+        np.float32(original["start_angle"]),
+    )
+    assert scan.angle_min + (len(ranges) - 1) * scan.angle_increment == pytest.approx(original["end_angle"])
     assert np.isfinite(scan.range_max)
     assert scan.range_max >= np.max(scan.ranges[np.isfinite(scan.ranges)])
-    for (_, command), (_, said) in zip(bag["/ugv1/command"], topic_messages("lab-patrol", "ugv1/command"), strict=True):
-        assert (command.twist.linear.x, command.twist.angular.z) == (said["linear"][0], said["yaw_rate"])
+    for (_, command), (_, original) in zip(bag["/ugv1/command"], topic_messages("lab-patrol", "ugv1/command"), strict=True):
+        assert (command.twist.linear.x, command.twist.angular.z) == (original["linear"][0], original["yaw_rate"])
     for topic in ("ugv3/bumper", "radio/frame", "ugv3/send"):
         assert [json.loads(message.data) for _, message in bag[f"/{topic}"]] == [
             m for _, m in topic_messages("lab-patrol", topic)
@@ -92,18 +96,18 @@ def test_pictures_are_the_same_pixels_and_come_with_their_cameras(bags: dict[str
     bag = read(bags["recon-team"])
     pictures = recorded_run.Source(export_runs.run_of("recon-team"), lambda _: None)
     values = recorded_run.Values()
-    expected = [values.of(said) for said in pictures if said.topic == "uav2/camera"]
+    expected = [values.of(original) for original in pictures if original.topic == "uav2/camera"]
     assert len(expected) > 1
-    for (_, image), (_, info), said in zip(
+    for (_, image), (_, info), original in zip(
         bag["/uav2/camera/image_raw"], bag["/uav2/camera/camera_info"], expected, strict=True
     ):
-        np.testing.assert_array_equal(image.data.reshape(image.height, image.width, 3), said.pixels)
+        np.testing.assert_array_equal(image.data.reshape(image.height, image.width, 3), original.pixels)
         assert (image.encoding, image.header) == ("rgb8", info.header)
         assert (info.width, info.height) == (image.width, image.height)
         assert info.k[0] == info.k[4] > 100.0
     assert bytes(bag["/uav1/sightings/picture/compressed"][0][1].data[:3]) == b"\xff\xd8\xff"
-    (_, grid), (_, said) = bag["/uav1/map"][0], topic_messages("recon-team", "uav1/map")[0]
-    assert (grid.info.width, len(grid.data)) == (said["column_count"], grid.info.width * grid.info.height)
+    (_, grid), (_, original) = bag["/uav1/map"][0], topic_messages("recon-team", "uav1/map")[0]
+    assert (grid.info.width, len(grid.data)) == (original["column_count"], grid.info.width * grid.info.height)
     assert 0 <= grid.data.min() <= grid.data.max() <= 100
 
 
@@ -142,27 +146,27 @@ def test_the_scene_has_walls_bodies_and_obstacles(bags: dict[str, Path]) -> None
 @pytest.mark.parametrize("name", RUNS)
 def test_other_readers_agree(bags: dict[str, Path], name: str) -> None:
     path = bags[name] / f"{bags[name].name}.mcap"
-    ours = read(bags[name])
-    theirs: Counter[str] = Counter()
+    topics = read(bags[name])
+    read_counts: Counter[str] = Counter()
     with path.open("rb") as stream:
         for _, channel, message, decoded in make_reader(
             stream, validate_crcs=True, decoder_factories=[DecoderFactory()]
         ).iter_decoded_messages():
-            time_ns, expected = ours[channel.topic][theirs[channel.topic]]
-            theirs[channel.topic] += 1
+            time_ns, expected = topics[channel.topic][read_counts[channel.topic]]
+            read_counts[channel.topic] += 1
             assert message.log_time == time_ns
             if channel.topic.endswith("/state"):
                 assert decoded.pose.pose.position.x == expected.pose.pose.position.x
-    assert theirs == {topic: len(listed) for topic, listed in ours.items()}
+    assert read_counts == {topic: len(listed) for topic, listed in topics.items()}
 
 
 def test_rerun_understands_pictures_cameras_maps_and_transforms(bags: dict[str, Path], tmp_path: Path) -> None:
     environment = {**os.environ, "DO_NOT_TRACK": "1", "RERUN_ANALYTICS": "0"}
 
     def rerun(*arguments: str) -> str:
-        done = subprocess.run([str(RERUN), *arguments], capture_output=True, text=True, env=environment, check=False)
-        assert done.returncode == 0, done.stderr
-        return done.stdout
+        process = subprocess.run([str(RERUN), *arguments], capture_output=True, text=True, env=environment, check=False)
+        assert process.returncode == 0, process.stderr
+        return process.stdout
 
     path, converted = bags["recon-team"] / "recon_team.mcap", tmp_path / "run.rrd"
     rows = [line for line in rerun("mcap", "check", "--full", str(path)).splitlines() if line.startswith(("warn", "err"))]

@@ -65,8 +65,8 @@ def stage(tmp_path: Path) -> Iterator[ByHand]:
 def test_parameters_of_a_host_are_in_the_result(stage: ByHand) -> None:
     run, host = stage.run(), stage.host("vcmvsp.agents.formation.followers.leader_follower:LeaderFollower", "--set", "k2=0.25")
     assert exit_of(run)[0] == 0
-    code, said = exit_of(host)
-    assert (code, said.splitlines()[-1]) == (0, "the run is over")
+    code, output = exit_of(host)
+    assert (code, output.splitlines()[-1]) == (0, "the run is over")
     agent = stage.resolved_agent()
     assert (agent["kind"], agent["k1"], agent["k2"]) == ("leader_follower", 0.7, 0.25)
     again = vcmvsp.run(str(stage.out / "scenario.toml"))
@@ -87,10 +87,10 @@ def test_another_class_of_a_host_is_in_the_result(stage: ByHand) -> None:
 
 def test_unknown_hosts_are_refused(stage: ByHand) -> None:
     run = stage.run()
-    said = output_at_exit(2, stage.host(vehicle="car3"))
-    assert "unknown vehicle 'car3'" in said
-    said = output_at_exit(2, stage.host("leader_folower"))
-    assert "did you mean 'leader_follower'" in said
+    output = output_at_exit(2, stage.host(vehicle="car3"))
+    assert "unknown vehicle 'car3'" in output
+    output = output_at_exit(2, stage.host("leader_folower"))
+    assert "did you mean 'leader_follower'" in output
     assert (exit_of(stage.host())[0], exit_of(run)[0]) == (0, 0)  # the run waits on for a valid host
 
 
@@ -107,9 +107,9 @@ def test_a_host_that_leaves_before_the_run_begins_can_be_replaced(stage: ByHand)
 
 
 def test_a_run_without_hosts_ends(stage: ByHand) -> None:
-    said = output_at_exit(3, stage.run(patience=0.5))
-    assert f"vcmvsp agent leader_follower --vehicle car2 --connect {stage.endpoint}" in said
-    assert "agent host of vehicle car2: did not join within 0.5 s (agents.join_timeout_s)" in said
+    output = output_at_exit(3, stage.run(patience=0.5))
+    assert f"vcmvsp agent leader_follower --vehicle car2 --connect {stage.endpoint}" in output
+    assert "agent host of vehicle car2: did not join within 0.5 s (agents.join_timeout_s)" in output
     assert not stage.out.exists()
 
 
@@ -118,9 +118,9 @@ def test_a_host_that_is_killed_ends_the_run(stage: ByHand) -> None:
     wait_for(stage.out / "run.mcap")
     time.sleep(0.5)
     host.kill()
-    code, said = exit_of(run)  # long before the end of the run, one hour
+    code, output = exit_of(run)  # long before the end of the run, one hour
     assert code == 3
-    assert "agent leader_follower of vehicle car2: did not answer within the deadline of 2 s: it left the run" in said
+    assert "agent leader_follower of vehicle car2: did not answer within the deadline of 2 s: it left the run" in output
     assert (stage.out / "states.parquet").exists()
 
 
@@ -128,8 +128,8 @@ def test_a_run_that_is_killed_ends_the_host(stage: ByHand) -> None:
     run, host = stage.run("--realtime", duration=3600.0, deadline=2.0), stage.host()
     wait_for(stage.out / "run.mcap")
     run.kill()
-    said = output_at_exit(3, host)
-    assert "the run: is gone" in said
+    output = output_at_exit(3, host)
+    assert "the run: is gone" in output
 
 
 @pytest.mark.parametrize("users", [None, "(tx: (worker_threads: 2))"])
@@ -148,8 +148,8 @@ def test_endpoints_that_cannot_be_used_are_bad_input(stage: ByHand) -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
-        code, _, said = vcmvsp_command("run", str(stage.scenario()), "--out", str(stage.out), "--listen", endpoint)
+        code, _, err = vcmvsp_command("run", str(stage.scenario()), "--out", str(stage.out), "--listen", endpoint)
         assert code == 2
-        assert "cannot listen on 'tcp/127.0.0.1:" in said
-        assert "--listen" in said
+        assert "cannot listen on 'tcp/127.0.0.1:" in err
+        assert "--listen" in err
     assert vcmvsp_command("agent", "--vehicle", "car2", "--connect", "nonsense").code == 2

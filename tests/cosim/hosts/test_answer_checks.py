@@ -231,9 +231,9 @@ def answer(**changes: Any) -> protocol.Built:
         "taken": (),
     }
     agents = [AgentInfo(**each) for each in (first, second)]
-    sees = [f"{vehicle}/{what}" for vehicle in ("car2", "car3") for what in ("estimate", "odometry", "fix")]
-    said = {"agents": agents, "reads": ["radio/receptions"], "latest": [*sees, "car2/lidar"], **whole}
-    return protocol.Built(tuple(said["agents"]), tuple(said["reads"]), tuple(said["latest"]))
+    sees = [f"{vehicle}/{topic}" for vehicle in ("car2", "car3") for topic in ("estimate", "odometry", "fix")]
+    fields = {"agents": agents, "reads": ["radio/receptions"], "latest": [*sees, "car2/lidar"], **whole}
+    return protocol.Built(tuple(fields["agents"]), tuple(fields["reads"]), tuple(fields["latest"]))
 
 
 def test_requested_agents_are_accepted_in_any_order() -> None:
@@ -338,14 +338,14 @@ def test_long_texts_end_in_dots_and_tracebacks_keep_their_lines() -> None:
 
 
 def test_a_failure_blames_its_own_vehicles_alone() -> None:
-    said = protocol.Failed(cause="\x1b[2Jit broke", details="a\nb", vehicles=("car1", "car3", "car3"), agent="x\ny")
-    cleaned = protocol.shown_failure(said, ("car2", "car3"))
+    failure = protocol.Failed(cause="\x1b[2Jit broke", details="a\nb", vehicles=("car1", "car3", "car3"), agent="x\ny")
+    cleaned = protocol.sanitized_failure(failure, ("car2", "car3"))
     assert (cleaned.cause, cleaned.details, cleaned.vehicles, cleaned.agent) == ("it broke", "a\nb", ("car3",), "x y")
-    assert protocol.shown_failure(msgspec.structs.replace(said, vehicles=("car1",)), ("car2", "car3")).vehicles == (
+    assert protocol.sanitized_failure(msgspec.structs.replace(failure, vehicles=("car1",)), ("car2", "car3")).vehicles == (
         "car2",
         "car3",
     )
-    assert protocol.shown_failure(msgspec.structs.replace(said, vehicles=()), ("car2",)).vehicles == ()
+    assert protocol.sanitized_failure(msgspec.structs.replace(failure, vehicles=()), ("car2",)).vehicles == ()
 
 
 @pytest.mark.parametrize("opening", [b"\x91", b"\x81\xa1a", b"\x81"])

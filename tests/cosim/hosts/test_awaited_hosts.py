@@ -32,7 +32,7 @@ class EmptyHub:
 
 
 def test_a_missing_host_is_named_during_the_wait(monkeypatch: pytest.MonkeyPatch) -> None:
-    now, said = [100.0], list[str]()
+    now, lines = [100.0], list[str]()
 
     def later() -> float:
         now[0] += 1.0
@@ -40,30 +40,30 @@ def test_a_missing_host_is_named_during_the_wait(monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr("vcmvsp.cosim.hosts.listener.time.monotonic", later)
     with pytest.raises(AgentError, match="did not join within 60 s"):
-        list(listener.knocking(EmptyHub(), 60.0, lambda: ["car2", "car3"], said.append))  # type: ignore[arg-type]
-    assert set(said) == {"still waiting for the host of car2, car3"}
-    assert len(said) >= 3
+        list(listener.knocking(EmptyHub(), 60.0, lambda: ["car2", "car3"], lines.append))  # type: ignore[arg-type]
+    assert set(lines) == {"still waiting for the host of car2, car3"}
+    assert len(lines) >= 3
 
 
 def test_only_a_host_slow_to_build_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    told, said = threading.Event(), list[str]()
+    notice, lines = threading.Event(), list[str]()
 
     def tell(text: str) -> None:
-        said.append(text)
-        told.set()
+        lines.append(text)
+        notice.set()
 
     with listener.telling_of(["car1"], tell):
         pass  # ends at once
     monkeypatch.setattr(listener, "SAY_S", 0.0)
     with listener.telling_of(["car2"], tell):
-        assert told.wait(60.0)
-    assert said == ["still waiting for the host of car2"]
+        assert notice.wait(60.0)
+    assert lines == ["still waiting for the host of car2"]
 
 
 def test_a_run_that_listens_without_hosts_reports_it() -> None:
-    said: list[str] = []
-    vcmvsp.run(two(duration_s=0.1), listen="tcp://127.0.0.1:0", tell=said.append, mcap=False)
-    (line,) = [each for each in said if "waits for no host" in each]
+    lines: list[str] = []
+    vcmvsp.run(two(duration_s=0.1), listen="tcp://127.0.0.1:0", tell=lines.append, mcap=False)
+    (line,) = [each for each in lines if "waits for no host" in each]
     assert line.startswith("tcp/127.0.0.1:")
     assert "--agents zenoh" in line
 
@@ -78,8 +78,8 @@ def test_the_named_keys_file_is_the_machines(tmp_path: Path) -> None:
 
 def test_the_command_for_another_machine_has_its_file_and_the_agents_class(tmp_path: Path) -> None:
     assert vcmvsp_command("keys", "init", str(tmp_path / "keys")).code == 0
-    made = vcmvsp_command("keys", "vehicle", "car3", "car4", "--as", "laptop", "--keys", str(tmp_path / "keys"))
-    assert "--vehicle car3 --vehicle car4 --connect tls/HOST:PORT --keys laptop.keys [MODULE_OR_FILE:Class]" in made.out
+    outcome = vcmvsp_command("keys", "vehicle", "car3", "car4", "--as", "laptop", "--keys", str(tmp_path / "keys"))
+    assert "--vehicle car3 --vehicle car4 --connect tls/HOST:PORT --keys laptop.keys [MODULE_OR_FILE:Class]" in outcome.out
 
 
 def test_a_missing_file_is_named_with_its_machine(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -134,8 +134,8 @@ def test_a_hub_for_children_needs_no_short_path_and_closes_its_files(
     hub = Hub(None)
     stack.callback(hub.close)
     command = [sys.executable, "-c", DIALS, hub.endpoint]
-    said = subprocess.run(command, pass_fds=hub.files, capture_output=True, text=True, check=True).stdout
-    assert said == f"{hub.session.zid()}\n"
+    output = subprocess.run(command, pass_fds=hub.files, capture_output=True, text=True, check=True).stdout
+    assert output == f"{hub.session.zid()}\n"
     hub.close()
     assert not [link for link in open_files() if link.startswith(str(long))]
 

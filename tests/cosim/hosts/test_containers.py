@@ -58,8 +58,8 @@ def test_hosts_files_in_the_readme_are_valid(tmp_path: Path) -> None:
     for text, names in ((first, ["laptop", "seven", "car4"]), (second, ["far-example-org"])):
         (tmp_path / "hosts.toml").write_text(text)
         assert [host.called for host in ssh_hosts.read(tmp_path / "hosts.toml").host] == names
-    said = {key for host in tomllib.loads(first)["host"] for key in host} | set(tomllib.loads(second)["host"][0])
-    assert said == {*ssh_hosts.HostTable.__struct_fields__}
+    keys = {key for host in tomllib.loads(first)["host"] for key in host} | set(tomllib.loads(second)["host"][0])
+    assert keys == {*ssh_hosts.HostTable.__struct_fields__}
 
 
 def test_unknown_options_are_detected() -> None:

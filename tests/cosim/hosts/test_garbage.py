@@ -83,10 +83,10 @@ def test_a_run_survives_three_hundred_connections_of_garbage(protocol: str, tmp_
             time.sleep(0.005)
         assert run.poll() is None  # all of it arrived during the run
         (tmp_path / "thrown").touch()
-        code, said = exit_of(run)
+        code, output = exit_of(run)
         for connection in connections:
             connection.close()
-        assert code == 0, said
+        assert code == 0, output
         assert [exit_of(host)[0] for host in hosts] == [0, 0]
         digest = json.loads((stage.out / "metrics.json").read_text())["digest"]
     assert digest == vcmvsp.run(tmp_path / "garbage.toml", agents="inprocess", mcap=False).metrics["digest"]
@@ -95,11 +95,13 @@ def test_a_run_survives_three_hundred_connections_of_garbage(protocol: str, tmp_
 def test_all_expected_hosts_may_join_at_once_and_a_flood_is_refused() -> None:
     expected = 100
     hub = Hub(hosts=expected)
-    asked = expected + 2 * SPARE_JOINS
+    request_count = expected + 2 * SPARE_JOINS
     try:
         client = {"mode": "client", "listen": {"endpoints": []}, "connect": {"endpoints": [hub.endpoint]}}
         with opened(client, {}, "cannot connect") as session:
-            hellos = [wire.encode(wire.Hello(f"{number:032x}", wire.PROTOCOL, (f"car{number}",))) for number in range(asked)]
+            hellos = [
+                wire.encode(wire.Hello(f"{number:032x}", wire.PROTOCOL, (f"car{number}",))) for number in range(request_count)
+            ]
             key = key_names.join_key("anyone")
             replies = [session.get(key, payload=hello, timeout=10.0) for hello in hellos]
             for late in replies[expected + SPARE_JOINS :]:

@@ -55,33 +55,33 @@ class Question:
 
 
 def host_answers(
-    *asked: Question | bool,
+    *questions: Question | bool,
     patience_s: float = PATIENCE_S,
     hubs: str = "a",
     desk: Desk | None = None,
-    said: list[bytes] | None = None,
+    answers: list[bytes] | None = None,
 ) -> tuple[list[bytes], list[Any]]:
     """Answers of a host, and questions that it has not read when it leaves; ``hubs``: identity of its hub at each look."""
-    said, inbox = [] if said is None else said, queue.SimpleQueue[Any]()
-    for each in asked:
+    answers, inbox = [] if answers is None else answers, queue.SimpleQueue[Any]()
+    for each in questions:
         inbox.put(each)
     found = itertools.chain(hubs, itertools.repeat(hubs[-1]))
     session = types.SimpleNamespace(info=types.SimpleNamespace(routers_zid=lambda: [next(found)]))
-    says = types.SimpleNamespace(put=said.append)
+    says = types.SimpleNamespace(put=answers.append)
     host_client._answer(inbox, desk or Desk(), says, session, protocol.Welcome(None, patience_s), lambda _: None)  # type: ignore[arg-type]
-    return said, [inbox.get() for _ in range(inbox.qsize())]
+    return answers, [inbox.get() for _ in range(inbox.qsize())]
 
 
 def test_the_last_answer_is_repeated_until_the_farewell() -> None:
     end, unread = Question(2, 2, b"end"), Question(3, 3, b"more")
-    said, left = host_answers(Question(1, 1, b"act"), end, end, end, Question(protocol.FAREWELL, 3), unread)
-    assert said == [protocol.number.pack(1) + b"to act", *[protocol.number.pack(2) + b"to end"] * 3]
+    answers, left = host_answers(Question(1, 1, b"act"), end, end, end, Question(protocol.FAREWELL, 3), unread)
+    assert answers == [protocol.number.pack(1) + b"to act", *[protocol.number.pack(2) + b"to end"] * 3]
     assert left == [unread]
 
 
 def test_a_farewell_before_the_end_is_ignored() -> None:
-    said, left = host_answers(Question(protocol.FAREWELL, 2), Question(1, 1, b"end"), Question(protocol.FAREWELL, 2))
-    assert (said, left) == ([protocol.number.pack(1) + b"to end"], [])
+    answers, left = host_answers(Question(protocol.FAREWELL, 2), Question(1, 1, b"end"), Question(protocol.FAREWELL, 2))
+    assert (answers, left) == ([protocol.number.pack(1) + b"to end"], [])
 
 
 def test_without_further_messages_a_host_leaves() -> None:
@@ -89,8 +89,8 @@ def test_without_further_messages_a_host_leaves() -> None:
 
 
 def test_after_the_last_answer_another_run_at_its_address_is_no_error() -> None:
-    said, left = host_answers(Question(1, 1, b"end"), False, True, patience_s=0.01, hubs="ab")
-    assert (said, left) == ([protocol.number.pack(1) + b"to end"], [])
+    answers, left = host_answers(Question(1, 1, b"end"), False, True, patience_s=0.01, hubs="ab")
+    assert (answers, left) == ([protocol.number.pack(1) + b"to end"], [])
 
 
 def test_a_last_answer_lost_with_the_link_is_repeated_after_it(
@@ -154,19 +154,19 @@ def test_each_question_is_processed_once_and_in_order_despite_repeats(
     script: list[tuple[int, int]],
 ) -> None:
     """A question that arrives too early gets no answer, and the run repeats it; a repeated question gets the same answer."""
-    desk, said = Desk(), list[bytes]()
-    asked = [(number, max(1, number - back)) for number, back in script]
-    questions = [Question(number, oldest, b"%d" % number) for number, oldest in asked]
+    desk, answers = Desk(), list[bytes]()
+    numbers = [(number, max(1, number - back)) for number, back in script]
+    questions = [Question(number, oldest, b"%d" % number) for number, oldest in numbers]
     with pytest.raises(FederateError, match="is gone"):
-        host_answers(*questions, False, patience_s=0.001, desk=desk, said=said)
+        host_answers(*questions, False, patience_s=0.001, desk=desk, answers=answers)
     worked = desk.worked
     assert worked == [b"%d" % number for number in range(1, len(worked) + 1)]
-    expected, done, kept = list[bytes](), 0, set[int]()
-    for number, oldest in asked:
-        kept = {each for each in kept if each >= oldest}
-        if number == done + 1:
-            done = number
-            kept.add(number)
-        if number in kept:
+    expected, last_number, stored_numbers = list[bytes](), 0, set[int]()
+    for number, oldest in numbers:
+        stored_numbers = {each for each in stored_numbers if each >= oldest}
+        if number == last_number + 1:
+            last_number = number
+            stored_numbers.add(number)
+        if number in stored_numbers:
             expected.append(protocol.number.pack(number) + b"to %d" % number)
-    assert said == expected
+    assert answers == expected

@@ -70,17 +70,17 @@ def place(tmp_path: Path) -> Iterator[Place]:
         yield made
 
 
-@pytest.mark.parametrize("given", [(), ("leader_follower",)], ids=["the scenario's class", "a class of its own"])
+@pytest.mark.parametrize("arguments", [(), ("leader_follower",)], ids=["the scenario's class", "a class of its own"])
 @pytest.mark.parametrize(
     "setting",
     ["agents.estimator={}/est.py:Own", "agents.estimator=est.py:Own", "vehicle.car2.agent.kind={}/straight.py:Straight"],
 )
-def test_a_file_that_the_run_names_is_not_executed(place: Place, given: tuple[str, ...], setting: str) -> None:
-    if given and "kind" in setting:
-        given = ("straight.py:Straight",)  # the host's folder has no such file
+def test_a_file_that_the_run_names_is_not_executed(place: Place, arguments: tuple[str, ...], setting: str) -> None:
+    if arguments and "kind" in setting:
+        arguments = ("straight.py:Straight",)  # the host's folder has no such file
     place.run_with(setting.format(place.folder))
-    code, said = place.host(*given)
-    assert code == 2 or "there is no file" in said or "--folder DIR" in said
+    code, output = place.host(*arguments)
+    assert code == 2 or "there is no file" in output or "--folder DIR" in output
     assert code != 0
     place.run.send_signal(signal.SIGINT)  # it would wait for another host
     assert exit_of(place.run)[0] != 0
@@ -90,22 +90,22 @@ def test_a_file_that_the_run_names_is_not_executed(place: Place, given: tuple[st
 def test_a_module_that_the_run_names_is_not_imported(place: Place) -> None:
     (place.away / "mine.py").write_text(ESTIMATOR.format(canary=str(place.canary)))
     place.run_with("vehicle.car2.agent.estimator=mine:Own")
-    code, said = place.host()
+    code, output = place.host()
     assert code != 0
-    assert "the run requests 'mine:Own'" in said
-    assert "--allow mine:Own" in said
+    assert "the run requests 'mine:Own'" in output
+    assert "--allow mine:Own" in output
     assert not place.canary.exists()
 
 
 def test_a_folder_of_the_host_is_searched_by_file_name(place: Place) -> None:
     """The run names another folder, even an absolute one; the host's own copy is used and reported."""
-    mine = place.away / "own"
-    mine.mkdir()
-    (mine / "est.py").write_text(ESTIMATOR.format(canary=str(place.away / "used")))
+    own_folder = place.away / "own"
+    own_folder.mkdir()
+    (own_folder / "est.py").write_text(ESTIMATOR.format(canary=str(place.away / "used")))
     place.run_with(f"agents.estimator={place.folder}/est.py:Own")
-    code, said = place.host("--folder", "own")
-    assert code == 0, said
-    assert f"Own comes from {mine / 'est.py'}" in said
+    code, output = place.host("--folder", "own")
+    assert code == 0, output
+    assert f"Own comes from {own_folder / 'est.py'}" in output
     assert (place.away / "used").exists()
     assert not place.canary.exists()
     assert exit_of(place.run)[0] == 0
@@ -152,25 +152,25 @@ def test_other_source_code_than_the_runs_own_is_named_and_recorded(place: Place)
         (folder / "helper.py").write_text(HELPER.format(speed=speed))
         (folder / "straight.py").write_text(DRIVER)
     place.run_with()
-    code, said = place.host("straight.py:Straight")
-    assert code == 0, said
-    said = output_at_exit(0, place.run)
+    code, output = place.host("straight.py:Straight")
+    assert code == 0, output
+    output = output_at_exit(0, place.run)
     why = "helper.py differs"
-    assert f"the code at the host of car2 differs from this machine's: {why}" in said
+    assert f"the code at the host of car2 differs from this machine's: {why}" in output
     about = json.loads((place.out / "about.json").read_text())
     assert about["unrepeatable"] == [f"the host of car2 ran different code: {why}"]
     assert why in (place.out / "report.html").read_text()
     (place.out / "helper.py").write_text(HELPER.format(speed=0.3))
-    said = output_at_exit(1, place.start("replay", "out", "--agents", "inprocess"))
-    assert f"differs from out: the host of car2 ran different code: {why}" in said
+    output = output_at_exit(1, place.start("replay", "out", "--agents", "inprocess"))
+    assert f"differs from out: the host of car2 ran different code: {why}" in output
 
 
 def test_the_same_source_code_is_not_remarked(place: Place) -> None:
     (place.away / "est.py").write_text((place.folder / "est.py").read_text())
     place.run_with("vehicle.car2.agent.estimator=est.py:Own")
-    code, said = place.host("--folder", ".")
-    assert code == 0, said
-    code, said = exit_of(place.run)
-    assert (code, "other code" in said) == (0, False)
-    said = output_at_exit(0, place.start("replay", "out", "--agents", "inprocess"))
-    assert "same digest as out" in said
+    code, output = place.host("--folder", ".")
+    assert code == 0, output
+    code, output = exit_of(place.run)
+    assert (code, "other code" in output) == (0, False)
+    output = output_at_exit(0, place.start("replay", "out", "--agents", "inprocess"))
+    assert "same digest as out" in output

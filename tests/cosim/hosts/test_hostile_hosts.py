@@ -71,13 +71,13 @@ def honest_answers() -> list[bytes]:
         protocol.Act(10**8, later),
         protocol.End("over"),
     ]
-    said = [desk.handle(protocol.encode(question)) for question in questions]
+    answers = [desk.handle(protocol.encode(question)) for question in questions]
     assert desk.failure is None
-    said.append(protocol.encode(protocol.Failed("it broke", "Traceback\n", ("car2",), "leader_follower")))
-    said.append(
+    answers.append(protocol.encode(protocol.Failed("it broke", "Traceback\n", ("car2",), "leader_follower")))
+    answers.append(
         protocol.encode(protocol.Failed("must be a number", key="vehicle.car2.agent.k1", source="a.toml", bad_scenario=True))
     )
-    return said
+    return answers
 
 
 HONEST = honest_answers()
@@ -178,10 +178,10 @@ def ask(turn: int, nonsense: bytes) -> list[Event]:
 
 def assert_clean(error: VcmvspError) -> None:
     """The error names its vehicles or is one of the scenario, and contains no terminal control characters."""
-    said = str(error)
-    assert isinstance(error, ScenarioError) or "car2" in said or "car1" in said
-    assert said.replace("\n", "").isprintable()
-    assert len(said) < 2000
+    text = str(error)
+    assert isinstance(error, ScenarioError) or "car2" in text or "car1" in text
+    assert text.replace("\n", "").isprintable()
+    assert len(text) < 2000
 
 
 @pytest.mark.parametrize("kind", NONSENSE)
@@ -254,28 +254,28 @@ def run(**more: Any) -> vcmvsp.Result:
 
 
 @pytest.fixture
-def said() -> Iterator[list[bytes]]:
+def answers() -> Iterator[list[bytes]]:
     """Answers of the host in an honest run; from then on hosts are `Hostile`."""
-    heard: list[bytes] = []
+    received: list[bytes] = []
 
     class Listening(MemoryLink):
         def answer(self) -> bytes:
-            heard.append(super().answer())
-            return heard[-1]
+            received.append(super().answer())
+            return received[-1]
 
     with behind_the_wire(Listening):
         reference = run().metrics["digest"]
     Hostile.turn = -1
     with behind_the_wire(Hostile):
         assert run().metrics["digest"] == reference
-        yield heard
+        yield received
 
 
-def test_a_run_with_a_hostile_host_ends_with_its_error_and_a_readable_recording(said: list[bytes], tmp_path: Path) -> None:
+def test_a_run_with_a_hostile_host_ends_with_its_error_and_a_readable_recording(answers: list[bytes], tmp_path: Path) -> None:
     draw, begun = random.Random(2), 0
     for number in range(60):
         kind = draw.choice(list(NONSENSE))
-        Hostile.turn, Hostile.nonsense = draw.randrange(1, len(said) + 1), kind(draw, said)
+        Hostile.turn, Hostile.nonsense = draw.randrange(1, len(answers) + 1), kind(draw, answers)
         try:
             result: vcmvsp.Result | None = run()
         except ERRORS as error:
@@ -294,11 +294,11 @@ def test_a_run_with_a_hostile_host_ends_with_its_error_and_a_readable_recording(
 
 
 @pytest.mark.parametrize("on_lost", ["hold", "remove"])
-def test_a_run_with_optional_hosts_continues_despite_nonsense(on_lost: str, said: list[bytes]) -> None:
+def test_a_run_with_optional_hosts_continues_despite_nonsense(on_lost: str, answers: list[bytes]) -> None:
     draw, lost = random.Random(on_lost), 0
     for _ in range(26):
         kind = draw.choice(list(NONSENSE))
-        Hostile.turn, Hostile.nonsense = draw.randrange(3, len(said)), kind(draw, [*said, *HONEST[5:]])
+        Hostile.turn, Hostile.nonsense = draw.randrange(3, len(answers)), kind(draw, [*answers, *HONEST[5:]])
         result = run(set={"agents.on_lost": on_lost, "agents.hold_s": 0.1}, mcap=False)
         assert result.metrics["duration_s"] == SCENARIO["duration_s"]
         assert result.about["error"] is None
@@ -328,14 +328,14 @@ def test_nonsense_in_a_greeting_is_a_value_error() -> None:
 def test_a_host_answers_nonsense_with_its_error() -> None:
     """The host then ends: no real run sends such questions."""
     draw, failed = random.Random(4), 0
-    asked = [
+    requests = [
         protocol.Build((SPEC,)),
         protocol.Begin(RUN),
         protocol.Act(0, INBOX),
         protocol.Act(10**8, []),
         protocol.End("over"),
     ]
-    questions = [protocol.encode(question) for question in asked]
+    questions = [protocol.encode(question) for question in requests]
     for number in range(1000):
         desk = Desk(AgentHost)
         turn = number % 5

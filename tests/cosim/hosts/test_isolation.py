@@ -30,14 +30,14 @@ def alone(kind: str = "trajectory", **more: Any) -> dict[str, Any]:
 
 
 class OneAction(Agent):
-    """Calls ``what`` at 0.5 s, and drives on."""
+    """Calls ``action`` at 0.5 s, and drives on."""
 
-    def __init__(self, what: Callable[["OneAction", Radio], object]) -> None:
-        self.what = what
+    def __init__(self, action: Callable[["OneAction", Radio], object]) -> None:
+        self.action = action
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
         if obs.time_ns == 500_000_000:
-            self.what(self, radio)
+            self.action(self, radio)
         return Velocity(linear=(0.1, 0.0, 0.0))
 
 
@@ -94,10 +94,10 @@ BAD: dict[str, Callable[[OneAction, Radio], object]] = {
 }
 
 
-@pytest.mark.parametrize("what", BAD)
-def test_an_error_of_an_agent_names_it_and_keeps_the_recording(what: str) -> None:
+@pytest.mark.parametrize("fault", BAD)
+def test_an_error_of_an_agent_names_it_and_keeps_the_recording(fault: str) -> None:
     with pytest.raises(AgentError, match="vehicle car1") as raised:
-        vcmvsp.run(alone(), agents={"car1": OneAction(BAD[what])})
+        vcmvsp.run(alone(), agents={"car1": OneAction(BAD[fault])})
     assert raised.value.result.states["time_ns"].to_numpy().max() == 500_000_000
 
 
@@ -130,8 +130,8 @@ def test_every_agent_is_closed_even_if_one_fails() -> None:
 
 
 def test_the_digest_differs_if_only_commands_or_messages_differ() -> None:
-    def digest(what: Callable[[OneAction, Radio], object]) -> str:
-        return vcmvsp.run(alone(), agents={"car1": OneAction(what)}).metrics["digest"]
+    def digest(action: Callable[[OneAction, Radio], object]) -> str:
+        return vcmvsp.run(alone(), agents={"car1": OneAction(action)}).metrics["digest"]
 
     digests = [digest(lambda _, radio, x=x: radio.send(x=x)) for x in (1.0, 2.0)]  # type: ignore[misc]
     assert len({*digests, digest(lambda _, __: None)}) == 3
@@ -202,13 +202,13 @@ def test_a_wrong_parameter_beside_a_kind_that_is_set_is_still_refused() -> None:
     "body", [{"x": 1.0}, {"x": 1.0, "way": [[0.0, 1.0]]}, {"x": 1.0, "more": {"y": 2.0}}, b"raw"], ids=repr
 )
 def test_an_agent_that_changes_a_received_message_changes_no_others(body: Any) -> None:
-    seen: list[Any] = []
+    bodies: list[Any] = []
 
     class Changing(Agent):
         def act(self, obs: Observation, radio: Radio) -> None:
             for each in obs.heard:
                 own = each.message.body
-                seen.append(copy.deepcopy(own))
+                bodies.append(copy.deepcopy(own))
                 if isinstance(own, dict):
                     for value in own.values():
                         if isinstance(value, list | dict):
@@ -220,9 +220,9 @@ def test_an_agent_that_changes_a_received_message_changes_no_others(body: Any) -
     host = AgentHost("agents", specs, {spec.vehicle: Changing() for spec in specs})
     host.start(RunInfo(scenario="a", seed=1, duration_ns=10**9, vehicles=("car1", "car2", "car3")))
     message = Message(sender="car3", body=copy.deepcopy(body), size_bytes=9)
-    heard = Reception(message=message, rssi_dbm=-50.0, sent_ns=0, received_ns=0)
+    reception = Reception(message=message, rssi_dbm=-50.0, sent_ns=0, received_ns=0)
     states = [Event(f"{spec.vehicle}/estimate", 0, VehicleState(position=(0.0, 0.0, 0.0))) for spec in specs]
     names = ("car1", "car2", "car3")
-    host.step(0, [*states, *(Event(RECEPTIONS, 0, receptions_at(spec.vehicle, [heard], names)) for spec in specs)])
-    assert seen == [body, body]
+    host.step(0, [*states, *(Event(RECEPTIONS, 0, receptions_at(spec.vehicle, [reception], names)) for spec in specs)])
+    assert bodies == [body, body]
     assert message.body == body

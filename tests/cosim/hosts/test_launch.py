@@ -124,8 +124,8 @@ def table(machine: Machine, **more: Any) -> str:
 
 def test_hosts_of_this_machine_give_the_bytes_of_one_process(stage: LaunchStage) -> None:
     stage.hosts('[[host]]\nvehicles = ["car2"]\n[[host]]\nname = "two"\nvehicles = ["car3"]\nset = { k1 = 0.7 }\n')
-    said = output_at_exit(0, stage.launch())
-    assert "[two] joined; waiting for the run to begin" in said
+    output = output_at_exit(0, stage.launch())
+    assert "[two] joined; waiting for the run to begin" in output
     assert stage.log("two") == stage.log("car2") == "joined; waiting for the run to begin\nthe run is over\n"
     alone = vcmvsp.run(stage.folder / "far.toml", set={"vehicle.car3.agent.k1": 0.7}, agents="inprocess", mcap=False)
     assert json.loads((stage.out / "metrics.json").read_text()) == alone.metrics
@@ -142,7 +142,7 @@ def test_a_host_on_another_machine_gets_its_keys_its_class_and_its_values_unharm
     (there / "noted.py").write_text(NOTED)
     assert vcmvsp_command("keys", "init", str(stage.folder / "keys")).code == 0
     endpoint = f"tls/127.0.0.1:{stage.port}"
-    command, given = tuple(VCMVSP), {"word": HOSTILE}
+    command, parameters = tuple(VCMVSP), {"word": HOSTILE}
     stage.hosts(
         f'connect = "{endpoint}"\n'
         + table(
@@ -150,7 +150,7 @@ def test_a_host_on_another_machine_gets_its_keys_its_class_and_its_values_unharm
             name="far",
             vehicles=["car2"],
             agent="noted.py:Noted",
-            set=given,
+            set=parameters,
             folder=str(there),
             command=command,
             copy=True,
@@ -168,9 +168,9 @@ def test_a_host_on_another_machine_gets_its_keys_its_class_and_its_values_unharm
     assert json.loads((stage.out / "metrics.json").read_text())["digest"] == again.metrics["digest"]
     if not machine.server:
         assert [each.name for each in (stage.folder / "far").iterdir()] == ["ssh-was-told"]  # no keys are left
-        told = (stage.folder / "far" / "ssh-was-told").read_text().splitlines()
-        assert told[-3:] == ["--", machine.ssh, "sh"]
-        assert "BatchMode=yes" in told
+        arguments = (stage.folder / "far" / "ssh-was-told").read_text().splitlines()
+        assert arguments[-3:] == ["--", machine.ssh, "sh"]
+        assert "BatchMode=yes" in arguments
 
 
 @pytest.mark.parametrize("machine", ["sshd"], indirect=True)
@@ -225,8 +225,8 @@ def test_a_host_whose_connection_breaks_is_ended(stage: LaunchStage, machine: Ma
     wait_for(stage.out / "run.mcap")
     (client,) = (each for each in psutil.Process(launch.pid).children() if each.name() == "ssh")
     client.kill()
-    said = output_at_exit(3, launch)
-    assert "[far] was killed by SIGKILL" in said
+    output = output_at_exit(3, launch)
+    assert "[far] was killed by SIGKILL" in output
     assert process_ended(pid)
 
 
@@ -256,9 +256,9 @@ def test_a_host_that_cannot_start_ends_the_wait_with_its_cause(stage: LaunchStag
         ),
     ):
         stage.hosts(connect + table(machine, name="far", vehicles=["car2", "car3"], **more))
-        said = output_at_exit(3, stage.launch())
-        assert why in said
-        assert "agent host of vehicles car2, car3: host far" in said
+        output = output_at_exit(3, stage.launch())
+        assert why in output
+        assert "agent host of vehicles car2, car3: host far" in output
         assert not stage.out.exists()
 
 
@@ -267,8 +267,8 @@ def test_a_machine_that_ssh_cannot_reach_ends_the_wait(stage: LaunchStage) -> No
     options = '["-F", "none", "-p", "1"]'
     connect = f'connect = "tcp/127.0.0.1:{stage.port}"\n'
     stage.hosts(f'{connect}[[host]]\nssh = "127.0.0.1"\nssh_options = {options}\nvehicles = ["car2", "car3"]\n')
-    said = output_at_exit(3, stage.launch())
-    assert "host 127-0-0-1 (ssh 127.0.0.1): ssh cannot connect, or lost the connection (exit code 255): ssh: " in said
+    output = output_at_exit(3, stage.launch())
+    assert "host 127-0-0-1 (ssh 127.0.0.1): ssh cannot connect, or lost the connection (exit code 255): ssh: " in output
 
 
 def test_a_host_that_is_killed_later_is_named(stage: LaunchStage) -> None:
@@ -278,8 +278,8 @@ def test_a_host_that_is_killed_later_is_named(stage: LaunchStage) -> None:
     wait_for(stage.out / "run.mcap")
     time.sleep(0.5)
     os.kill(int((stage.folder / "pid").read_text()), signal.SIGKILL)
-    said = output_at_exit(3, launch)
-    assert "[far] ended with exit code 137" in said
+    output = output_at_exit(3, launch)
+    assert "[far] ended with exit code 137" in output
     assert "joined" in stage.log("far")
 
 
@@ -342,10 +342,10 @@ def test_errors_of_a_hosts_file_are_reported_before_the_start(
     monkeypatch.chdir(tmp_path)
     Path("far.toml").write_text(SCENARIO)
     Path("hosts.toml").write_text(text)
-    code, out, said = vcmvsp_command("launch", "far.toml", "--hosts", "hosts.toml", "--out", "out", *more)
+    code, out, err = vcmvsp_command("launch", "far.toml", "--hosts", "hosts.toml", "--out", "out", *more)
     assert (code, out) == (2, "")
-    assert problem in said
-    assert said.count("\n") == 1
+    assert problem in err
+    assert err.count("\n") == 1
     assert not Path("out").exists()
 
 
@@ -374,13 +374,13 @@ def test_words_reach_the_other_machine_unchanged(shell: str, words: list[str], f
     show = "import json, sys; print(json.dumps([sys.argv[1:-2], open(sys.argv[-2]).read()])); sys.exit(7)"
     script = ssh_hosts.script([sys.executable, "-c", show, folder], words, last=["last"], bundle=bundle, name="far")
     script = script.replace(" -- last", " last")
-    code, said = heard(shell, script)
-    assert code == 7, said
-    assert json.loads(said) == [[folder, *words, "--keys"], bundle]
+    code, output = heard(shell, script)
+    assert code == 7, output
+    assert json.loads(output) == [[folder, *words, "--keys"], bundle]
 
 
 @pytest.mark.parametrize(
-    ("given", "word"),
+    ("path", "word"),
     [
         ("~", "~"),
         ("~/a b", "~/'a b'"),
@@ -391,8 +391,8 @@ def test_words_reach_the_other_machine_unchanged(shell: str, words: list[str], f
         ("", "''"),
     ],
 )
-def test_only_a_tilde_is_expanded(given: str, word: str) -> None:
-    assert ssh_hosts.path(given) == word
+def test_only_a_tilde_is_expanded(path: str, word: str) -> None:
+    assert ssh_hosts.path(path) == word
 
 
 SCALARS = st.booleans() | st.integers(-(2**60), 2**60) | st.floats(allow_nan=False, allow_infinity=False) | WORDS

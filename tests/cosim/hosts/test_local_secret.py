@@ -57,7 +57,7 @@ def test_only_the_secret_admits_to_a_run_and_its_user_needs_no_option(place: Pla
     for secret in (None, "guessed"):
         with pytest.raises(UsageError):
             place.session(secret)
-    place.session(endpoints.found(place.endpoint)).close()  # type: ignore[no-untyped-call]
+    place.session(endpoints.find_secret(place.endpoint)).close()  # type: ignore[no-untyped-call]
     assert dialling(place.endpoint, None, None) is not None
     run.kill()
     exit_of(run)
@@ -72,8 +72,8 @@ def test_a_host_does_not_join_a_run_without_a_secret(place: Place, tmp_path: Pat
     next(line for line in waiting.stderr if "no run of this user" in line)
     waiting.kill()
     assert exit_of(place.host("--insecure"))[0] == 0
-    said = output_at_exit(0, run)
-    assert "caution: anyone who can reach" in said
+    output = output_at_exit(0, run)
+    assert "caution: anyone who can reach" in output
 
 
 def test_the_file_is_private_and_removed_with_the_run(place: Place, tmp_path: Path) -> None:
@@ -81,7 +81,7 @@ def test_the_file_is_private_and_removed_with_the_run(place: Place, tmp_path: Pa
         (file,) = (tmp_path / "runtime" / "vcmvsp").iterdir()
         assert stat.S_IMODE(file.stat().st_mode) == 0o600
         assert stat.S_IMODE(file.parent.stat().st_mode) == 0o700
-        assert endpoints.found(place.endpoint) == "s3cret"
+        assert endpoints.find_secret(place.endpoint) == "s3cret"
     assert not file.exists()
     file.parent.chmod(0o755)
     with pytest.raises(UsageError, match="chmod 700"), endpoints.published(place.endpoint, "s3cret"):
@@ -118,11 +118,11 @@ def test_an_answer_of_another_session_is_dropped_counted_and_named(place: Place)
         assert forger.stdout is not None
         assert forger.stdout.readline() == "listening\n"
         host = place.host()
-        code, said = exit_of(run)
+        code, output = exit_of(run)
         forger.kill()
     assert exit_of(host)[0] == 0
     assert code == 0
-    assert "another session answers in place of the host of car1" in said
+    assert "another session answers in place of the host of car1" in output
     about = json.loads((place.out / "about.json").read_text())
     assert about["forged_answers"]["car1"] > 0
     assert json.loads((place.out / "metrics.json").read_text())["digest"] == honest

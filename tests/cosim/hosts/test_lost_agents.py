@@ -101,9 +101,9 @@ def test_an_agent_that_fails_leaves_the_same_bytes_wherever_it_runs(
     """Its last command holds for ``hold_s``, then its vehicle stands still; other vehicles continue."""
     settings = {"agents.on_lost": policy, "agents.hold_s": hold_s, "agents.latency_s": latency_s, "vehicle.car2.agent.how": how}
     here = vcmvsp.run(scenario, set=settings, out=tmp_path / "here")
-    held = min(hold_s if policy == "hold" else 0.0, 4.0)
+    effective_hold_s = min(hold_s if policy == "hold" else 0.0, 4.0)
     # Commands of 0 to 0.9 s take effect a latency later; the one of 1 s failed; a hold ends at a tick.
-    drives_s = min(1.0 + np.ceil(held / 0.1 - 1e-9) * 0.1, 5.0 - latency_s)
+    drives_s = min(1.0 + np.ceil(effective_hold_s / 0.1 - 1e-9) * 0.1, 5.0 - latency_s)
     assert travelled(here, "car2") == pytest.approx(0.5 * drives_s, abs=1e-9)
     assert travelled(here, "car3") == pytest.approx(0.5 * (5.0 - latency_s), abs=1e-9)
     assert here.metrics["agents"] == {
@@ -114,10 +114,10 @@ def test_an_agent_that_fails_leaves_the_same_bytes_wherever_it_runs(
     assert sum(1 for sender in here.radio["sender"].to_pylist() if sender == "car2") == 2 * 10  # ten frames, two receivers each
     follows = [each for each in here.follows if each.vehicle == "car2"]
     assert [each.follows.leader for each in follows] == (["car1"] if policy == "hold" else ["car1", None])
-    (said,) = presences(tmp_path / "here")
-    assert (said[0], said[1]) == ("car2/host", 1.0 + latency_s)
-    assert said[2]["state"] == ("lost" if policy == "hold" else "removed")
-    assert said[2]["since_ns"] == SECOND_NS
+    (event,) = presences(tmp_path / "here")
+    assert (event[0], event[1]) == ("car2/host", 1.0 + latency_s)
+    assert event[2]["state"] == ("lost" if policy == "hold" else "removed")
+    assert event[2]["since_ns"] == SECOND_NS
     places = [tmp_path / "encoded"]
     with behind_the_wire():
         vcmvsp.run(scenario, set=settings, out=places[0])
@@ -148,11 +148,11 @@ def test_a_killed_host_loses_its_pending_answers(scenario: Path, tmp_path: Path)
     """With a latency, answers may be on the way when it is killed; all from the first missing one are lost."""
     settings = {"agents.on_lost": "remove", "agents.latency_s": 0.25, "vehicle.car2.agent.how": "kill"}
     killed = vcmvsp.run(scenario, set=settings, agents="process", out=tmp_path / "killed")
-    ((_, at_s, said),) = presences(tmp_path / "killed")
-    assert 0.7 <= said["since_ns"] / SECOND_NS <= 1.0
-    assert at_s == pytest.approx(said["since_ns"] / SECOND_NS + 0.25)
-    assert killed.metrics["agents"]["car2"]["missed"] == round(50 - said["since_ns"] / 1e8)
-    assert travelled(killed, "car2") == pytest.approx(0.5 * said["since_ns"] / SECOND_NS)
+    ((_, at_s, presence),) = presences(tmp_path / "killed")
+    assert 0.7 <= presence["since_ns"] / SECOND_NS <= 1.0
+    assert at_s == pytest.approx(presence["since_ns"] / SECOND_NS + 0.25)
+    assert killed.metrics["agents"]["car2"]["missed"] == round(50 - presence["since_ns"] / 1e8)
+    assert travelled(killed, "car2") == pytest.approx(0.5 * presence["since_ns"] / SECOND_NS)
     assert killed.metrics["agents"]["car1"] == killed.metrics["agents"]["car3"] == FINE
 
 
@@ -186,9 +186,9 @@ class ByHand(Stage):
     def finish(self, run: subprocess.Popen[str]) -> tuple[str, dict[str, Any], list[tuple[str, float, dict[str, Any]]]]:
         """End a run by Ctrl-C: its output, the metrics of car2, and the records of `presences`."""
         run.send_signal(signal.SIGINT)
-        said = output_at_exit(130, run)
+        output = output_at_exit(130, run)
         metrics: dict[str, Any] = json.loads((self.out / "metrics.json").read_text())
-        return said, metrics["agents"]["car2"], presences(self.out)
+        return output, metrics["agents"]["car2"], presences(self.out)
 
 
 @pytest.fixture
@@ -204,14 +204,14 @@ def test_another_host_may_take_the_place_of_one_that_was_killed(stage: ByHand) -
     read_until(run, "car2 has lost its agent")
     second = stage.host()
     read_until(run, "car2 has its agent again")
-    _, metrics, said = stage.finish(run)
+    _, metrics, events = stage.finish(run)
     assert exit_of(second)[0] == 0
     assert metrics["reconnects"] == 1
     assert (metrics["late"], metrics["missed"] > 0) == (0, True)
-    assert [each[2]["state"] for each in said] == ["lost", "back"]
+    assert [each[2]["state"] for each in events] == ["lost", "back"]
     (unrepeatable,) = json.loads((stage.out / "about.json").read_text())["unrepeatable"]
-    assert unrepeatable.startswith(f"the host of car2 was lost at {said[0][2]['since_ns'] / SECOND_NS:g} s: ")
-    assert metrics["lost_s"] == pytest.approx((said[1][2]["since_ns"] - said[0][2]["since_ns"]) / SECOND_NS)
+    assert unrepeatable.startswith(f"the host of car2 was lost at {events[0][2]['since_ns'] / SECOND_NS:g} s: ")
+    assert metrics["lost_s"] == pytest.approx((events[1][2]["since_ns"] - events[0][2]["since_ns"]) / SECOND_NS)
     assert metrics["missed"] == round(metrics["lost_s"] / 0.1)
 
 
@@ -223,27 +223,27 @@ def test_a_host_that_hangs_continues_with_its_state(stage: ByHand) -> None:
     host.send_signal(signal.SIGCONT)
     read_until(run, "car2 has its agent again")
     wait_for(stage.folder / "stopped and on")
-    _, metrics, said = stage.finish(run)
+    _, metrics, events = stage.finish(run)
     assert exit_of(host)[0] == 0
     assert (metrics["late"], metrics["reconnects"]) == (1, 1)
     assert metrics["missed"] == round(metrics["lost_s"] / 0.1) >= 1
-    assert [each[2]["state"] for each in said] == ["lost", "back"]
+    assert [each[2]["state"] for each in events] == ["lost", "back"]
     with (stage.out / "run.mcap").open("rb") as stream:
-        counted = [
+        counts = [
             json.loads(message.data)["body"]["acted"]
             for _, channel, message in make_reader(stream).iter_messages(topics=["car2/send"])
         ]
     # 10 ticks before; the answer to the eleventh came too late; the next is the twelfth.
-    assert counted[9:11] == [10, 12]
-    assert counted == sorted(set(counted))
+    assert counts[9:11] == [10, 12]
+    assert counts == sorted(set(counts))
 
 
 def test_a_host_may_come_late(stage: ByHand) -> None:
     run = stage.run("agents.join_timeout_s=0.1")
     read_until(run, "the host of car2 did not join within 0.1 s (agents.join_timeout_s); the run starts without")
     read_until(run, "car2 has lost its agent: it has no host yet")
-    code, said = exit_of(stage.host("--set", "at=7.0"))
-    assert (code, "accepts no other parameters: leave out --set" in said) == (2, True)
+    code, output = exit_of(stage.host("--set", "at=7.0"))
+    assert (code, "accepts no other parameters: leave out --set" in output) == (2, True)
     late = stage.host()
     read_until(run, "car2 has its agent again")
     _, metrics, _ = stage.finish(run)
@@ -258,8 +258,8 @@ def test_a_removed_agent_does_not_return(stage: ByHand) -> None:
     wait_for(stage.out / "run.mcap")
     first.kill()
     read_until(run, "car2 is without an agent for good")
-    said = output_at_exit(2, stage.host())
-    assert "the run rejects this host: it has started, and no host is missing" in said
+    output = output_at_exit(2, stage.host())
+    assert "the run rejects this host: it has started, and no host is missing" in output
     _, metrics, events = stage.finish(run)
     assert metrics["reconnects"] == 0
     assert [each[2]["state"] for each in events] == ["removed"]
@@ -270,25 +270,25 @@ def test_a_run_refuses_unusable_hosts(stage: ByHand) -> None:
     stage.open_to = ["--insecure"]
     run, first = stage.run(), stage.host()
     wait_for(stage.out / "run.mcap")
-    code, said = exit_of(stage.host())
-    assert (code, "it has started, and no host is missing" in said) == (2, True)
+    code, output = exit_of(stage.host())
+    assert (code, "it has started, and no host is missing" in output) == (2, True)
     run.kill()
     exit_of(run)
     other = stage.start(
         "run", "formation-circle", "--listen", stage.endpoint, "--agents", "zenoh", "--insecure", "--out", "other"
     )
-    said = output_at_exit(3, first)
-    assert "the run: is gone: another run listens there now; start this host again" in said
+    output = output_at_exit(3, first)
+    assert "the run: is gone: another run listens there now; start this host again" in output
     older = (
         "import sys; from vcmvsp.cosim.hosts import protocol as wire; import vcmvsp.agents.host_process as serve\n"
         "serve.PROTOCOL = 1\n"
         f"serve.host('{stage.endpoint}', ('car2',), insecure=True)"
     )
-    done = subprocess.run([sys.executable, "-c", older], check=False, capture_output=True, text=True, timeout=500)
-    words = f"speaks protocol {protocol.PROTOCOL}, the host 1: use the same vcmvsp version"
-    assert words in done.stderr
+    process = subprocess.run([sys.executable, "-c", older], check=False, capture_output=True, text=True, timeout=500)
+    refusal = f"speaks protocol {protocol.PROTOCOL}, the host 1: use the same vcmvsp version"
+    assert refusal in process.stderr
     other.send_signal(signal.SIGINT)
-    assert words in exit_of(other)[1]
+    assert refusal in exit_of(other)[1]
 
 
 tick_times = st.integers(0, 100)
@@ -310,15 +310,15 @@ def test_missed_ticks_are_counted_exactly(changes: list[int], end: int, per: int
         missed += len(past) % 2
     assert found["missed"] == missed
     assert found["late"] == found["reconnects"] == len(changes) // 2
-    gone = [*changes, end] if len(changes) % 2 else changes
-    assert found["lost_s"] == sum(back - lost for lost, back in zip(gone[::2], gone[1::2], strict=True))
+    moments = [*changes, end] if len(changes) % 2 else changes
+    assert found["lost_s"] == sum(back - lost for lost, back in zip(moments[::2], moments[1::2], strict=True))
 
 
 def test_a_host_that_cannot_start_costs_the_run_only_its_vehicle(stage: ByHand) -> None:
     """Another host may join later, with the same class from its own folder."""
     run, bad = stage.run("agents.join_timeout_s=3.0"), stage.host("nobody.py:Nobody")
-    code, said = exit_of(bad)
-    assert (code, "nobody.py" in said) == (2, True)
+    code, output = exit_of(bad)
+    assert (code, "nobody.py" in output) == (2, True)
     read_until(run, "the run starts without")
     read_until(run, "car2 has lost its agent")
     elsewhere = stage.folder / "elsewhere"
@@ -340,9 +340,9 @@ def test_a_host_that_was_stopped_while_its_run_ended_ends_too(stage: ByHand) -> 
     stage.finish(run)
     time.sleep(1.0)
     host.send_signal(signal.SIGCONT)
-    code, said = exit_of(host)
+    code, output = exit_of(host)
     # It may first read the farewell sent meanwhile, or first detect the closed link.
-    assert (code, "is gone" in said) in {(0, False), (3, True)}
+    assert (code, "is gone" in output) in {(0, False), (3, True)}
 
 
 def test_a_failed_agent_does_not_return_with_its_host(stage: ByHand) -> None:

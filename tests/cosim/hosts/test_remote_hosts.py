@@ -34,10 +34,10 @@ class Place(Stage):
 
     def keys(self, *vehicles: str, as_: str) -> str:
         out = self.folder / f"{as_}.keys"
-        given = vcmvsp_command(
+        outcome = vcmvsp_command(
             "keys", "vehicle", *vehicles, "--keys", str(self.folder / "keys"), "--as", as_, "--out", str(out)
         )
-        assert given.code == 0, given.err
+        assert outcome.code == 0, outcome.err
         return out.name
 
     def run(self, duration: float, *more: str) -> subprocess.Popen[str]:
@@ -73,10 +73,10 @@ def test_two_machines_with_certificates_give_the_bytes_of_one_process(place: Pla
 
 def test_a_certificate_is_valid_only_for_its_vehicles(place: Place) -> None:
     """Refused by the host itself because of its file; if this is circumvented, by the run, which reports it."""
-    mine, theirs = place.keys("car2", as_="one"), place.keys("car3", as_="two")
+    car2_keys, car3_keys = place.keys("car2", as_="one"), place.keys("car3", as_="two")
     run = place.run(5.0)
-    said = output_at_exit(2, place.host("car3", mine, place.port))
-    assert "one.keys: is for car2, not for car3" in said
+    output = output_at_exit(2, place.host("car3", car2_keys, place.port))
+    assert "one.keys: is for car2, not for car3" in output
     forged = (
         "import sys; from vcmvsp.agents import host_process as serve; from vcmvsp.cosim.security import certificates\n"
         "certificates.Bundle.speaks_for = lambda *_: None\n"
@@ -88,9 +88,9 @@ def test_a_certificate_is_valid_only_for_its_vehicles(place: Place) -> None:
     )
     refusal = "the certificate of 'one' is for car2, not for car3"
     assert f"the run rejects this host: {refusal}" in liar.stderr
-    hosts = [place.host("car2", mine, place.port), place.host("car3", theirs, place.port)]
-    said = output_at_exit(0, run)
-    assert f"rejected a host with the certificate of one: {refusal}" in said
+    hosts = [place.host("car2", car2_keys, place.port), place.host("car3", car3_keys, place.port)]
+    output = output_at_exit(0, run)
+    assert f"rejected a host with the certificate of one: {refusal}" in output
     assert [exit_of(host)[0] for host in hosts] == [0, 0]
 
 
@@ -127,14 +127,14 @@ def test_a_cut_that_heals_within_the_deadline_loses_nothing(
 def test_remote_hosts_need_certificates(place: Place) -> None:
     (place.folder / "far.toml").write_text(far(1.0))
     run = ("run", str(place.folder / "far.toml"), "--out", str(place.out))
-    code, _, said = vcmvsp_command(*run, "--listen", f"tcp/0.0.0.0:{place.port}")
+    code, _, err = vcmvsp_command(*run, "--listen", f"tcp/0.0.0.0:{place.port}")
     assert code == 2
-    assert re.search(r"use tls/0\.0\.0\.0:\d+ --keys DIR .* or add --insecure", said)
-    code, _, said = vcmvsp_command("agent", "--vehicle", "car2", "--connect", "tcp/192.0.2.1:7447")
+    assert re.search(r"use tls/0\.0\.0\.0:\d+ --keys DIR .* or add --insecure", err)
+    code, _, err = vcmvsp_command("agent", "--vehicle", "car2", "--connect", "tcp/192.0.2.1:7447")
     assert code == 2
-    assert "--keys FILE" in said
+    assert "--keys FILE" in err
     assert not place.out.exists()
     keys = place.folder / "keys"
-    code, _, said = vcmvsp_command(*run, "--listen", f"tls/127.0.0.1:{place.port}", "--keys", str(keys))
+    code, _, err = vcmvsp_command(*run, "--listen", f"tls/127.0.0.1:{place.port}", "--keys", str(keys))
     assert code == 2
-    assert f"no machine has a certificate for car2, car3: vcmvsp keys vehicle car2 --keys {keys}" in said
+    assert f"no machine has a certificate for car2, car3: vcmvsp keys vehicle car2 --keys {keys}" in err

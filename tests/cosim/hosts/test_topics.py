@@ -92,17 +92,17 @@ class Subscriber:
     """A subscriber that records key, type, time and value of all samples."""
 
     def __init__(self, session: zenoh.Session, expression: str = key_names.TOPICS) -> None:
-        self.heard: list[tuple[str, str, int, Any]] = []
+        self.received: list[tuple[str, str, int, Any]] = []
         self.subscriber = session.declare_subscriber(expression, Callback(self._on, indirect=False))
 
     def _on(self, sample: zenoh.Sample) -> None:
         assert sample.attachment is not None
         (time_ns,) = stamp.unpack(sample.attachment.to_bytes())
-        said = json.loads(sample.payload.to_string())
-        self.heard.append((str(sample.key_expr).removeprefix(key_names.TOPIC), str(sample.encoding), time_ns, said))
+        value = json.loads(sample.payload.to_string())
+        self.received.append((str(sample.key_expr).removeprefix(key_names.TOPIC), str(sample.encoding), time_ns, value))
 
     def values(self) -> dict[str, Any]:
-        return {key: said for key, _, _, said in self.heard}
+        return {key: value for key, _, _, value in self.received}
 
 
 @pytest.fixture(autouse=True)
@@ -149,10 +149,10 @@ def show(topics: Topics, key: str, value: Any, ear: Subscriber, until_heard: str
 @pytest.mark.parametrize("tag", VALUES)
 def test_a_value_is_the_recorded_json(hub: Hub, topics: Topics, stack: contextlib.ExitStack, tag: str) -> None:
     ear = Subscriber(stack.enter_context(client(hub.endpoint)))
-    said = show(topics, "car2/thing", VALUES[tag], ear)
-    assert said == json.loads(msgspec.json.encode(VALUES[tag], enc_hook=messages.to_json))
-    assert said["type"] == tag
-    assert ear.heard[0][:3] == ("car2/thing", f"application/json;{tag}", 12)
+    value = show(topics, "car2/thing", VALUES[tag], ear)
+    assert value == json.loads(msgspec.json.encode(VALUES[tag], enc_hook=messages.to_json))
+    assert value["type"] == tag
+    assert ear.received[0][:3] == ("car2/thing", f"application/json;{tag}", 12)
 
 
 def test_each_reception_has_its_receivers_key(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
@@ -182,21 +182,21 @@ def test_states_have_a_common_key_and_one_each(hub: Hub, topics: Topics, stack: 
         assert together[name] == getattr(states, name).tolist()
     own = msgspec.json.decode(json.dumps(ear.values()["car2/state"]), type=VehicleState)
     assert own == VehicleState(**{name: tuple(getattr(states, name)[1].tolist()) for name in columns})
-    assert {said[1] for said in ear.heard if said[0] == "car2/state"} == {"application/json;state"}
+    assert {message[1] for message in ear.received if message[0] == "car2/state"} == {"application/json;state"}
 
 
 def test_pictures_and_scans_can_be_decoded(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
     ear = Subscriber(stack.enter_context(client(hub.endpoint)))
     pixels = np.random.default_rng(1).integers(0, 255, (3, 5, 3), np.uint8)
     depth = np.array([[1.5, np.inf, 2.0, 3.0, 4.0]] * 3, np.float32)
-    said = show(topics, "uav1/camera", Image(pixels=pixels, time_ns=4, focal_px=80.0, depth_m=depth), ear)
-    assert (said["type"], said["width"], said["height"], said["time_ns"], said["focal_px"]) == ("image", 5, 3, 4, 80.0)
-    assert np.array_equal(np.frombuffer(base64.b64decode(said["pixels"]), np.uint8).reshape(3, 5, 3), pixels)
-    assert np.array_equal(np.frombuffer(base64.b64decode(said["depth_m"]), "<f4").reshape(3, 5), depth)
+    value = show(topics, "uav1/camera", Image(pixels=pixels, time_ns=4, focal_px=80.0, depth_m=depth), ear)
+    assert (value["type"], value["width"], value["height"], value["time_ns"], value["focal_px"]) == ("image", 5, 3, 4, 80.0)
+    assert np.array_equal(np.frombuffer(base64.b64decode(value["pixels"]), np.uint8).reshape(3, 5, 3), pixels)
+    assert np.array_equal(np.frombuffer(base64.b64decode(value["depth_m"]), "<f4").reshape(3, 5), depth)
     assert show(topics, "uav1/other", Image(pixels=pixels), ear)["depth_m"] is None
     ranges = np.array([0.5, np.inf, -np.inf, 0.1], np.float32)
-    said = show(topics, "car1/scan", Scan(ranges=ranges, angle_min=-1.0, angle_step=0.5, range_max=8.0), ear)
-    assert said["ranges"] == [0.5, None, None, float(np.float32(0.1))]
+    value = show(topics, "car1/scan", Scan(ranges=ranges, angle_min=-1.0, angle_step=0.5, range_max=8.0), ear)
+    assert value["ranges"] == [0.5, None, None, float(np.float32(0.1))]
 
 
 def test_maps_mosaics_and_sightings_can_be_decoded(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
@@ -205,18 +205,18 @@ def test_maps_mosaics_and_sightings_can_be_decoded(hub: Hub, topics: Topics, sta
     rng, place = np.random.default_rng(1), {"left": -3.0, "bottom": 4.5, "cell_m": 0.5}
     probability, seen = rng.integers(0, 255, (3, 5), np.uint8), rng.random((3, 5)) < 0.5
     pixels = rng.integers(0, 255, (3, 5, 3), np.uint8)
-    said = show(topics, "uav1/map", ProbabilityMap(**place, probability=probability, seen=seen), ear)
-    assert (said["type"], said["columns"], said["rows"]) == ("map", 5, 3)
-    assert said.items() >= place.items()
+    value = show(topics, "uav1/map", ProbabilityMap(**place, probability=probability, seen=seen), ear)
+    assert (value["type"], value["columns"], value["rows"]) == ("map", 5, 3)
+    assert value.items() >= place.items()
     for name, cells in (("probability", probability), ("seen", seen)):
-        assert np.array_equal(np.frombuffer(base64.b64decode(said[name]), np.uint8).reshape(3, 5), cells)
-    said = show(topics, "uav1/mosaic", Mosaic(**place, pixels=pixels), ear)
-    assert (said["type"], said["columns"], said["rows"]) == ("mosaic", 5, 3)
-    assert np.array_equal(np.frombuffer(base64.b64decode(said["pixels"]), np.uint8).reshape(3, 5, 3), pixels)
+        assert np.array_equal(np.frombuffer(base64.b64decode(value[name]), np.uint8).reshape(3, 5), cells)
+    value = show(topics, "uav1/mosaic", Mosaic(**place, pixels=pixels), ear)
+    assert (value["type"], value["columns"], value["rows"]) == ("mosaic", 5, 3)
+    assert np.array_equal(np.frombuffer(base64.b64decode(value["pixels"]), np.uint8).reshape(3, 5, 3), pixels)
     one = Sighting(target="a", place=(1.0, 2.0), centre_px=(3.0, 4.0), angle=0.5, side_px=6.0, score=0.75)
-    said = show(topics, "uav1/sightings", Sightings(sensor="c", time_ns=4, width=5, height=3, found=(one,), jpeg=b"\xff"), ear)
-    assert (said["type"], base64.b64decode(said["jpeg"])) == ("sightings", b"\xff")
-    assert msgspec.convert(said["found"], tuple[Sighting, ...]) == (one,)
+    value = show(topics, "uav1/sightings", Sightings(sensor="c", time_ns=4, width=5, height=3, found=(one,), jpeg=b"\xff"), ear)
+    assert (value["type"], base64.b64decode(value["jpeg"])) == ("sightings", b"\xff")
+    assert msgspec.convert(value["found"], tuple[Sighting, ...]) == (one,)
 
 
 def test_without_subscribers_nothing_is_computed(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
@@ -236,7 +236,7 @@ def test_without_subscribers_nothing_is_computed(hub: Hub, topics: Topics, stack
     session = stack.enter_context(client(hub.endpoint))
     on("car1/scan")
     ear = Subscriber(session, "vcmvsp/topic/car1/*")
-    until(lambda: on("car1/scan") or ear.heard)
+    until(lambda: on("car1/scan") or ear.received)
     on("car2/scan")
     assert set(worked) == {"car1/scan"}
     ear.subscriber.undeclare()  # type: ignore[no-untyped-call]
@@ -258,7 +258,7 @@ def test_invalid_values_are_errors_and_end_nothing(hub: Hub, topics: Topics, sta
     for key in ("car1/*", "**", "car1//x", "/x", "car1/$*", "a#b", "a?b", ""):
         topics.on(Event(key, 1, VALUES["note"]))
         topics.on(Event(key, 2, VALUES["note"]))
-    assert {key for key, *_ in ear.heard} == {"car1/camera", "car1/send"}
+    assert {key for key, *_ in ear.received} == {"car1/camera", "car1/send"}
 
 
 # --- who asks ---
@@ -288,8 +288,8 @@ def test_a_query_returns_facts_of_the_run(hub: Hub, topics: Topics, stack: conte
 def test_a_query_may_be_answered_on_a_topic_too(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
     session = stack.enter_context(client(hub.endpoint))
     ear = Subscriber(session, "vcmvsp/topic/echo/*")
-    until(lambda: ask(session, key_names.about_key("me"), ECHO) and ear.heard)
-    assert ear.heard[0] == ("echo/me", "application/json;echo", 0, {"type": "echo"})
+    until(lambda: ask(session, key_names.about_key("me"), ECHO) and ear.received)
+    assert ear.received[0] == ("echo/me", "application/json;echo", 0, {"type": "echo"})
 
 
 # --- with certificates ---
@@ -327,14 +327,14 @@ def test_only_observers_receive_topics(keys: Keys, stack: contextlib.ExitStack) 
         for other in {*names, "hub", "*"} - {name}:
             assert ask(session, key_names.about_key(other)) == []
         assert ask(session, key_names.about_key(name), b"x" * (access_control.MAX_JOIN + 1)) == []
-    mine = ears["anna"].subscriber  # samples sent by anna reach no other observer
-    mine.undeclare()  # type: ignore[no-untyped-call]
+    subscriber = ears["anna"].subscriber  # samples sent by anna reach no other observer
+    subscriber.undeclare()  # type: ignore[no-untyped-call]
     sessions["anna"].put("vcmvsp/topic/car2/command", b"evil")
     sessions["anna"].declare_queryable(key_names.about_key("ben"), Callback(zenoh.Query.drop, indirect=False))
     settle()
     assert ask(sessions["ben"], key_names.about_key("ben"))[0]["scenario"] == "here"
-    assert {key for key, *_ in ears["ben"].heard} == {"car2/note"}
-    assert ears["laptop"].heard == ears["gone"].heard == []
+    assert {key for key, *_ in ears["ben"].received} == {"car2/note"}
+    assert ears["laptop"].received == ears["gone"].received == []
 
 
 def test_only_observers_receive_the_page(keys: Keys, stack: contextlib.ExitStack) -> None:
@@ -344,14 +344,14 @@ def test_only_observers_receive_the_page(keys: Keys, stack: contextlib.ExitStack
     page = PagePublisher(hub.session, b"the scenery")
     stack.callback(page.close)
     assert not page.push()  # no observer
-    seen: dict[str, list[zenoh.Sample]] = {name: [] for name in ("laptop", "anna", "ben")}
+    samples: dict[str, list[zenoh.Sample]] = {name: [] for name in ("laptop", "anna", "ben")}
     sessions = {}
-    for name, updates in seen.items():
+    for name, updates in samples.items():
         security = access_control.machine_security(certificates.load_bundle(keys.folder / f"{name}.keys"))
         sessions[name] = stack.enter_context(client(hub.endpoint, security))
         sessions[name].declare_subscriber(key_names.PAGE_UPDATE, Callback(updates.append, indirect=False))
     until(page.push)
-    until(lambda: page.offer(b"an update") and seen["anna"] and seen["ben"])
+    until(lambda: page.offer(b"an update") and samples["anna"] and samples["ben"])
     scenery = {
         name: [each.ok.payload.to_bytes() for each in session.get(key_names.PAGE_SCENERY, timeout=2.0) if each.ok]
         for name, session in sessions.items()
@@ -359,8 +359,8 @@ def test_only_observers_receive_the_page(keys: Keys, stack: contextlib.ExitStack
     assert scenery == {"anna": [b"the scenery"], "ben": [b"the scenery"], "laptop": []}
     sessions["anna"].put(key_names.PAGE_UPDATE, b"evil")
     settle()
-    assert {each.payload.to_bytes() for each in seen["ben"]} == {b"an update"}
-    assert seen["laptop"] == []
+    assert {each.payload.to_bytes() for each in samples["ben"]} == {b"an update"}
+    assert samples["laptop"] == []
 
 
 # --- a slow observer ---

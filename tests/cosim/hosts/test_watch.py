@@ -89,18 +89,18 @@ def test_two_observers_see_the_recording_and_change_no_bit(stage: WatchStage) ->
     with (stage.out / "run.mcap").open("rb") as stream:
         for _, channel, message in make_reader(stream).iter_messages(topics=list(SAME)):
             recorded[channel.topic].append((message.log_time, json.loads(message.data)))
-    seen = stage.seen("all")
+    events = stage.seen("all")
     for topic in SAME:
         assert recorded[topic]
-        shown = [(each["time_ns"], each["value"]) for each in seen if each["topic"] == topic]
+        shown = [(each["time_ns"], each["value"]) for each in events if each["topic"] == topic]
         if topic == "car1/state":  # shown as often as published, recorded less often
             assert [each for each in shown if each in recorded[topic]] == recorded[topic]
         else:
             assert shown == recorded[topic]
-        assert all(each["type"] == each["value"]["type"] for each in seen)
+        assert all(each["type"] == each["value"]["type"] for each in events)
     lines = (stage.folder / "one").read_text().splitlines()
     topics = {re.split(r"\s+", each.strip())[2] for each in lines}
-    assert topics == {"car2/note", *(f"car1/{what}" for what in ("state", "estimate", "odometry", "command", "send"))}
+    assert topics == {"car2/note", *(f"car1/{name}" for name in ("state", "estimate", "odometry", "command", "send"))}
     assert any(re.fullmatch(r" +\d\.\d00 s  car1/command      v 0\.\d\d m/s  w -?\d\.\d\d rad/s", each) for each in lines)
 
 
@@ -130,27 +130,27 @@ def test_an_observer_that_hangs_or_is_interrupted_ends_no_run(stage: WatchStage)
     assert [exit_of(each)[0] for each in (run, stage.host())] == [0, 0]
     assert stage.digest() == stage.alone()
     os.kill(hangs.pid, signal.SIGCONT)
-    said = output_at_exit(0, hangs)
-    assert "the run has ended" in said
+    output = output_at_exit(0, hangs)
+    assert "the run has ended" in output
 
 
 def test_a_terminal_shows_the_newest_twice_a_second(stage: WatchStage) -> None:
     run = stage.waiting()
-    ours, theirs = pty.openpty()
+    controller, terminal = pty.openpty()
     process = subprocess.Popen(
-        [*VCMVSP, "watch", stage.endpoint, "--topic", "car1/command"], stdout=theirs, stderr=subprocess.PIPE, text=True
+        [*VCMVSP, "watch", stage.endpoint, "--topic", "car1/command"], stdout=terminal, stderr=subprocess.PIPE, text=True
     )
     stage.processes.append(process)
-    os.close(theirs)
+    os.close(terminal)
     read_until(process, "watching")
     host = stage.host()
     shown = b""
     try:
-        while data := os.read(ours, 65536):
+        while data := os.read(controller, 65536):
             shown += data
     except OSError:  # it has exited
         pass
-    os.close(ours)
+    os.close(controller)
     assert [exit_of(each)[0] for each in (process, run, host)] == [0, 0, 0]
     times = [float(each.split()[0]) for each in shown.decode().splitlines()]
     assert times[-1] == 1.9
@@ -177,12 +177,12 @@ def test_with_certificates_only_observers_watch(stage: WatchStage) -> None:
         "keys/nobody.keys": "nobody.keys: cannot be read: No such file",
     }
     for file, words in refusals.items():
-        code, _, said = vcmvsp_command("watch", stage.endpoint, "--keys", str(stage.folder / file))
-        assert (code, len(said.splitlines())) == (2, 1)
-        assert words in said
-    code, _, said = vcmvsp_command("watch", stage.endpoint)
+        code, _, err = vcmvsp_command("watch", stage.endpoint, "--keys", str(stage.folder / file))
+        assert (code, len(err.splitlines())) == (2, 1)
+        assert words in err
+    code, _, err = vcmvsp_command("watch", stage.endpoint)
     assert code == 2
-    assert "add --keys FILE (made on the run's machine with: vcmvsp keys observer NAME" in said
+    assert "add --keys FILE (made on the run's machine with: vcmvsp keys observer NAME" in err
     assert [exit_of(each)[0] for each in (run, stage.host("--keys", "keys/laptop.keys"), anna)] == [0, 0, 0]
     assert stage.seen("anna")[-1]["time_ns"] == 2_000_000_000
 
@@ -209,14 +209,14 @@ def test_a_page_elsewhere_shows_the_run_without_controls_and_changes_no_bit(stag
 
 
 def test_a_page_excludes_options_of_lines() -> None:
-    code, _, said = vcmvsp_command("watch", "tcp/127.0.0.1:1", "--view", "--json")
-    assert (code, said) == (2, "vcmvsp: --view shows the whole run on a page: leave out --topic, --json and --count\n")
+    code, _, err = vcmvsp_command("watch", "tcp/127.0.0.1:1", "--view", "--json")
+    assert (code, err) == (2, "vcmvsp: --view shows the whole run on a page: leave out --topic, --json and --count\n")
 
 
 @pytest.mark.parametrize("topic", ["", "/", "car1/", "a//b", "car1/#", "a*"])
 def test_topics_are_key_expressions(topic: str) -> None:
-    code, _, said = vcmvsp_command("watch", "tcp/127.0.0.1:1", "--topic", topic)
-    assert (code, said) == (
+    code, _, err = vcmvsp_command("watch", "tcp/127.0.0.1:1", "--topic", topic)
+    assert (code, err) == (
         2,
         f"vcmvsp: --topic {topic}: must be a topic such as car2/command, with * for one part and ** for any number\n",
     )

@@ -51,8 +51,8 @@ class Script:
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
         self.log.append((self.name, now_ns, [event.key for event in inbox]))
-        given = self.table.pop(now_ns, self.answers if inbox else ())
-        return Step([note(key, now_ns + after) for key, after in given], min(self.table, default=None))
+        outputs = self.table.pop(now_ns, self.answers if inbox else ())
+        return Step([note(key, now_ns + after) for key, after in outputs], min(self.table, default=None))
 
     def close(self) -> None:
         self.closed += 1
@@ -61,33 +61,33 @@ class Script:
 class Remote(Script):
     """A remote `Script`: keeps its answers until they are requested."""
 
-    def __init__(self, *args: Any, lookahead_ns: int = 0, asked: list[str] | None = None, **kwargs: Any) -> None:
+    def __init__(self, *args: Any, lookahead_ns: int = 0, calls: list[str] | None = None, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        self.lookahead_ns, self.asked = lookahead_ns, asked if asked is not None else []
+        self.lookahead_ns, self.calls = lookahead_ns, calls if calls is not None else []
         self._waiting: list[Sequence[Event]] = []
 
     def ask(self, now_ns: int, inbox: Sequence[Event]) -> int | None:
-        self.asked.append(f"ask {self.name}")
+        self.calls.append(f"ask {self.name}")
         step = self.step(now_ns, inbox)
         self._waiting.append(step.events)
         return step.next_ns
 
     def release(self) -> None:
-        self.asked.append(f"release {self.name}")
+        self.calls.append(f"release {self.name}")
 
     def answer(self) -> Sequence[Event]:
-        self.asked.append(f"answer {self.name}")
+        self.calls.append(f"answer {self.name}")
         return self._waiting.pop(0)
 
 
 def run(*federates: Federate, duration: int = 100, **kwargs: Any) -> list[tuple[int, str]]:
     """All events in the order of publication."""
-    seen: list[tuple[int, str]] = []
+    events: list[tuple[int, str]] = []
     kernel = Kernel(RunInfo(scenario="test", seed=0, duration_ns=duration, vehicles=()), federates, **kwargs)
     kernel.start()
-    kernel.run(lambda event: seen.append((event.time_ns, event.key)))
+    kernel.run(lambda event: events.append((event.time_ns, event.key)))
     kernel.close()
-    return seen
+    return events
 
 
 def test_an_instant_goes_world_radio_agent_send_apply() -> None:
@@ -160,7 +160,7 @@ def test_nothing_due_after_the_end_is_published() -> None:
 
 def test_all_remote_federates_are_asked_before_any_is_awaited() -> None:
     order: list[str] = []
-    hosts = [Remote(f"host-{n}", Slot.AGENT, {0: []}, asked=order) for n in range(3)]
+    hosts = [Remote(f"host-{n}", Slot.AGENT, {0: []}, calls=order) for n in range(3)]
     run(*hosts)
     everyone = [f"host-{n}" for n in range(3)]
     assert order == [f"{verb} {name}" for verb in ("ask", "answer", "release") for name in everyone]
@@ -174,7 +174,7 @@ def test_with_a_lookahead_the_answer_is_awaited_only_when_it_takes_effect() -> N
             order.append(f"physics {now_ns}")
             return super().step(now_ns, inbox)
 
-    host = Remote("host", Slot.AGENT, {0: [("car/command", 25)], 10: [("car/command", 25)]}, lookahead_ns=25, asked=order)
+    host = Remote("host", Slot.AGENT, {0: [("car/command", 25)], 10: [("car/command", 25)]}, lookahead_ns=25, calls=order)
     events = run(Physics("world", Slot.WORLD, {0: [], 10: [], 20: [], 30: []}), host, duration=50)
     assert events == [(25, "car/command"), (35, "car/command")]
     assert order[:4] == ["physics 0", "ask host", "physics 10", "ask host"]
@@ -320,14 +320,14 @@ def test_a_polled_federate_is_stepped_first_in_the_instant() -> None:
     """Even at an instant at which no federate of its slot is due."""
     log: Log = []
 
-    class Asked(Script):
+    class PolledScript(Script):
         def poll(self, now_ns: int) -> bool:
             return now_ns in (30, 70)
 
-    asked = Asked("asked", Slot.WORLD, {40: []}, log=log)
+    polled_federate = PolledScript("asked", Slot.WORLD, {40: []}, log=log)
     world = Script("world", Slot.WORLD, {0: [], 50: []}, log=log)
     radio = Script("radio", Slot.RADIO, {30: [], 70: []}, log=log)
-    kernel = Kernel(RunInfo(scenario="test", seed=0, duration_ns=100, vehicles=()), [world, radio, asked])
+    kernel = Kernel(RunInfo(scenario="test", seed=0, duration_ns=100, vehicles=()), [world, radio, polled_federate])
     kernel.start()
     kernel.run(lambda _: None)
     assert [(name, when) for name, when, _ in log if when in (30, 70)] == [
@@ -480,11 +480,11 @@ def test_a_letter_between_two_instants_has_its_own_instant(
         wall.watch(clock, kernel)
 
     kernel._listen = then_watch  # type: ignore[method-assign]
-    seen: list[tuple[int, str]] = []
-    kernel.run(lambda event: seen.append((event.time_ns, event.key)))
+    events: list[tuple[int, str]] = []
+    kernel.run(lambda event: events.append((event.time_ns, event.key)))
     letters = [(round(each * speed), "door/letter") for each in (10, 25, 40) if each * speed < 100]
     ticks = [(each, "world/tick") for each in (0, 50, 100)]
-    assert seen == sorted([*letters, *ticks], key=lambda each: (each[0], each[1]))
+    assert events == sorted([*letters, *ticks], key=lambda each: (each[0], each[1]))
 
 
 def test_without_waits_letters_are_read_at_the_next_instant(
@@ -500,7 +500,7 @@ def test_without_waits_letters_are_read_at_the_next_instant(
 def test_remote_events_of_a_key_are_published_first(names: tuple[str, str]) -> None:
     """A vehicle's agent may run on a remote host, or locally under a name that sorts before other senders of its key."""
     here, elsewhere = names
-    given: list[object] = []
+    values: list[object] = []
 
     class Local(Script):
         def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
@@ -513,8 +513,8 @@ def test_remote_events_of_a_key_are_published_first(names: tuple[str, str]) -> N
     federates = Local(here, Slot.AGENT, {0: []}), Away(elsewhere, Slot.AGENT, {0: []})
     kernel = Kernel(RunInfo(scenario="test", seed=0, duration_ns=100, vehicles=()), federates)
     kernel.start()
-    kernel.run(lambda event: given.append(event.value))
-    assert given == [Note(values={"value": 2.0}), Note(values={"value": 1.0})]
+    kernel.run(lambda event: values.append(event.value))
+    assert values == [Note(values={"value": 2.0}), Note(values={"value": 1.0})]
 
 
 def test_a_run_leaves_the_collector_of_its_process_as_it_was() -> None:

@@ -63,9 +63,9 @@ def test_modes_without_avoidance_do_not_count(modes: Sequence[Any]) -> None:
 
 def test_shapes_are_counted_where_the_leader_changes_them() -> None:
     """The first value and a repeated one are no change; followers adopt the same changes later or not at all."""
-    told = [("a", 0, "wedge"), ("a", 20, "column"), ("a", 21, "column"), ("a", 50, "wedge"), ("a", 70, "line")]
-    heard = [("b", 0, "wedge"), ("b", 22, "column"), ("b", 53, "wedge"), ("c", 0, "wedge"), ("c", 71, "line")]
-    found = changes([note(name, at(k), shape=shape) for name, k, shape in told + heard], window=(8.0, 9.0))
+    leader_shapes = [("a", 0, "wedge"), ("a", 20, "column"), ("a", 21, "column"), ("a", 50, "wedge"), ("a", 70, "line")]
+    follower_shapes = [("b", 0, "wedge"), ("b", 22, "column"), ("b", 53, "wedge"), ("c", 0, "wedge"), ("c", 71, "line")]
+    found = changes([note(name, at(k), shape=shape) for name, k, shape in leader_shapes + follower_shapes], window=(8.0, 9.0))
     assert [found["shape_changes"], found["b"]["shape_changes"], found["c"]["shape_changes"]] == [3, 2, 1]
 
 
@@ -93,8 +93,8 @@ def test_modes_equal_a_plain_walk_over_the_ticks(modes: list[tuple[int, str]]) -
     assert (found["mode_toggles"], found["avoid_s"]) == ((toggles, pytest.approx(0.1 * away)) if modes else (None, None))
 
 
-def lane(*told: tuple[int, str]) -> list[Event]:
-    return [note("a", at(k), lane=state) for k, state in told]
+def lane(*entries: tuple[int, str]) -> list[Event]:
+    return [note("a", at(k), lane=state) for k, state in entries]
 
 
 PASSED = lane((0, "free"), (10, "narrow"), (20, "free"), (22, "narrow"), (30, "free"))
@@ -125,8 +125,8 @@ def test_a_team_in_the_narrow_shape_has_not_reformed() -> None:
     narrow = [note("a", 0, shape="wedge"), note("a", at(10), shape="column")]
     assert changes([*PASSED, *narrow])["reformed_s"] is None
     assert changes([*PASSED, *narrow, note("a", at(35), shape="wedge")], OFF_UNTIL_5_S)["reformed_s"] == pytest.approx(2.0)
-    asked = [note("a", 0, shape="wedge"), note("a", at(5), shape="column")]  # not caused by the passage
-    assert changes([*PASSED, *asked], OFF_UNTIL_5_S)["reformed_s"] == pytest.approx(2.0)
+    shape_order = [note("a", 0, shape="wedge"), note("a", at(5), shape="column")]  # not caused by the passage
+    assert changes([*PASSED, *shape_order], OFF_UNTIL_5_S)["reformed_s"] == pytest.approx(2.0)
 
 
 def two_teams(*lanes: tuple[str, int, str], chain: bool = False) -> list[float | None]:

@@ -144,10 +144,10 @@ def test_radio_counts_and_delays() -> None:
 
 def test_links_keep_receivers_and_senders_apart() -> None:
     events = [frame(0, "c", 0, {"a": 5, "b": 6}), frame(1, "a", 1, {"b": 9, "c": None}), frame(2, "c", 2, {"a": 4, "b": None})]
-    heard = links(recorder_after("abc", events, 10).radio)
-    received = {key: link.received_ns.tolist() for key, link in heard.items()}
+    by_pair = links(recorder_after("abc", events, 10).radio)
+    received = {key: link.received_ns.tolist() for key, link in by_pair.items()}
     assert received == {("a", "c"): [4, 5], ("b", "a"): [9], ("b", "c"): [6]}
-    assert heard["a", "c"].sent_ns.tolist() == [2, 2]  # an older message that arrives later lowers no age
+    assert by_pair["a", "c"].sent_ns.tolist() == [2, 2]  # an older message that arrives later lowers no age
 
 
 @given(st.lists(st.lists(st.tuples(*[st.floats(-50, 50)] * 2), min_size=5, max_size=5), min_size=1, max_size=6))

@@ -59,13 +59,13 @@ numbers = st.lists(st.tuples(st.sampled_from("ab"), st.integers(0, 9), st.floats
 
 
 @given(numbers)
-def test_statistics_of_notes_cover_the_numbers_in_the_window(noted: Sequence[tuple[str, int, float]]) -> None:
-    noted = sorted(noted, key=lambda each: each[1])
-    events = [note(vehicle, second * SECOND_NS, z=value, **TEXTS) for vehicle, second, value in noted]
+def test_statistics_of_notes_cover_the_numbers_in_the_window(notes: Sequence[tuple[str, int, float]]) -> None:
+    notes = sorted(notes, key=lambda each: each[1])
+    events = [note(vehicle, second * SECOND_NS, z=value, **TEXTS) for vehicle, second, value in notes]
     run = SimpleNamespace(
         notes=recorder_after("ab", [*events, note("a", 0, other=5.0)], 10 * SECOND_NS).notes, window_s=(2.0, 7.0)
     )
-    inside = [(vehicle, value) for vehicle, second, value in noted if 2 <= second <= 7]
+    inside = [(vehicle, value) for vehicle, second, value in notes if 2 <= second <= 7]
     values = [value for _, value in inside]
     expected: dict[str, Callable[[], float]] = {
         "mean": lambda: statistics.fmean(values),
@@ -132,9 +132,9 @@ def test_a_metric_that_fails_costs_only_its_own_value(functions: Path) -> None:
         'name = "bad"\nduration_s = 1.0\n[vehicles]\nkind = "p2dx"\n[[vehicle]]\nname = "a"\n'
         '[metrics.own]\nbroken = { kind = "own.py:broken" }\nframes = { kind = "own.py:rms_m" }\n'
     )
-    done = vcmvsp_command("run", "bad.toml", "--out", "out", "-q")
-    assert done.code == 3
-    assert "metrics.own.broken: ZeroDivisionError: division by zero (own.py line 9, in broken)" in done.err
+    outcome = vcmvsp_command("run", "bad.toml", "--out", "out", "-q")
+    assert outcome.code == 3
+    assert "metrics.own.broken: ZeroDivisionError: division by zero (own.py line 9, in broken)" in outcome.err
     assert {"metrics.json", "states.parquet", "report.html", "run.mcap"} <= {path.name for path in Path("out").iterdir()}
     failed = vcmvsp.study("bad.toml", vary={"duration_s": [1.0]}, seeds=1, jobs=1)
     assert "metrics.own.broken" in failed["error"][0].as_py()

@@ -53,8 +53,8 @@ def test_ages_equal_a_plain_loop(sent: list[Any], period: int, begin: int, end: 
     spans = [("b", "a", 0, 300), ("b", "c", 300, 2000)] if led else [(to, by, 0, 2000) for to in "abc" for by in "abc"]
     total, length, peaks = 0.0, 0, []
     for to, by, since, until in spans:
-        got = [(s, r) for t, b, s, r in rows if (t, b) == (to, by)]
-        newest = [max((s for s, r in got if r <= now), default=None) for now in range(1001)]
+        times = [(s, r) for t, b, s, r in rows if (t, b) == (to, by)]
+        newest = [max((s for s, r in times if r <= now), default=None) for now in range(1001)]
         last = min(1000, until, 1001 if end is None else end + 1)
         ticks = [now for now in range(0, 1000, period) if max(begin, since) <= now < last]
         at_ticks += [(now - at) / 1e3 for now in ticks if (at := newest[now]) is not None]
@@ -74,9 +74,9 @@ def test_ages_equal_a_plain_loop(sent: list[Any], period: int, begin: int, end: 
 
 def test_only_agents_have_ages() -> None:
     """Without followers, a vehicle without an agent has no age."""
-    got = Parts(recorder_after("ab", [frame(0, "a", 0, {"b": MS})], SECOND_NS).radio)
-    assert age_metrics(got, [], {"a": TENTH}, (0.0, None), SECOND_NS)["time_average"] is None
-    assert age_metrics(got, [], {"b": TENTH}, (0.0, None), SECOND_NS)["time_average"] == pytest.approx((1.0 + 0.001) / 2)
+    parts = Parts(recorder_after("ab", [frame(0, "a", 0, {"b": MS})], SECOND_NS).radio)
+    assert age_metrics(parts, [], {"a": TENTH}, (0.0, None), SECOND_NS)["time_average"] is None
+    assert age_metrics(parts, [], {"b": TENTH}, (0.0, None), SECOND_NS)["time_average"] == pytest.approx((1.0 + 0.001) / 2)
 
 
 # --- connectivity ---------------------------------------------------------------------------------------------------------
@@ -157,10 +157,10 @@ def test_connectivity_is_of_each_second_in_the_window() -> None:
 
 def test_a_second_counts_its_arrivals() -> None:
     events = [frame(0, "a", 0, {"b": SECOND_NS}), frame(1, "a", SECOND_NS // 2, {"b": SECOND_NS - 1})]
-    got = Parts(recorder_after("ab", events[:1], 2 * SECOND_NS).radio)
-    assert adjacency(got, "ab", 0, 2).any(axis=(1, 2)).tolist() == [False, True]
-    got = Parts(recorder_after("ab", events[1:], 2 * SECOND_NS).radio)
-    assert adjacency(got, "ab", 0, 2).any(axis=(1, 2)).tolist() == [True, False]
+    parts = Parts(recorder_after("ab", events[:1], 2 * SECOND_NS).radio)
+    assert adjacency(parts, "ab", 0, 2).any(axis=(1, 2)).tolist() == [False, True]
+    parts = Parts(recorder_after("ab", events[1:], 2 * SECOND_NS).radio)
+    assert adjacency(parts, "ab", 0, 2).any(axis=(1, 2)).tolist() == [True, False]
 
 
 def test_connectivity_of_one_vehicle_and_of_too_many_is_none() -> None:

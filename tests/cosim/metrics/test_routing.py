@@ -34,11 +34,11 @@ def frame(number: int, sender: str, sent_ns: int, **received_ns: int) -> FrameRe
 
 def routed(*frames: int, **parts: Any) -> Routed:
     """Report of a message; of each receiver, by its name: hops, via and time, ns."""
-    came = {name: parts.pop(name) for name in NAMES if name in parts}
-    hops, via, times = zip(*came.values(), strict=True) if came else ((), (), ())
-    told: dict[str, Any] = {"origin": "a", "number": 0, "to": None, "sent_ns": 0, "update": False, "under_way": False} | parts
+    arrivals = {name: parts.pop(name) for name in NAMES if name in parts}
+    hops, via, times = zip(*arrivals.values(), strict=True) if arrivals else ((), (), ())
+    fields: dict[str, Any] = {"origin": "a", "number": 0, "to": None, "sent_ns": 0, "update": False, "under_way": False} | parts
     return Routed(
-        frames=frames, receivers=tuple(came), hops=hops, via=via, received_ns=times, size_bytes=50, frame_bytes=58, **told
+        frames=frames, receivers=tuple(arrivals), hops=hops, via=via, received_ns=times, size_bytes=50, frame_bytes=58, **fields
     )
 
 
@@ -99,7 +99,7 @@ def test_a_message_under_way_at_the_end_is_no_loss(routing: Routing) -> None:
 
 
 def test_a_frame_names_its_messages_origin(routing: Routing) -> None:
-    table = routing.told(radio_table(REPORTS, FACTS))
+    table = routing.table(radio_table(REPORTS, FACTS))
     origins, by = names_of(table, "origin")
     ends, to = names_of(table, "destination")
     sent_ns, number = numbers(table, "origin_sent_ns").tolist(), numbers(table, "origin_number", null=-1).tolist()
@@ -112,7 +112,7 @@ def test_a_frame_names_its_messages_origin(routing: Routing) -> None:
 
 
 def test_links_of_information_go_from_origin_to_destination(routing: Routing) -> None:
-    table = routing.told(radio_table(REPORTS, FACTS))
+    table = routing.table(radio_table(REPORTS, FACTS))
     known = links(table)
     times = {key: (link.sent_ns.tolist(), link.received_ns.tolist()) for key, link in known.items()}
     assert times == {("b", "a"): ([100], [200]), ("c", "a"): ([100, 600], [350, 800])}
@@ -126,7 +126,7 @@ def test_a_table_without_routing_is_read_as_it_is() -> None:
 
 
 def test_times_of_unreached_messages(routing: Routing) -> None:
-    table = routing.told(radio_table(REPORTS, FACTS))
+    table = routing.table(radio_table(REPORTS, FACTS))
     assert unreached_s(table, "c", "a").tolist() == [900e-9]
     assert unreached_s(table, "b", "a").tolist() == [900e-9]  # the message to c is no loss
     assert unreached_s(table, "a", "b").tolist() == []
@@ -136,18 +136,18 @@ def test_simultaneous_messages_are_missed_separately() -> None:
     routing = Routing(NAMES)
     for number in range(4):
         routing.take(routed(number, number=number, to="b", sent_ns=100, under_way=number == 3))
-    table = routing.told(radio_table([frame(0, "a", 100, b=200), *(frame(k, "a", 100) for k in (1, 2, 3))], FACTS))
+    table = routing.table(radio_table([frame(0, "a", 100, b=200), *(frame(k, "a", 100) for k in (1, 2, 3))], FACTS))
     assert unreached_s(table, "b", "a").tolist() == [100e-9] * 2  # one arrived, one is under way
     assert unreached_s(table, "c", "a").tolist() == []
 
 
-@pytest.mark.parametrize(("told", "known"), [((), 0), ((routed(to="c"),), 0), (MESSAGES[1:2], 0), (MESSAGES[:1], 4)])
-def test_frames_of_an_aborted_run_have_no_origin(told: Sequence[Routed], known: int) -> None:
+@pytest.mark.parametrize(("messages", "known"), [((), 0), ((routed(to="c"),), 0), (MESSAGES[1:2], 0), (MESSAGES[:1], 4)])
+def test_frames_of_an_aborted_run_have_no_origin(messages: Sequence[Routed], known: int) -> None:
     """Reported before the end: nothing, a message without a route, a route update, or the first message."""
     routing = Routing(NAMES)
-    for each in told:
+    for each in messages:
         routing.take(each)
-    table = routing.told(radio_table(REPORTS, FACTS))
+    table = routing.table(radio_table(REPORTS, FACTS))
     origins, by = names_of(table, "origin")
     assert [origins[code] for code in by.tolist()] == ["a"] * known + [""] * (12 - known)
     assert (
@@ -164,7 +164,7 @@ def test_a_frame_without_receivers_has_no_rows() -> None:
     nothing = np.empty(0)
     none = {"receivers": (), "outcome": (), "distance_m": nothing, "rssi_dbm": nothing, "received_ns": nothing.astype(np.int64)}
     lonely = [replace(frame(number, "a", 0), **none) for number in range(3)]
-    table = routing.told(radio_table(lonely, replace(FACTS, vehicles=("a",))))
+    table = routing.table(radio_table(lonely, replace(FACTS, vehicles=("a",))))
     assert table.num_rows == 0
     assert routing.metrics()["delivery_ratio"] is None
 
@@ -178,7 +178,7 @@ def test_a_failure_of_routing_keeps_the_tables(monkeypatch: pytest.MonkeyPatch) 
         recorder.on(Event("radio/frame", each.sent_ns, each))
     recorder.close(10**10)
     with monkeypatch.context() as patch:
-        patch.setattr(Routing, "told", lambda self, radio: 1 // 0)
+        patch.setattr(Routing, "table", lambda self, radio: 1 // 0)
         with pytest.raises(ZeroDivisionError):
             recorder.metrics(window=(0.0, None))
     assert recorder.radio.num_rows == 12

@@ -37,10 +37,10 @@ def test_a_legend_has_as_many_names_as_there_is_room_for(count: int, named: int)
     figure = study_plot.lines(summary(points), ["x", "k"], ["m"])
     figure.draw_without_rendering()
     (legend,) = figure.legends
-    words = [text.get_text() for text in legend.get_texts()]
-    assert words[:5] == ["e0", "e1", "e2", "e3", "e4"]
-    assert len(words) == named
-    assert words[-1] == (f"and {count - named + 1} more" if count > named else f"e{count - 1}")
+    texts = [text.get_text() for text in legend.get_texts()]
+    assert texts[:5] == ["e0", "e1", "e2", "e3", "e4"]
+    assert len(texts) == named
+    assert texts[-1] == (f"and {count - named + 1} more" if count > named else f"e{count - 1}")
     assert legend.get_window_extent().y0 >= 0.0  # within the figure
 
 

@@ -85,19 +85,19 @@ def lab(light: Array) -> Array:
     return np.array([116 * fy - 16, 500 * (fx - fy), 200 * (fy - fz)])
 
 
-def colour_difference(one: str, other: str, seen: Array) -> float:
-    """Colour difference (CIE 1976) under a kind of vision (matrix ``seen``); 2.3 is just noticeable."""
-    first, second = (lab(np.clip(seen @ linear(code), 0.0, 1.0)) for code in (one, other))
+def colour_difference(one: str, other: str, vision: Array) -> float:
+    """Colour difference (CIE 1976) under a kind of vision (matrix ``vision``); 2.3 is just noticeable."""
+    first, second = (lab(np.clip(vision @ linear(code), 0.0, 1.0)) for code in (one, other))
     return float(np.linalg.norm(first - second))
 
 
 # --- colours and lines -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("who", SEEN_BY)
+@pytest.mark.parametrize("vision", SEEN_BY)
 @pytest.mark.parametrize("palette", [OKABE_ITO, tuple(COMMANDERS.values())], ids=["series", "commanders"])
-def test_colours_differ_for_all_vision(palette: tuple[str, ...], who: str) -> None:
-    assert min(colour_difference(*pair, SEEN_BY[who]) for pair in itertools.combinations(palette, 2)) > 15.0
+def test_colours_differ_for_all_vision(palette: tuple[str, ...], vision: str) -> None:
+    assert min(colour_difference(*pair, SEEN_BY[vision]) for pair in itertools.combinations(palette, 2)) > 15.0
 
 
 def test_series_differ_without_their_colours() -> None:
@@ -124,10 +124,14 @@ def run() -> dict[str, Canvas]:
     for k in range(20):
         at = k * SECOND_NS // 10
         events.append(recordings.frame(k, "car0", at, {"car1": at + 1000 if k % 3 else None, "car2": at + 1000}))
-    seen = recordings.recorder_after(list(poses), events, 3 * SECOND_NS)
-    error = run_plots.formation_error(seen.states, seen.radio, seen.follows, (1.0, None))
-    alone = run_plots.formation_error(seen.states, seen.radio.slice(0, 0), seen.follows)
-    return {"trajectory": run_plots.trajectory(seen.states, seen.follows), "formation_error": error, "without radio": alone}
+    recorder = recordings.recorder_after(list(poses), events, 3 * SECOND_NS)
+    error = run_plots.formation_error(recorder.states, recorder.radio, recorder.follows, (1.0, None))
+    alone = run_plots.formation_error(recorder.states, recorder.radio.slice(0, 0), recorder.follows)
+    return {
+        "trajectory": run_plots.trajectory(recorder.states, recorder.follows),
+        "formation_error": error,
+        "without radio": alone,
+    }
 
 
 def mission() -> dict[str, Canvas]:

@@ -51,11 +51,11 @@ def about(out: Path) -> Any:
 
 @pytest.mark.usefixtures("ways")
 def test_each_child_has_its_arguments_first_text_file_exit_code_and_random_numbers(tmp_path: Path) -> None:
-    with (tmp_path / "given").open("w+b", buffering=0) as given:
-        given.write(b"for both!" * 2)
-        given.seek(0)
-        (tmp_path / "child.py").write_text(CHILD.replace("FILE", str(given.fileno())))
-        with ForkServer("child", files=[given.fileno()]) as server:
+    with (tmp_path / "given").open("w+b", buffering=0) as file:
+        file.write(b"for both!" * 2)
+        file.seek(0)
+        (tmp_path / "child.py").write_text(CHILD.replace("FILE", str(file.fileno())))
+        with ForkServer("child", files=[file.fileno()]) as server:
             children = [server.start(str(tmp_path / str(code)), str(code), first=f"to {code}\n") for code in (0, 5)]
             for child in children:
                 child.wait()

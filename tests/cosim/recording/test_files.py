@@ -198,18 +198,18 @@ def test_values_come_back_from_the_recording_as_they_were(recording: dict[str, A
     sent: dict[str, list[Any]] = {}
     for event in events():
         sent.setdefault(event.key, []).append(event.value)
-    ours = ("command", "odometry", "send"), ("send", "estimate", "follows")
-    for key in (*(f"car1/{name}" for name in ours[0]), *(f"car2/{name}" for name in ours[1]), "world/contact"):
+    topics = ("command", "odometry", "send"), ("send", "estimate", "follows")
+    for key in (*(f"car1/{name}" for name in topics[0]), *(f"car2/{name}" for name in topics[1]), "world/contact"):
         back = [msgspec.convert(message, type(sent[key][0])) for _, message, *_ in recording[key]]
         assert back == sent[key]
 
 
 def test_messages_are_recorded_at_the_tick_at_which_the_agent_gets_them(recording: dict[str, Any]) -> None:
     sent_ns = [event.time_ns for event in events() if event.key == RECEPTIONS]
-    got = {time_ns: [each["sent_ns"] for each in said["receptions"]] for time_ns, said, *_ in recording["car2/heard"]}
-    assert [each for own in got.values() for each in own] == [each for each in sent_ns if each + 1000 < SECOND_NS]
-    assert all(0 < tick - each <= SECOND_NS // 10 for tick, own in got.items() for each in own)
-    assert all(tick % (SECOND_NS // 10) == 0 for tick in got)
+    by_tick = {time_ns: [each["sent_ns"] for each in message["receptions"]] for time_ns, message, *_ in recording["car2/heard"]}
+    assert [each for own in by_tick.values() for each in own] == [each for each in sent_ns if each + 1000 < SECOND_NS]
+    assert all(0 < tick - each <= SECOND_NS // 10 for tick, own in by_tick.items() for each in own)
+    assert all(tick % (SECOND_NS // 10) == 0 for tick in by_tick)
 
 
 def test_scene_contains_each_vehicle_and_each_slot_once(recording: dict[str, Any]) -> None:
@@ -271,8 +271,8 @@ def test_equal_runs_leave_equal_bytes_and_no_library_version(tmp_path: Path) -> 
 def test_rounding_errors_have_a_linear_axis(greatest_m: float, scale: str) -> None:
     errors = np.geomspace(1e-6, 1.0, 50) * greatest_m
     events = [states(k * SECOND_NS // 10, {"a": (0.0, 0.0, 0.0), "b": (-1.0 - e, 0.0, 0.0)}) for k, e in enumerate(errors)]
-    seen = plainly("ab", [follows("b", "a", (-1.0, 0.0), 0.1), *events], 5 * SECOND_NS)
-    axes = run_plots.formation_error(seen.states, seen.radio, seen.follows).axes[0]
+    recorder = plainly("ab", [follows("b", "a", (-1.0, 0.0), 0.1), *events], 5 * SECOND_NS)
+    axes = run_plots.formation_error(recorder.states, recorder.radio, recorder.follows).axes[0]
     low, high = axes.get_ylim()
     assert axes.get_yscale() == scale
     assert low < greatest_m < high

@@ -20,7 +20,7 @@ from tests.support.cosim.recordings import note, states
 from tests.support.cosim.recordings import recorder_after as plainly
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
-from vcmvsp.cosim.metrics.mission import Mission, seen_ratio
+from vcmvsp.cosim.metrics.mission import Mission, searched_ratio
 from vcmvsp.cosim.metrics.motion import motion
 from vcmvsp.cosim.plots import mission_plot, mission_video, style
 from vcmvsp.cosim.recording.foxglove import corners_of
@@ -98,8 +98,8 @@ def test_grids_describe_their_cells(topic: str, kind: type, topics: Any) -> None
 
 
 def test_each_sighting_has_its_picture(topics: Any) -> None:
-    said, pictures, sent = topics["uav1/sightings"], topics["uav1/sightings/picture"], shown_by(Sightings, "uav1")
-    for (time_ns, message, _), (picture_ns, picture, _), value in zip(said, pictures, sent, strict=True):
+    sightings, pictures, sent = topics["uav1/sightings"], topics["uav1/sightings/picture"], shown_by(Sightings, "uav1")
+    for (time_ns, message, _), (picture_ns, picture, _), value in zip(sightings, pictures, sent, strict=True):
         assert time_ns == picture_ns
         assert msgspec.convert(message["found"], tuple[Sighting, ...]) == value.found
         assert [each["text"] for each in message["texts"]] == [f"{each.target} 0.93" for each in value.found]
@@ -176,7 +176,7 @@ def mission_of(*notes: Any, seconds: float = 20.0) -> dict[str, Any]:
 
 def test_finds_count_near_the_moving_target() -> None:
     """After 15 s alpha has moved on by 1.5 m: a find 2.9 m ahead of it counts, one 3.1 m behind it does not."""
-    got = mission_of(
+    metrics = mission_of(
         note("uav2", 15 * SECOND_NS, found="alpha", found_x=9.0, found_y=20.0 + 1.5 + 2.9),
         note("uav2", 15 * SECOND_NS + 1, found="alpha", found_x=9.0, found_y=20.0 + 1.5 - 3.1),
         note("uav2", 15 * SECOND_NS + 2, found="bravo", found_x=9.0, found_y=21.5),
@@ -185,8 +185,8 @@ def test_finds_count_near_the_moving_target() -> None:
         note("uav2", 15 * SECOND_NS + 5, found="", found_x="here", found_y=30.0),
     )
     base = mission_of()
-    assert got["false_finds"] == base["false_finds"] + 4
-    assert got["found_s"] == base["found_s"]
+    assert metrics["false_finds"] == base["false_finds"] + 4
+    assert metrics["found_s"] == base["found_s"]
     assert base["targets_found"] == sum(time_s is not None for time_s in base["found_s"].values()) == 2
 
 
@@ -223,15 +223,15 @@ def test_a_target_is_tracked_by_a_vehicle_near_it(task: str, target: str, away_m
 def test_bytes_and_switches_add_up() -> None:
     base = mission_of()
     assert base["map_bytes_sent"] == 2 * 2100
-    got = mission_of(note("uav1", END_NS, commander="avoid1", map_bytes=5000.0), note("uav2", 1, commander="search"))
-    assert got["map_bytes_sent"] == 2100 + 5000
-    assert got["switches"] - base["switches"] == 1
+    metrics = mission_of(note("uav1", END_NS, commander="avoid1", map_bytes=5000.0), note("uav2", 1, commander="search"))
+    assert metrics["map_bytes_sent"] == 2100 + 5000
+    assert metrics["switches"] - base["switches"] == 1
 
 
 def test_bytes_of_a_replacing_agent_are_added() -> None:
     counts = [0.0, 500.0, 900.0, 0.0, 300.0, 400.0]
-    got = mission_of(*(note("uav3", tick, map_bytes=count) for tick, count in enumerate(counts)))
-    assert got["map_bytes_sent"] - mission_of()["map_bytes_sent"] == 900 + 400
+    metrics = mission_of(*(note("uav3", tick, map_bytes=count) for tick, count in enumerate(counts)))
+    assert metrics["map_bytes_sent"] - mission_of()["map_bytes_sent"] == 900 + 400
 
 
 def test_the_searched_area_is_the_union_of_all_maps() -> None:
@@ -241,21 +241,21 @@ def test_the_searched_area_is_the_union_of_all_maps() -> None:
             left=left, bottom=0.0, cell_m=cell_m, probability=frozen(np.zeros(seen.shape), np.uint8), seen=seen
         )
 
-    assert seen_ratio([]) is None
-    assert seen_ratio([shown(0.0, 2.0, [[1, 0], [0, 0]]), shown(0.0, 2.0, [[0, 0], [0, 1]])]) == 0.5
+    assert searched_ratio([]) is None
+    assert searched_ratio([shown(0.0, 2.0, [[1, 0], [0, 0]]), shown(0.0, 2.0, [[0, 0], [0, 1]])]) == 0.5
     # two grids of 4 m x 4 m with different cell sizes, side by side and then one over the other
-    assert seen_ratio([shown(0.0, 2.0, [[1, 0], [0, 0]]), shown(4.0, 4.0, [[1]])]) == pytest.approx(20 / 32)
-    assert seen_ratio([shown(0.0, 2.0, [[1, 0], [0, 0]]), shown(0.0, 4.0, [[1]])]) == pytest.approx(1.0)
-    assert seen_ratio([shown(0.0, 2.0, [[1, 0], [0, 0]]), shown(0.0, 4.0, [[0]])]) == pytest.approx(4 / 16, abs=0.25)
-    assert seen_ratio([shown(0.0, 2.0, np.zeros((0, 0)))]) is None
+    assert searched_ratio([shown(0.0, 2.0, [[1, 0], [0, 0]]), shown(4.0, 4.0, [[1]])]) == pytest.approx(20 / 32)
+    assert searched_ratio([shown(0.0, 2.0, [[1, 0], [0, 0]]), shown(0.0, 4.0, [[1]])]) == pytest.approx(1.0)
+    assert searched_ratio([shown(0.0, 2.0, [[1, 0], [0, 0]]), shown(0.0, 4.0, [[0]])]) == pytest.approx(4 / 16, abs=0.25)
+    assert searched_ratio([shown(0.0, 2.0, np.zeros((0, 0)))]) is None
 
 
 @settings(max_examples=30)
 @given(st.lists(st.lists(st.booleans(), min_size=6, max_size=6), min_size=1, max_size=4))
 def test_equal_grids_are_counted_exactly(maps: list[list[bool]]) -> None:
-    seen = [np.array(each).reshape(2, 3) for each in maps]
-    values = [ProbabilityMap(left=0.1, bottom=0.3, cell_m=0.7, probability=frozen(each, np.uint8), seen=each) for each in seen]
-    assert seen_ratio(values) == pytest.approx(np.any(seen, axis=0).mean())
+    masks = [np.array(each).reshape(2, 3) for each in maps]
+    values = [ProbabilityMap(left=0.1, bottom=0.3, cell_m=0.7, probability=frozen(each, np.uint8), seen=each) for each in masks]
+    assert searched_ratio(values) == pytest.approx(np.any(masks, axis=0).mean())
 
 
 def test_paths_of_metrics_exist_without_finds() -> None:
@@ -309,7 +309,7 @@ def test_a_vehicle_without_its_agent_has_no_task() -> None:
         if lost_s is not None:
             noted.leave("uav1", round(lost_s * SECOND_NS))
         if back_s is not None:
-            noted.come_back("uav1", round(back_s * SECOND_NS))
+            noted.restore("uav1", round(back_s * SECOND_NS))
         assert noted.lost("uav1") == []
         moves = [states(k * SECOND_NS // 10, {"uav1": (31.0, 30.0, 0.0)}) for k in range(200)]
         return dict(noted.metrics(motion(plainly(["uav1"], moves, END_NS).states), TARGETS) or {})
@@ -326,7 +326,7 @@ def test_a_returned_agent_may_change_its_task() -> None:
     mission.leave("uav1", 5)
     mission.leave("uav1", 6)  # lost, then gone for good
     mission.take("uav1", 9, {"commander": "search", "task": "search", "target": ""})  # another agent in its place
-    mission.come_back("uav1", 9)
+    mission.restore("uav1", 9)
     assert mission.of("uav1", "commander") == [(0, "track"), (5, ""), (9, "search")]
     assert mission.of("uav1", "target") == [(0, "")]
     found = mission.metrics(motion(plainly(["uav1"], (), 0).states), ())
@@ -367,12 +367,12 @@ def test_a_long_recording_keeps_some_pictures() -> None:
     _, stream = reconnaissance_recorder(NAMES, 20.0, looks=5.0)
     log = read_mission(io.BytesIO(stream.getvalue()), NAMES, 2 * FRAMES * SECOND_NS)
     for name in NAMES:
-        kept = [(time_ns, seen) for time_ns, seen in log.sightings[name] if seen.jpeg]
-        parts = [log.part(time_ns) for time_ns, _ in kept]
+        pictures = [(time_ns, sightings) for time_ns, sightings in log.sightings[name] if sightings.jpeg]
+        parts = [log.part(time_ns) for time_ns, _ in pictures]
         assert parts == sorted(set(parts)) == list(range(10))
-        with_target = {log.part(time_ns) for time_ns, seen in log.sightings[name] if seen.found}
-        assert {log.part(time_ns) for time_ns, seen in kept if seen.found} == with_target
-        assert [seen.found for _, seen in log.sightings[name] if seen.found] == [
+        with_target = {log.part(time_ns) for time_ns, sightings in log.sightings[name] if sightings.found}
+        assert {log.part(time_ns) for time_ns, sightings in pictures if sightings.found} == with_target
+        assert [sightings.found for _, sightings in log.sightings[name] if sightings.found] == [
             each.value.found
             for each in events(NAMES, 20.0, 5.0)
             if each.key == f"{name}/sightings" and isinstance(each.value, Sightings) and each.value.found
@@ -418,11 +418,11 @@ def test_the_mission_figure_shows_commanders_maps_and_targets(run: Any, log: Mis
 
 def test_the_contact_sheet_shows_each_vehicles_detections(log: MissionLog) -> None:
     chosen = mission_plot.chosen_pictures(log)
-    pairs = {(name, each.target) for name, shown in log.sightings.items() for _, seen in shown for each in seen.found}
-    assert {(name, seen.found[0].target) for _, name, seen in chosen} == pairs
+    pairs = {(name, each.target) for name, shown in log.sightings.items() for _, sightings in shown for each in sightings.found}
+    assert {(name, sightings.found[0].target) for _, name, sightings in chosen} == pairs
     assert [time_ns for time_ns, *_ in chosen] == sorted(time_ns for time_ns, *_ in chosen)
-    assert {seen.time_ns for _, _, seen in chosen} <= {
-        seen.time_ns for shown in log.sightings.values() for _, seen in shown if seen.found and seen.jpeg
+    assert {sightings.time_ns for _, _, sightings in chosen} <= {
+        sightings.time_ns for shown in log.sightings.values() for _, sightings in shown if sightings.found and sightings.jpeg
     }
     figure = mission_plot.detections(log)
     assert sum(bool(axes.images) for axes in figure.axes) == len(chosen) <= 12
@@ -440,9 +440,9 @@ def test_the_film_has_four_times_the_pace_and_is_reproducible(run: Any, log: Mis
 
 
 def test_vehicles_without_pictures_take_no_room_in_the_film(log: MissionLog) -> None:
-    (_, seen), *_ = log.sightings["uav1"]
+    (_, sightings), *_ = log.sightings["uav1"]
     white = cv2.imencode(".jpg", np.full((60, 80, 3), 255, np.uint8))[1].tobytes()
-    shown = msgspec.structs.replace(seen, jpeg=white, found=(), width=80, height=60)
+    shown = msgspec.structs.replace(sightings, jpeg=white, found=(), width=80, height=60)
     cars = tuple(f"car{number}" for number in range(mission_video.MOST_PICTURES))
     team = MissionLog((*cars, "uav1"), SECOND_NS, sightings={"uav1": [(0, shown)]})
     moved = motion(plainly(team.vehicles, (), 0).states)

@@ -39,9 +39,9 @@ def test_a_recording_conforms_to_the_format(name: str) -> None:
     through = list(NonSeekingReader(io.BytesIO(data), validate_crcs=True).iter_messages())
     by_index = list(make_reader(io.BytesIO(data), validate_crcs=True).iter_messages())
     assert len(through) == len(by_index) == count > 50
-    ours = list(contents(io.BytesIO(data)))
-    theirs = [(c.topic, s.name, m.log_time, m.data) for s, c, m in through if s is not None]
-    assert sorted(ours) == sorted(theirs)
+    entries = list(contents(io.BytesIO(data)))
+    reference = [(c.topic, s.name, m.log_time, m.data) for s, c, m in through if s is not None]
+    assert sorted(entries) == sorted(reference)
 
 
 def test_damage_anywhere_is_found() -> None:
@@ -65,28 +65,28 @@ def test_a_message_that_cannot_be_written_leaves_no_trace() -> None:
     log.write("a/note", 3, Note(values={"x": 3.0}))
     log.finish()
     assert mcap_checks.examine(stream.getvalue()) == 2
-    said = [(topic, time_ns, json.loads(data)["values"]) for topic, time_ns, data in messages(io.BytesIO(stream.getvalue()))]
-    assert said == [("a/note", 1, {"x": 1.0}), ("a/note", 3, {"x": 3.0})]
+    entries = [(topic, time_ns, json.loads(data)["values"]) for topic, time_ns, data in messages(io.BytesIO(stream.getvalue()))]
+    assert entries == [("a/note", 1, {"x": 1.0}), ("a/note", 3, {"x": 3.0})]
 
 
 def test_each_message_of_a_topic_has_the_schema_of_its_own_type() -> None:
     """In either order; viewers and exports decode each command by its own type."""
     one, other = Velocity(linear=(1.0, 0.0, 0.0)), Waypoint(position=(1.0, 2.0, 3.0))
     commands = [one, other, Velocity(), Waypoint(position=(0.0, 0.0, 1.0))]
-    for given in (commands, commands[::-1]):
+    for sequence in (commands, commands[::-1]):
         stream = io.BytesIO()
         log = McapLog(stream, {})
-        for time_ns, command in enumerate(given):
+        for time_ns, command in enumerate(sequence):
             log.write("a/command", time_ns, command)
         log.finish()
         data = stream.getvalue()
         assert mcap_checks.examine(data) == 4
-        assert [said.schema for said in contents(io.BytesIO(data))] == [f"vcmvsp.{type(each).__name__}" for each in given]
-        said = [
+        assert [entry.schema for entry in contents(io.BytesIO(data))] == [f"vcmvsp.{type(each).__name__}" for each in sequence]
+        entries = [
             (s.name, m.data) for s, _, m in make_reader(io.BytesIO(data), validate_crcs=True).iter_messages() if s is not None
         ]
-        assert [(name, json.loads(raw)["type"]) for name, raw in said] == [
-            (f"vcmvsp.{type(each).__name__}", type(each).__name__.lower()) for each in given
+        assert [(name, json.loads(raw)["type"]) for name, raw in entries] == [
+            (f"vcmvsp.{type(each).__name__}", type(each).__name__.lower()) for each in sequence
         ]
 
 
@@ -118,10 +118,10 @@ def test_a_recording_cut_at_any_byte_is_readable_up_to_its_last_whole_chunk(name
 
 def until_damage(found: Iterable[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
     """Items before the first error; readers raise different exceptions."""
-    kept: list[tuple[int, bytes]] = []
+    items: list[tuple[int, bytes]] = []
     with contextlib.suppress(Exception):
-        kept.extend(found)
-    return kept
+        items.extend(found)
+    return items
 
 
 def test_one_topic_by_the_index_and_without_it() -> None:
@@ -144,10 +144,10 @@ def test_frames_of_the_radio_are_described_in_the_file_itself() -> None:
     assert set(published["properties"]) == {"type", *FrameReport.__struct_fields__} - of_some == set(FRAME) - of_some
     assert all(len(node["description"]) > 10 for node in published["properties"].values())
     units = {"_ns": " ns", "_dbm": " dBm", "_db": " dB", "_m": ", m", "_bytes": ", bytes"}
-    for name, words in FRAME.items():
+    for name, description in FRAME.items():
         for ending, unit in units.items():
             if name.endswith(ending):
-                assert unit in words, name
+                assert unit in description, name
 
 
 def test_the_world_is_drawn_once_from_its_own_mesh() -> None:
@@ -181,12 +181,12 @@ def test_an_obstacle_with_a_time_table_moves_in_a_frame_of_its_own() -> None:
 
 def test_a_calibration_is_recorded_once() -> None:
     data = recording("recon-team")
-    (said,) = [json.loads(content) for _, content in of_topic(io.BytesIO(data), "uav1/camera/calibration")]
+    (calibration,) = [json.loads(content) for _, content in of_topic(io.BytesIO(data), "uav1/camera/calibration")]
     picture = json.loads(next(of_topic(io.BytesIO(data), "uav1/camera"))[1])
-    assert (said["width"], said["height"]) == (picture["width"], picture["height"])
-    focal, _, u, _, same, v, _, _, one = said["K"]
+    assert (calibration["width"], calibration["height"]) == (picture["width"], picture["height"])
+    focal, _, u, _, same, v, _, _, one = calibration["K"]
     assert focal == same > 100.0
-    assert (u, v, one) == (0.5 * (said["width"] - 1), 0.5 * (said["height"] - 1), 1.0)
+    assert (u, v, one) == (0.5 * (calibration["width"] - 1), 0.5 * (calibration["height"] - 1), 1.0)
     assert schema_of(foxglove.CameraCalibration).name == "foxglove.CameraCalibration"
 
 
@@ -195,13 +195,13 @@ def test_rerun_reads_all_topics_without_errors(name: str, tmp_path: Path) -> Non
     """Rerun decodes Foxglove's schemas in Protobuf only: ours, in JSON, arrive as messages with their schemas."""
     path = tmp_path / "run.mcap"
     shutil.copyfile(export_runs.run_of(name) / "run.mcap", path)
-    said = rerun("mcap", "check", "--full", str(path))
-    assert said.returncode == 0, said.stderr
-    rows = [line for line in said.stdout.splitlines() if line.startswith(("ok", "warn", "err"))]
+    process = rerun("mcap", "check", "--full", str(path))
+    assert process.returncode == 0, process.stderr
+    rows = [line for line in process.stdout.splitlines() if line.startswith(("ok", "warn", "err"))]
     summary = make_reader(io.BytesIO(path.read_bytes())).get_summary()
     assert summary is not None
     assert len(rows) == len(summary.channels)
-    assert all(row.startswith("ok") for row in rows), said.stdout
+    assert all(row.startswith("ok") for row in rows), process.stdout
 
 
 def rerun(*arguments: str) -> subprocess.CompletedProcess[str]:

@@ -24,8 +24,8 @@ def test_the_whole_recording_gives_the_tables_of_the_run(run: str, tmp_path: Pat
     assert found.facts == whole.facts
     assert found.states.equals(whole.states)
     for name in whole.radio.column_names:
-        ours, theirs = (table.radio[name].to_pylist() for table in (found, whole))
-        assert repr(ours) == repr(theirs), name  # NaN equals NaN
+        found_column, whole_column = (table.radio[name].to_pylist() for table in (found, whole))
+        assert repr(found_column) == repr(whole_column), name  # NaN equals NaN
 
 
 @pytest.mark.usefixtures("figures")

@@ -74,8 +74,8 @@ def test_missing_meanings_come_from_the_base_class() -> None:
 
 
 def test_the_args_section_ends_at_the_next_and_wins_over_comments() -> None:
-    words = "how it falls. 1. As drops"
-    assert meanings(Rain) == {"db_per_km": "what it takes: much", "fine": words, "sleet": words}
+    meaning = "how it falls. 1. As drops"
+    assert meanings(Rain) == {"db_per_km": "what it takes: much", "fine": meaning, "sleet": meaning}
     assert meanings(Drop) == {"size": "of it", "place": "where"}
 
 

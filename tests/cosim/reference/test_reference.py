@@ -152,8 +152,8 @@ def test_it_is_equal_in_every_process(blocks: dict[str, str]) -> None:
         f"from vcmvsp.cosim.reference import markdown as reference; import sys; sys.stdout.buffer.write({ALL_BLOCKS}.encode())"
     )
     environment = {**os.environ, "PYTHONHASHSEED": "2" if os.environ.get("PYTHONHASHSEED") == "1" else "1"}  # another seed
-    told = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, env=environment).stdout
-    assert told.decode() == "".join(blocks.values())
+    output = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, env=environment).stdout
+    assert output.decode() == "".join(blocks.values())
 
 
 # --- what is in it ------------------------------------------------------------------------------------------------------------
@@ -163,16 +163,16 @@ def test_it_is_equal_in_every_process(blocks: dict[str, str]) -> None:
 def test_the_keys_of_a_kind_are_the_settable_ones(layer: str, kind: str, tmp_path: Path) -> None:
     (tmp_path / "links.csv").write_text("time_s,sender,receiver,loss\n0,a,b,1\n")
     known = describe.keys(registry.find(layer, kind))
-    given = {name: REQUIRED.get(name, 0.1) for name, each in known.items() if each.required}
+    values = {name: REQUIRED.get(name, 0.1) for name, each in known.items() if each.required}
     source = Source("test", tmp_path)
     preset = {"dcf": "wifi-b-1", "csma154": "zigbee"}.get(kind, "ideal")  # a mac needs a phy of its standard
     others = {"path_loss": {"kind": "rays"}} if kind == "geometric" else {}
-    _, resolved = radio.build({"preset": preset, **others, layer: {"kind": kind, **given}}, source, vehicles=("a", "b"))
-    assert set(resolved[layer]) == {"kind", *given, *(name for name, each in known.items() if each.default is not None)}
+    _, resolved = radio.build({"preset": preset, **others, layer: {"kind": kind, **values}}, source, vehicles=("a", "b"))
+    assert set(resolved[layer]) == {"kind", *values, *(name for name, each in known.items() if each.default is not None)}
     for name in describe.OFFERED:
         if name in binding.parameters(registry.find(layer, kind)):  # from other parts of the scenario, not a key
             with pytest.raises(ScenarioError, match=f"unknown key '{name}'"):
-                radio.build({**others, layer: {"kind": kind, **given, name: 0.1}}, source, vehicles=("a", "b"))
+                radio.build({**others, layer: {"kind": kind, **values, name: 0.1}}, source, vehicles=("a", "b"))
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -181,10 +181,10 @@ def test_the_table_of_presets_and_the_defaults_give_each_preset(name: str, block
     (row,) = [dict(zip(heads, row, strict=True)) for row in rows if row[0] == f"`{name}`"]
     same = re.search(r"In all presets (.*?)\. The range", blocks["radio"])
     assert same
-    said = {head.replace(" ", "_"): words for head, words in row.items() if head not in {"preset", "range"}}
-    said |= {each.partition(" is ")[0].replace(" ", "_"): each.partition(" is ")[2] for each in same[1].split("; ")}
+    texts = {head.replace(" ", "_"): text for head, text in row.items() if head not in {"preset", "range"}}
+    texts |= {each.partition(" is ")[0].replace(" ", "_"): each.partition(" is ")[2] for each in same[1].split("; ")}
     for layer, content in preset(name).items():
-        kind, *settings = re.findall(r"`([^`]+)`", said[layer])
+        kind, *settings = re.findall(r"`([^`]+)`", texts[layer])
         values = {key: loader.value_of(value) for key, _, value in (each.partition(" = ") for each in settings)}
         assert kind == content["kind"]
         target = registry.find(layer, kind)
@@ -229,7 +229,7 @@ def section(kind: type, path: str = "weather", common: type | None = None) -> Se
 @pytest.fixture
 def weather(monkeypatch: pytest.MonkeyPatch) -> None:
     sections = [section(Rain), section(Drop, "weather.drops"), section(Snow), section(Drop, "weather.others")]
-    monkeypatch.setattr(reference, "whole", lambda: Reference(sections=tuple(sections)))
+    monkeypatch.setattr(reference, "full_reference", lambda: Reference(sections=tuple(sections)))
 
 
 @pytest.mark.usefixtures("weather")

@@ -23,12 +23,12 @@ KEY = Key(name="size", type="> 0", unit="", schema={}, required=False, default=2
 @functools.cache
 def whole() -> Reference:
     """The whole reference, computed by the first test that uses it: each worker collects this file, and one runs it."""
-    return tree.whole()
+    return tree.full_reference()
 
 
 def keys(section: str) -> dict[str, list[Key]]:
     """Keys of a section, by the path and kind of their tables."""
-    return {f"{each.path} {each.kind}".strip(): list(each.keys) for each in tree.asked(section)}
+    return {f"{each.path} {each.kind}".strip(): list(each.keys) for each in tree.sections_of(section)}
 
 
 def names(section: str) -> dict[str, list[str]]:
@@ -57,23 +57,23 @@ def test_every_kind_has_all_its_parameters(place: tree.Place) -> None:
     shared = {key.name for each in sections if not each.kind for key in each.keys}
     for each in sections:
         if each.kind:
-            wanted = {*binding.parameters(registry.find(place.group, each.kind))}
+            parameters = {*binding.parameters(registry.find(place.group, each.kind))}
             hidden = {*describe.OFFERED, *itertools.chain(*describe.OFFERED_TO.values())}
-            assert wanted - hidden <= {key.name for key in each.keys} | shared
+            assert parameters - hidden <= {key.name for key in each.keys} | shared
 
 
 def test_every_key_has_a_meaning_and_required_keys_no_default() -> None:
-    said = [(each.path, each.kind, key) for each in whole().sections for key in each.keys]
-    assert [(path, kind, key.name) for path, kind, key in said if not key.meaning] == []
+    entries = [(each.path, each.kind, key) for each in whole().sections for key in each.keys]
+    assert [(path, kind, key.name) for path, kind, key in entries if not key.meaning] == []
     assert [
-        (path, kind, key.name) for path, kind, key in said if key.required and (key.default is not None or key.without)
+        (path, kind, key.name) for path, kind, key in entries if key.required and (key.default is not None or key.without)
     ] == []
 
 
 def test_extra_docs_are_of_existing_keys() -> None:
     classes = {**vars(schema), "RadioFederate": RadioFederate}
-    for name, words in describe.EXTRA_DOCS.items():
-        assert {*words} <= {*binding.parameters(classes[name])}, name
+    for name, docs in describe.EXTRA_DOCS.items():
+        assert {*docs} <= {*binding.parameters(classes[name])}, name
 
 
 def test_defaults_and_units_equal_the_code() -> None:

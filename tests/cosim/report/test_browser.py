@@ -33,13 +33,13 @@ def pages(tmp_path_factory: pytest.TempPathFactory, figures: None) -> dict[str, 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_a_page_opens_without_errors_and_further_requests(name: str, scheme: str, browser: Any, pages: dict[str, Path]) -> None:
     page = browser.new_page(color_scheme=scheme)
-    said: list[str] = []
-    page.on("console", lambda message: said.append(message.text))
-    page.on("pageerror", lambda error: said.append(str(error)))
-    page.on("request", lambda request: said.append(request.url))
+    events: list[str] = []
+    page.on("console", lambda message: events.append(message.text))
+    page.on("pageerror", lambda error: events.append(str(error)))
+    page.on("request", lambda request: events.append(request.url))
     url = pages[name].as_uri()
     page.goto(url)
-    assert said == [url]
+    assert events == [url]
     paper, ink = (page.evaluate(f"getComputedStyle(document.body).{each}") for each in ("backgroundColor", "color"))
     assert (_brightness(paper) > _brightness(ink)) == (scheme == "light")
     assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")  # no horizontal overflow

@@ -38,9 +38,9 @@ def test_every_tag_is_closed_where_it_should_be() -> None:
 
 def test_nothing_is_fetched_from_anywhere() -> None:
     text = whole()
-    asked = Reader(text).asked
-    assert asked
-    assert all(each.startswith("#") for each in asked)
+    resources = Reader(text).resources
+    assert resources
+    assert all(each.startswith("#") for each in resources)
     assert "@import" not in text
     assert "<link" not in text
     assert "<script" not in text
@@ -54,7 +54,7 @@ def test_inputs_are_text_and_never_markup() -> None:
 def test_ids_of_two_drawings_do_not_collide_and_references_resolve() -> None:
     read = Reader(whole())
     assert len(read.ids) == len(set(read.ids)) == 7  # three per drawing, and the section's
-    assert {each[1:] for each in read.asked} <= set(read.ids)
+    assert {each[1:] for each in read.resources} <= set(read.ids)
 
 
 def test_only_the_outer_size_of_a_drawing_is_removed() -> None:

@@ -61,9 +61,9 @@ def read(folder: Path) -> Reader:
 def test_the_page_makes_no_requests(run: Path) -> None:
     text = (run / "report.html").read_text("utf-8")
     page = Reader(text)
-    assert page.asked
-    assert all(each.startswith(("#", "data:")) for each in page.asked)
-    assert {each[1:] for each in page.asked if each.startswith("#")} <= set(page.ids)
+    assert page.resources
+    assert all(each.startswith(("#", "data:")) for each in page.resources)
+    assert {each[1:] for each in page.resources if each.startswith("#")} <= set(page.ids)
     assert not page.tags & {"script", "link", "iframe", "object", "form", "img"}
     assert "@import" not in text
 
@@ -116,8 +116,8 @@ def test_a_run_without_frames_and_followers_has_a_page(folder: Path) -> None:
     (folder / "mine.py").write_text(
         "from vcmvsp import Agent\nclass Mine(Agent):\n    def act(self, obs, radio):\n        pass\n"
     )
-    mine = 'kind = "mine.py:Mine"'
-    text = two_cars(agent=mine).replace('kind = "trajectory", path = "circle"', mine)
+    agent = 'kind = "mine.py:Mine"'
+    text = two_cars(agent=agent).replace('kind = "trajectory", path = "circle"', agent)
     vcmvsp.run(_written(folder, text), out=folder / "out")
     page = read(folder / "out")
     assert "Nobody sent anything." in page.words
@@ -134,8 +134,8 @@ def test_runs_without_a_folder_leave_no_page(folder: Path) -> None:
 @pytest.mark.parametrize("policy", ["stop", "hold"])
 def test_texts_of_agents_are_never_markup(folder: Path, policy: str) -> None:
     (folder / "mine.py").write_text(AGENT)
-    mine = 'kind = "mine.py:Mine"'
-    text = two_cars(agents=f'on_lost = "{policy}"', agent=mine).replace('kind = "trajectory", path = "circle"', mine)
+    agent = 'kind = "mine.py:Mine"'
+    text = two_cars(agents=f'on_lost = "{policy}"', agent=agent).replace('kind = "trajectory", path = "circle"', agent)
     if policy == "stop":
         with pytest.raises(VcmvspError):
             vcmvsp.run(_written(folder, text), out=folder / "out")

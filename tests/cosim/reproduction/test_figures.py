@@ -136,22 +136,22 @@ def test_every_name_has_a_function() -> None:
 def test_an_unknown_name_suggests_the_nearest() -> None:
     with pytest.raises(UsageError, match="did you mean 'loss-delay'"):
         figures.find("los-delay")
-    given = vcmvsp_command("figure", "estimator")
-    assert given.code == 2
-    assert "did you mean 'estimators'" in given.err
+    outcome = vcmvsp_command("figure", "estimator")
+    assert outcome.code == 2
+    assert "did you mean 'estimators'" in outcome.err
 
 
 def test_without_a_name_all_are_listed() -> None:
-    given = vcmvsp_command("figure")
-    assert given.code == 0
-    assert [line.split()[0] for line in given.out.splitlines()] == list(figures.NAMES)
+    outcome = vcmvsp_command("figure")
+    assert outcome.code == 0
+    assert [line.split()[0] for line in outcome.out.splitlines()] == list(figures.NAMES)
     assert list(json.loads(vcmvsp_command("figure", "--json").out)) == list(figures.NAMES)
 
 
 def test_the_exit_code_reports_missed_rows(made_up: types.ModuleType, tmp_path: Path) -> None:
-    given = vcmvsp_command("figure", "made-up", "--out", str(tmp_path))
-    assert given.code == 0
-    assert str(tmp_path / "made-up.png") in given.out
+    outcome = vcmvsp_command("figure", "made-up", "--out", str(tmp_path))
+    assert outcome.code == 0
+    assert str(tmp_path / "made-up.png") in outcome.out
     made_up.make = lambda runner: synthetic(2.0)  # type: ignore[attr-defined]
     missed = vcmvsp_command("figure", "made-up", "--out", str(tmp_path), "--json")
     assert missed.code == 1
@@ -165,9 +165,9 @@ def test_the_exit_code_reports_missed_rows(made_up: types.ModuleType, tmp_path: 
 )
 def test_bad_arguments_end_before_the_first_run(made_up: types.ModuleType, arguments: tuple[str, ...], words: str) -> None:
     made_up.make = pytest.fail  # type: ignore[attr-defined]
-    given = vcmvsp_command("figure", "made-up", *arguments)
-    assert given.code == 2
-    assert words in given.err
+    outcome = vcmvsp_command("figure", "made-up", *arguments)
+    assert outcome.code == 2
+    assert words in outcome.err
 
 
 # --- runs ---
@@ -175,12 +175,12 @@ def test_bad_arguments_end_before_the_first_run(made_up: types.ModuleType, argum
 
 def test_runs_in_processes_give_equal_results_in_order() -> None:
     jobs = [rms(fleet(3.0, leader={"yaw_rate": rate}), from_s=0.0) for rate in (0.1, 0.2, 0.3)]
-    told: list[tuple[int, int]] = []
+    reports: list[tuple[int, int]] = []
     here = Runner(1)(jobs)
-    there = Runner(2, lambda done, of: told.append((done, of)))(jobs)
+    there = Runner(2, lambda done, of: reports.append((done, of)))(jobs)
     assert [each.tolist() for each in there] == [each.tolist() for each in here]
     assert len({each.tobytes() for each in here}) == 3
-    assert told == [(1, 3), (2, 3), (3, 3)]
+    assert reports == [(1, 3), (2, 3), (3, 3)]
 
 
 def test_a_run_that_fails_in_a_process_is_raised_here() -> None:
@@ -220,10 +220,10 @@ def test_an_unsendable_error_keeps_its_message() -> None:
 
 def test_a_step_begins_in_steady_state() -> None:
     """All vehicles have one speed until the step; the error at the step is the requested one."""
-    (seen,) = Runner(1)([track(fleet(31.0, [step_follower(30.0, behind=0.5, left=0.2)], path="straight", kind="lag"))])
-    at = int(np.flatnonzero(seen.time_s >= 30.0)[0])
-    assert seen.z[at, 0] == pytest.approx([0.5, -0.2], abs=1e-9)
-    assert seen.z[: at + 1, 0] == pytest.approx(np.tile([0.5, -0.2], (at + 1, 1)), abs=0.05)
+    (result,) = Runner(1)([track(fleet(31.0, [step_follower(30.0, behind=0.5, left=0.2)], path="straight", kind="lag"))])
+    at = int(np.flatnonzero(result.time_s >= 30.0)[0])
+    assert result.z[at, 0] == pytest.approx([0.5, -0.2], abs=1e-9)
+    assert result.z[: at + 1, 0] == pytest.approx(np.tile([0.5, -0.2], (at + 1, 1)), abs=0.05)
 
 
 def test_overshoot_and_settling() -> None:
@@ -304,9 +304,9 @@ def fewer(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("fewer")
 @pytest.mark.parametrize("name", ["24", "25", "26", "28", "30", "31", "32", "33", "stall", "levels"])
 def test_figure(name: str, tmp_path: Path) -> None:
-    given = vcmvsp_command("figure", name, "--jobs", "1", "--json", "--out", str(tmp_path))
-    answer = json.loads(given.out)
+    outcome = vcmvsp_command("figure", name, "--jobs", "1", "--json", "--out", str(tmp_path))
+    answer = json.loads(outcome.out)
     assert [row for row in answer["rows"] if not row["ok"]] == []
-    assert given.code == 0
+    assert outcome.code == 0
     assert answer["name"] == name
-    assert (tmp_path / f"{name}.json").read_text() == given.out
+    assert (tmp_path / f"{name}.json").read_text() == outcome.out

@@ -16,8 +16,8 @@ from vcmvsp.cosim.reproduction.figures.search.synthetic_pictures import (
     KINDS,
     Tally,
     box,
-    made_up,
     photographed,
+    synthetic_frame,
     target,
     together,
 )
@@ -54,14 +54,14 @@ def test_boxes_turn_counter_clockwise_in_the_picture() -> None:
 
 def test_inspection_gives_angle_and_scores() -> None:
     """The angle, and scores above and below the thresholds of the stages."""
-    frame = made_up(20.0, 3)
+    frame = synthetic_frame(20.0, 3)
     (truth,) = frame.seen.truths
-    said = inspect(target(), frame.image, 20.0, FOCAL_PX, (truth.u, truth.v))
-    assert abs(wrap(said.angle - truth.angle)) < math.radians(1.0)
-    assert said.colour > 0.55
-    assert said.rings > 0.95
-    assert said.match > 0.95
-    assert said.match > said.upright
+    inspection = inspect(target(), frame.image, 20.0, FOCAL_PX, (truth.u, truth.v))
+    assert abs(wrap(inspection.angle - truth.angle)) < math.radians(1.0)
+    assert inspection.colour > 0.55
+    assert inspection.rings > 0.95
+    assert inspection.match > 0.95
+    assert inspection.match > inspection.upright
     for kind, u, v in frame.likenesses:
         like = inspect(target(), frame.image, 20.0, FOCAL_PX, (u, v))
         assert like.match < 0.65
@@ -69,7 +69,7 @@ def test_inspection_gives_angle_and_scores() -> None:
 
 
 def test_colour_maps_have_their_peaks_in_the_picture() -> None:
-    frame = made_up(15.0, 1)
+    frame = synthetic_frame(15.0, 1)
     (truth,) = frame.seen.truths
     found = colour_map(target(), frame.image, 15.0, FOCAL_PX)
     near = np.hypot(found.peaks[:, 0] - truth.u, found.peaks[:, 1] - truth.v)

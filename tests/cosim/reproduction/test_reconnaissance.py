@@ -22,9 +22,9 @@ GOOD = MissionRun(
 )
 
 
-def missed(seen: MissionRun) -> list[str]:
-    away = {name: np.hypot(*np.moveaxis(seen.place - at, -1, 0)) for name, at in (("alpha", ALPHA), ("bravo", BRAVO))}
-    return [row.case for row in rows_of("town", seen, 50.0, away) if not row.ok]
+def missed(run: MissionRun) -> list[str]:
+    away = {name: np.hypot(*np.moveaxis(run.place - at, -1, 0)) for name, at in (("alpha", ALPHA), ("bravo", BRAVO))}
+    return [row.case for row in rows_of("town", run, 50.0, away) if not row.ok]
 
 
 def test_a_good_run() -> None:

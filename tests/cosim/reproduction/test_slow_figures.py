@@ -20,7 +20,10 @@ DELAYS_S = (0.5,)
 @pytest.fixture
 def one_delay(monkeypatch: pytest.MonkeyPatch) -> None:
     at = [messages.DELAYS_S.index(each) for each in DELAYS_S]
-    few = {path: {who: tuple(of[i] for i in at) for who, of in table.items()} for path, table in messages.REFERENCE.items()}
+    few = {
+        path: {estimator: tuple(of[i] for i in at) for estimator, of in table.items()}
+        for path, table in messages.REFERENCE.items()
+    }
     monkeypatch.setattr(messages, "DELAYS_S", DELAYS_S)
     monkeypatch.setattr(messages, "REFERENCE", few)
 

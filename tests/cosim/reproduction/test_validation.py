@@ -52,8 +52,8 @@ def test_every_figure_has_a_check_and_every_check_a_source() -> None:
 
 
 def test_files_contain_every_row_and_are_equal_each_time(tmp_path: Path) -> None:
-    given = [validated(tmp_path / name, "received", "draws") for name in ("a", "b")]
-    assert [each.code for each in given] == [0, 0]
+    outcomes = [validated(tmp_path / name, "received", "draws") for name in ("a", "b")]
+    assert [each.code for each in outcomes] == [0, 0]
     assert contents(tmp_path / "a") == contents(tmp_path / "b")
     head = (tmp_path / "a" / "VALIDATION.md").read_text()
     assert f"2 of {len(CHECKS)} checks, 9 rows, all hold." in head
@@ -82,9 +82,9 @@ def test_a_broken_law_is_reported_with_its_row(tmp_path: Path, monkeypatch: pyte
         return right(self, paths) + 1e-3
 
     monkeypatch.setattr(Friis, "loss_db", wrong)
-    given = validated(tmp_path, "path-loss", "draws")
-    assert given.code == 1
-    off = [line.strip() for line in given.err.splitlines() if line.startswith("  ")]
+    outcome = validated(tmp_path, "path-loss", "draws")
+    assert outcome.code == 1
+    off = [line.strip() for line in outcome.err.splitlines() if line.startswith("  ")]
     assert len(off) == len(radio.DISTANCES_M)
     assert off[0] == "path-loss: friis, 1 m: loss, dB: 40.053, not 40.052 within 0.0001"
     assert f"| **{len(off)}** |" in (tmp_path / "VALIDATION.md").read_text()
@@ -96,10 +96,10 @@ def test_an_aborted_check_is_reported_and_the_others_continue(tmp_path: Path, mo
         raise ValueError("no such thing")
 
     monkeypatch.setattr(radio, "path_loss", broken)
-    given = validated(tmp_path, "path-loss", "draws")
-    assert given.code == 1
-    assert "path-loss: ValueError: no such thing" in given.err
-    assert "ok   draws" in given.out
+    outcome = validated(tmp_path, "path-loss", "draws")
+    assert outcome.code == 1
+    assert "path-loss: ValueError: no such thing" in outcome.err
+    assert "ok   draws" in outcome.out
     assert "broke off" in (tmp_path / "VALIDATION.md").read_text()
 
 
@@ -126,6 +126,6 @@ def test_checks_in_processes_are_equal() -> None:
     ],
 )
 def test_bad_arguments_end_before_the_first_check(arguments: tuple[str, ...], words: str) -> None:
-    given = vcmvsp_command("validate", *arguments)
-    assert given.code == 2
-    assert words in given.err
+    outcome = vcmvsp_command("validate", *arguments)
+    assert outcome.code == 2
+    assert words in outcome.err

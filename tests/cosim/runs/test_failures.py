@@ -148,10 +148,10 @@ def test_hosts_end_with_a_run_that_is_killed(tmp_path: Path) -> None:
 def test_a_host_that_cannot_build_its_agent_is_bad_input(tmp_path: Path) -> None:
     scenario = write(tmp_path, "fine")
     settings = ("--agents", "process", "--set", "vehicle.car2.agent.at=soon")
-    done = vcmvsp_command("run", str(scenario), *settings, "--out", str(tmp_path / "out"))
-    assert done.code == 2
-    assert "vehicle.car2.agent.at: must be a number, not 'soon'" in done.err
-    assert "--set vehicle.car2.agent.at=soon" in done.err
+    outcome = vcmvsp_command("run", str(scenario), *settings, "--out", str(tmp_path / "out"))
+    assert outcome.code == 2
+    assert "vehicle.car2.agent.at: must be a number, not 'soon'" in outcome.err
+    assert "--set vehicle.car2.agent.at=soon" in outcome.err
     assert not (tmp_path / "out").exists()
 
 

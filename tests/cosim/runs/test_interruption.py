@@ -61,8 +61,8 @@ def test_the_recording_of_a_cut_run_is_the_beginning_of_the_whole_one(at_s: floa
     with pytest.raises(AgentError):
         vcmvsp.run(team(tmp_path, at_s), out=tmp_path / "cut")
     whole, cut = recorded_messages(tmp_path / "whole"), recorded_messages(tmp_path / "cut")
-    gone = cut.pop("car3/host", [])
-    assert len(gone) <= 1
+    presences = cut.pop("car3/host", [])
+    assert len(presences) <= 1
     for topic, beginning in cut.items():
         assert whole[topic][: len(beginning)] == beginning, topic
     assert ("world/scene" in cut) == (at_s > 0.0)
@@ -86,16 +86,16 @@ def test_a_run_that_is_killed_before_its_children_have_joined_leaves_nothing(tmp
 
 @pytest.mark.usefixtures("figures")
 def test_ctrl_c_during_writing_is_reported_and_files_are_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write, told = Result.write, list[str]()
+    write, lines = Result.write, list[str]()
 
     def interrupted(result: Result, folder: Path, draw: Draws) -> None:
         signal.raise_signal(signal.SIGINT)
         write(result, folder, draw)
 
     monkeypatch.setattr(Result, "write", interrupted)
-    vcmvsp.run(two(), out=tmp_path / "run", tell=told.append)
+    vcmvsp.run(two(), out=tmp_path / "run", tell=lines.append)
     words = f"run.mcap in {tmp_path / 'run'} is whole"
-    assert told == [f"the run has ended and its files are being written; another Ctrl-C stops that: {words}"]
+    assert lines == [f"the run has ended and its files are being written; another Ctrl-C stops that: {words}"]
     assert (tmp_path / "run" / "report.html").exists()
 
 

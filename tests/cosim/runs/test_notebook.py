@@ -30,6 +30,6 @@ def test_a_notebook_shows_a_bar_numbers_and_figures() -> None:
 
 def test_elsewhere_there_is_no_bar_and_a_result_is_one_line() -> None:
     assert notebook.bar("x") is None
-    made = vcmvsp.run("formation-circle", set={"duration_s": 0.5}, agents="inprocess", mcap=False)
-    assert repr(made).startswith("<Result of run formation-circle, seed 1, 0.5 s")
-    assert "\n" not in repr(made)
+    result = vcmvsp.run("formation-circle", set={"duration_s": 0.5}, agents="inprocess", mcap=False)
+    assert repr(result).startswith("<Result of run formation-circle, seed 1, 0.5 s")
+    assert "\n" not in repr(result)

@@ -96,12 +96,12 @@ def test_recorded_frames_keep_their_outcomes(recorded: Path) -> None:
 
 
 def test_frames_beyond_the_recording_are_drawn_and_reported(recorded: Path) -> None:
-    told: list[str] = []
-    again = replay(recorded, radio="recorded", set={"agents.period_s": 0.05}, tell=told.append, mcap=False)
+    lines: list[str] = []
+    again = replay(recorded, radio="recorded", set={"agents.period_s": 0.05}, tell=lines.append, mcap=False)
     before, now = recorded_outcomes(recorded), outcomes(again.radio)
     assert {key: now[key] for key in before} == before
     assert len(now) == 2 * len(before)
-    (line,) = told
+    (line,) = lines
     frames = len({key[:2] for key in before})
     assert line.startswith(f"{frames} of {2 * frames} frames are not in the recording")
 

@@ -122,9 +122,9 @@ Recorded = tuple[list[Input], tuple[bytes, str, list[Event]]]
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     """Inputs of the external vehicle, from the file, and the results of the run."""
     log, path = opened_log(), tmp_path_factory.mktemp("recorded") / "hardware.mcap"
-    given = run(Robot(log))
+    results = run(Robot(log))
     path.write_bytes(log.content)
-    return read_inputs(path), given
+    return read_inputs(path), results
 
 
 def of(events: Sequence[Event], prefix: str) -> list[Any]:
@@ -181,9 +181,9 @@ def test_agents_may_have_shorter_periods(recorded: Recorded) -> None:
 
 def test_after_the_recording_the_robot_stands(recorded: Recorded) -> None:
     """As after an interrupted run; the other vehicles continue."""
-    inputs, told = [each for each in recorded[0] if each[1] <= 1_500_000_000], list[str]()
-    events = run(Playback(("car1",), inputs, tell=told.append))[2]
-    assert told == ["the recording ends at 1.500 s: car1 stands still from then on"]
+    inputs, lines = [each for each in recorded[0] if each[1] <= 1_500_000_000], list[str]()
+    events = run(Playback(("car1",), inputs, tell=lines.append))[2]
+    assert lines == ["the recording ends at 1.500 s: car1 stands still from then on"]
     states = {each.time_ns: each.value for each in of(events, "world/states")}
     for now_ns in range(1_600_000_000, 3_000_000_001, 100_000_000):
         np.testing.assert_array_equal(states[now_ns].position[0], states[1_500_000_000].position[0])

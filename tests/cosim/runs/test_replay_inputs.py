@@ -105,13 +105,13 @@ def whole() -> bytes:
 @settings(deadline=None, max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_a_cut_file_keeps_its_beginning(tmp_path: Path, whole: bytes, data: st.DataObject) -> None:
-    path, told = tmp_path / "cut.mcap", list[str]()
+    path, lines = tmp_path / "cut.mcap", list[str]()
     path.write_bytes(whole[: data.draw(st.integers(0, len(whole) - 1))])
     with contextlib.suppress(UsageError):  # nothing readable is left
-        found = read_inputs(path, tell=told.append)
+        found = read_inputs(path, tell=lines.append)
         assert bits(found) == bits(drive(60)[: len(found)])
         if len(found) < 60:
-            assert told == [f"{path} is damaged (it is truncated): it can be read up to {found[-1][1] / 1e9:.3f} s"]
+            assert lines == [f"{path} is damaged (it is truncated): it can be read up to {found[-1][1] / 1e9:.3f} s"]
 
 
 @settings(deadline=None, max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -140,10 +140,10 @@ def test_an_unknown_type_ends_the_file(tmp_path: Path) -> None:
     class Unknown(msgspec.Struct, tag="unknown"):
         x: float = 0.0
 
-    path, told = tmp_path / "hardware.mcap", list[str]()
+    path, lines = tmp_path / "hardware.mcap", list[str]()
     path.write_bytes(written([*drive(3), ("car1/estimate", 10**9, Unknown())]))  # type: ignore[list-item]
-    assert len(read_inputs(path, tell=told.append)) == 3
-    assert "is damaged" in told[0]
+    assert len(read_inputs(path, tell=lines.append)) == 3
+    assert "is damaged" in lines[0]
 
 
 WRITER = """

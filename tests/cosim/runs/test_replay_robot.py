@@ -74,7 +74,7 @@ def test_its_twin_can_take_its_place(recorded: Path) -> None:
 
 def test_a_killed_run_is_replayed_as_far_as_written(tmp_path: Path) -> None:
     command = [*VCMVSP, "run", str(scenario(tmp_path, 60.0)), "--out", str(tmp_path / "run"), "-q"]
-    path, told = tmp_path / "run" / "hardware.mcap", list[str]()
+    path, lines = tmp_path / "run" / "hardware.mcap", list[str]()
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     with subprocess.Popen(command, env=environment, cwd=tmp_path) as process:
         try:
@@ -87,7 +87,7 @@ def test_a_killed_run_is_replayed_as_far_as_written(tmp_path: Path) -> None:
             process.send_signal(signal.SIGKILL)
     end_ns = read_inputs(path)[-1][1]
     assert end_ns > 0
-    again = replay(tmp_path / "run", set={"duration_s": 20.0}, tell=told.append)
-    assert told[0].startswith(f"{path} is damaged (it is truncated)")
-    assert told[-1] == f"the recording ends at {end_ns / 1e9:.3f} s: car1 stands still from then on"
+    again = replay(tmp_path / "run", set={"duration_s": 20.0}, tell=lines.append)
+    assert lines[0].startswith(f"{path} is damaged (it is truncated)")
+    assert lines[-1] == f"the recording ends at {end_ns / 1e9:.3f} s: car1 stands still from then on"
     assert again.metrics["duration_s"] == 20.0

@@ -174,10 +174,10 @@ def test_built_in_scenarios_have_their_files_name_and_a_description() -> None:
     for name in names:
         scenario, _ = load(name)
         assert scenario.name == name
-        words = scenarios.first_words(name)
-        assert words.endswith(".")
-        assert len(words) > 20
-        assert "\n" not in words
+        description = scenarios.first_words(name)
+        assert description.endswith(".")
+        assert len(description) > 20
+        assert "\n" not in description
 
 
 def test_a_built_in_name_wins_over_a_file_of_that_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

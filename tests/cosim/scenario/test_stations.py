@@ -47,20 +47,20 @@ def test_a_station_changes_no_vehicle_and_no_clearance() -> None:
     sensors = {"scan": {"kind": "lms"}}
     cars = [{**CAR, "sensors": sensors}, {**CAR, "name": "car2", "position": [0.0, 3.0, 0.0]}]
     base = {**BASE, "physics": {"kind": "bullet"}, "vehicle": cars, "record": {"sensors": ["scan"]}}
-    seen: dict[bool, list[object]] = {}
+    results: dict[bool, list[object]] = {}
     for has_station in (False, True):
         events: list[vcmvsp.Event] = []
-        given = {"station": [CONTROL]} if has_station else {}
-        result = vcmvsp.run({**base, **given}, mcap=False, observe=events.append)
+        stations = {"station": [CONTROL]} if has_station else {}
+        result = vcmvsp.run({**base, **stations}, mcap=False, observe=events.append)
         states = result.states.to_pandas()
         scans = [each.value.get().ranges.tolist() for each in events if each.key == "car1/scan"]
         assert scans
-        seen[has_station] = [
+        results[has_station] = [
             scans,
             states[states.vehicle != "control"].drop(columns="vehicle").to_numpy().tolist(),
             result.metrics["safety"],
         ]
-    assert seen[False] == seen[True]
+    assert results[False] == results[True]
 
 
 def test_a_station_takes_no_command() -> None:

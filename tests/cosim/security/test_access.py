@@ -205,9 +205,9 @@ def test_the_run_logs_refusals_with_reasons(
         with dial(f"tls/127.0.0.1:{port}", bundle(keys, "car2")) as host:
             assert greet(host, "car2") == [b"welcome"]
         process.kill()
-        said, _ = process.communicate()
+        output, _ = process.communicate()
     for reason in ("UnknownIssuer", "certificate expired", "corrupt message"):
-        assert reason in said
+        assert reason in output
 
 
 def test_a_link_ends_with_its_certificate(hub: Hub, keys: Keys, monkeypatch: pytest.MonkeyPatch) -> None:

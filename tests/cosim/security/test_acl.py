@@ -48,24 +48,24 @@ class Stage:
     """A hub, the host of car2 and the observer anna, as in a run; all received messages are counted."""
 
     def __init__(self, keys: Keys, rules: dict[str, Any], stack: contextlib.ExitStack) -> None:
-        self.seen: Counter[str] = Counter()
+        self.counts: Counter[str] = Counter()
         self.hub = stack.enter_context(Hub(rules))
         self.host = stack.enter_context(dial(self.hub.endpoint, bundle(keys, "car2")))
         self.anna = stack.enter_context(dial(self.hub.endpoint, bundle(keys, "anna")))
         zid = str(self.host.zid())
         self.keys = key_names.host_key("car2", zid, "ask"), key_names.host_key("car2", zid, "alive")
-        answer_queries(self.host, self.keys[0], self._asked)
+        answer_queries(self.host, self.keys[0], self._on_question)
         self._token = self.host.liveliness().declare_token(self.keys[1])
-        watch = direct(lambda sample: self.seen.update([f"car2 sees hub {sample.kind}"]))
+        watch = direct(lambda sample: self.counts.update([f"car2 sees hub {sample.kind}"]))
         self.host.liveliness().declare_subscriber(key_names.HUB_ALIVE, watch, history=True)
-        look = direct(lambda sample: self.seen.update([f"anna sees hub {sample.kind}"]))
+        look = direct(lambda sample: self.counts.update([f"anna sees hub {sample.kind}"]))
         self.anna.liveliness().declare_subscriber(key_names.HUB_ALIVE, look, history=True)
-        hear = direct(lambda sample: self.seen.update([f"anna hears {sample.payload.to_string()}"]))
+        hear = direct(lambda sample: self.counts.update([f"anna hears {sample.payload.to_string()}"]))
         for key in (key_names.TOPICS, key_names.PAGE_UPDATE):
             self.anna.declare_subscriber(key, hear)
 
-    def _asked(self, question: bytes) -> bytes:
-        self.seen.update([f"car2 asked {question.decode()}"])
+    def _on_question(self, question: bytes) -> bytes:
+        self.counts.update([f"car2 asked {question.decode()}"])
         return b"answer"
 
     def everything(self, expected: frozenset[str] = ALL) -> set[str]:
@@ -73,23 +73,23 @@ class Stage:
         checks: dict[str, Callable[[], object]] = {
             "greeted": lambda: greet(self.host, "car2") == [b"welcome"],
             "answered": lambda: self.hub.ask("car2", self.host) == [b"answer"],
-            "alive": lambda: self.hub.seen[f"token {self.keys[1]}"],
-            "hub seen": lambda: self.seen[f"car2 sees hub {zenoh.SampleKind.PUT}"],
+            "alive": lambda: self.hub.counts[f"token {self.keys[1]}"],
+            "hub seen": lambda: self.counts[f"car2 sees hub {zenoh.SampleKind.PUT}"],
             "told": lambda: inquire(self.host, "car2") == [b"welcome"],
-            "topics": lambda: self._heard(TOPIC, "truth"),
-            "page": lambda: self._heard(key_names.PAGE_UPDATE, "update"),
+            "topics": lambda: self._receptions_of(TOPIC, "truth"),
+            "page": lambda: self._receptions_of(key_names.PAGE_UPDATE, "update"),
             "scenery": lambda: replies_of(self.anna, key_names.PAGE_SCENERY, b"scene") == [b"welcome"],
             "anna told": lambda: inquire(self.anna, "anna") == [b"welcome"],
-            "anna sees hub": lambda: self.seen[f"anna sees hub {zenoh.SampleKind.PUT}"],
+            "anna sees hub": lambda: self.counts[f"anna sees hub {zenoh.SampleKind.PUT}"],
         }
         for name in expected:
             until(checks[name])
         settle()
         return {name for name, check in checks.items() if name in expected or check()}
 
-    def _heard(self, key: str, what: str) -> int:
-        self.hub.session.put(key, what.encode())
-        return self.seen[f"anna hears {what}"]
+    def _receptions_of(self, key: str, text: str) -> int:
+        self.hub.session.put(key, text.encode())
+        return self.counts[f"anna hears {text}"]
 
 
 def _grants() -> list[tuple[str, str]]:
@@ -132,11 +132,11 @@ def test_no_rule_allows_more_than_a_run_needs(keys: Keys, stack: contextlib.Exit
 
 def attack(stage: Stage, session: zenoh.Session, name: str) -> Counter[str]:
     """All attempts to receive from others, to send for them or to pose as the hub; returns the effects at the attacker."""
-    got: Counter[str] = Counter()
+    effects: Counter[str] = Counter()
     zid = str(session.zid())
 
     def lie(query: zenoh.Query) -> None:
-        got.update(["asked"])
+        effects.update(["asked"])
         reply(query, b"false")
 
     for key in (
@@ -150,11 +150,11 @@ def attack(stage: Stage, session: zenoh.Session, name: str) -> Counter[str]:
         "vcmvsp/host/*/*/ask",
         "vcmvsp/hub/*",
     ):
-        got.update(f"reply on {key}" for each in session.get(key, payload=b"evil", timeout=1.0) if each.ok)
+        effects.update(f"reply on {key}" for each in session.get(key, payload=b"evil", timeout=1.0) if each.ok)
     for key in ("vcmvsp/host/**", stage.keys[1]):
         found = [str(each.ok.key_expr) for each in session.liveliness().get(key, timeout=1.0) if each.ok]
-        got.update(f"token {each}" for each in found)
-        see = direct(lambda sample: got.update([f"token {sample.key_expr}"]))
+        effects.update(f"token {each}" for each in found)
+        see = direct(lambda sample: effects.update([f"token {sample.key_expr}"]))
         session.liveliness().declare_subscriber(key, see, history=True)
     tokens = [key_names.host_key("car2", zid, "alive"), key_names.HUB_ALIVE, "vcmvsp/hub/*", f"vcmvsp/host/*/{zid}/alive"]
     declared = [session.liveliness().declare_token(key) for key in tokens]
@@ -163,10 +163,19 @@ def attack(stage: Stage, session: zenoh.Session, name: str) -> Counter[str]:
         session.declare_queryable(key, direct(lie), complete=True)
     secrets = (stage.keys[0], answer, "vcmvsp/host/**", "vcmvsp/join/**")
     for key in secrets if name == "anna" else (TOPIC, "**", *secrets):
-        session.declare_subscriber(key, direct(lambda sample: got.update([f"hears {sample.payload.to_string()}"])))
+        session.declare_subscriber(key, direct(lambda sample: effects.update([f"hears {sample.payload.to_string()}"])))
     settle()
-    mine = f"vcmvsp/host/{name}/{zid}/ask", key_names.join_key(name)
-    for key in (TOPIC, key_names.TOPICS, key_names.PAGE_UPDATE, "vcmvsp/**", "**", *mine, *secrets, "vcmvsp/host/*/*/answer"):
+    own_keys = f"vcmvsp/host/{name}/{zid}/ask", key_names.join_key(name)
+    for key in (
+        TOPIC,
+        key_names.TOPICS,
+        key_names.PAGE_UPDATE,
+        "vcmvsp/**",
+        "**",
+        *own_keys,
+        *secrets,
+        "vcmvsp/host/*/*/answer",
+    ):
         session.put(key, b"evil")
     stage.hub.ask("car2", stage.host)
     stage.hub.session.put(TOPIC, b"truth")
@@ -176,7 +185,7 @@ def attack(stage: Stage, session: zenoh.Session, name: str) -> Counter[str]:
         token.undeclare()  # type: ignore[no-untyped-call]
     settle()
     own = {"hears evil", *(f"token {token}" for token in tokens)}  # a session receives its own
-    return Counter({what: count for what, count in got.items() if what not in own})
+    return Counter({effect: count for effect, count in effects.items() if effect not in own})
 
 
 @pytest.mark.parametrize("mode", ["client", "peer", "router"])
@@ -187,14 +196,14 @@ def test_no_machine_eavesdrops_or_poses_as_another_or_as_the_run(
     stage = Stage(keys, access_control.hub_security(keys), stack)
     session = stack.enter_context(dial(stage.hub.endpoint, bundle(keys, name), mode))
     until(lambda: stage.hub.links(name))
-    got = attack(stage, session, name)
+    effects = attack(stage, session, name)
     assert stage.everything() == ALL
-    assert got == {}
-    sees = {f"{who} sees hub {zenoh.SampleKind.PUT}" for who in ("car2", "anna")}
-    assert set(stage.seen) == {"car2 asked question", *sees, "anna hears truth", "anna hears update"}
+    assert effects == {}
+    sees = {f"{machine} sees hub {zenoh.SampleKind.PUT}" for machine in ("car2", "anna")}
+    assert set(stage.counts) == {"car2 asked question", *sees, "anna hears truth", "anna hears update"}
     greetings = {f"greeting {key}" for key in ("vcmvsp/join/car2 hello", "vcmvsp/about/car2 about", "vcmvsp/about/anna about")}
     greetings |= {f"greeting {key_names.PAGE_SCENERY} scene"}
-    assert set(stage.hub.seen) == {*greetings, f"token {stage.keys[1]}", "sample truth", "sample update"}
+    assert set(stage.hub.counts) == {*greetings, f"token {stage.keys[1]}", "sample truth", "sample update"}
 
 
 def test_without_the_rules_all_attacks_succeed(keys: Keys, stack: contextlib.ExitStack) -> None:
@@ -203,15 +212,18 @@ def test_without_the_rules_all_attacks_succeed(keys: Keys, stack: contextlib.Exi
     stage = Stage(keys, rules, stack)
     session = stack.enter_context(dial(stage.hub.endpoint, bundle(keys, "car3")))
     gets_through = (
-        *((stage.seen, what) for what in ("car2 asked evil", "anna hears evil")),
-        *((stage.hub.seen, what) for what in ("sample evil", "greeting vcmvsp/join/car2 evil", f"token {key_names.HUB_ALIVE}")),
+        *((stage.counts, effect) for effect in ("car2 asked evil", "anna hears evil")),
+        *(
+            (stage.hub.counts, effect)
+            for effect in ("sample evil", "greeting vcmvsp/join/car2 evil", f"token {key_names.HUB_ALIVE}")
+        ),
     )
 
     def succeeds() -> bool:
         """Late or dropped messages are sent again."""
-        got = attack(stage, session, "car3")
-        heard = all(got[f"hears {what}"] for what in ("question", "answer", "truth"))
-        return heard and all(seen[what] for seen, what in gets_through)
+        effects = attack(stage, session, "car3")
+        received = all(effects[f"hears {effect}"] for effect in ("question", "answer", "truth"))
+        return received and all(counts[effect] for counts, effect in gets_through)
 
     until(succeeds)
 
@@ -220,7 +232,7 @@ def test_a_revoked_machine_gets_no_answer_but_a_reason(hub: Hub, keys: Keys) -> 
     with dial(hub.endpoint, bundle(keys, "gone")) as session:
         until(lambda: hub.links("gone"))  # now the run can name it
         assert greet(session, "gone") == []
-        assert hub.seen == {}
+        assert hub.counts == {}
     assert access_control.admission(keys, "gone", ["gone"]) == "the certificate of 'gone' has been revoked"
     assert "'gone' is unknown to this run: its certificate was revoked" in access_control.silence("gone")
 
@@ -232,7 +244,7 @@ def test_with_all_revoked_none_is_admitted(keys: Keys, stack: contextlib.ExitSta
         assert greet(session, "car2") == []
         session.put(TOPIC, b"evil")
         settle()
-    assert empty.seen == {}
+    assert empty.counts == {}
 
 
 def test_admission_is_by_certified_vehicles(keys: Keys) -> None:
@@ -246,7 +258,7 @@ def test_wildcard_keys_have_no_speaker(hub: Hub, keys: Keys) -> None:
     with dial(hub.endpoint, bundle(keys, "car2")) as host:
         wide = "vcmvsp/host/car2/*/alive"
         token = host.liveliness().declare_token(wide)
-        until(lambda: hub.seen[f"token {wide}"])  # Zenoh accepts it: it is within car2's rights
+        until(lambda: hub.counts[f"token {wide}"])  # Zenoh accepts it: it is within car2's rights
         assert key_names.speaker(wide) is None
         token.undeclare()  # type: ignore[no-untyped-call]
 
@@ -261,7 +273,7 @@ def test_messages_beyond_the_limits_are_dropped_and_the_link_stays(hub: Hub, key
         assert hub.ask("car2", host, b"%d" % (access_control.MAX_MESSAGE + 1)) == []
         half = access_control.MAX_MESSAGE // 2
         assert [len(each) for each in hub.ask("car2", host, b"%d" % half, PATIENCE_S)] == [half]
-    assert hub.seen == {"greeting vcmvsp/join/car2 xxxxx": 1, "greeting vcmvsp/join/car2 hello": 1}
+    assert hub.counts == {"greeting vcmvsp/join/car2 xxxxx": 1, "greeting vcmvsp/join/car2 hello": 1}
 
 
 def test_the_hubs_admin_space_is_not_readable(hub: Hub, keys: Keys) -> None:

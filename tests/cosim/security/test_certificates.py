@@ -356,9 +356,9 @@ def test_a_damaged_index_is_one_error(shared: Path, tmp_path: Path, at_: int, co
 def test_the_command_line_from_init_to_revoke(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert vcmvsp_command("keys", "init", "--name", "10.0.0.5").code == 0
-    made = vcmvsp_command("keys", "vehicle", "car2")
-    assert made.code == 0
-    assert "vcmvsp agent --vehicle car2 --connect tls/HOST:PORT --keys car2.keys" in made.out
+    outcome = vcmvsp_command("keys", "vehicle", "car2")
+    assert outcome.code == 0
+    assert "vcmvsp agent --vehicle car2 --connect tls/HOST:PORT --keys car2.keys" in outcome.out
     assert vcmvsp_command("keys", "vehicle", "car3", "car4", "--as", "laptop", "--days", "5").code == 0
     (tmp_path / "stick").mkdir()
     assert vcmvsp_command("keys", "observer", "anna", "--out", "stick").code == 0

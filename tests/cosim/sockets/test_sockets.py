@@ -74,7 +74,7 @@ def test_a_lost_run_is_an_error_and_an_ended_one_is_run_over(server: socket.sock
 
 
 def test_unread_bytes_are_reported_to_the_run(server: socket.socket) -> None:
-    said = list[object]()
+    messages = list[object]()
 
     def answer() -> None:
         end, _ = server.accept()
@@ -82,8 +82,8 @@ def test_unread_bytes_are_reported_to_the_run(server: socket.socket) -> None:
             stream = Stream(end, 1 << 20)
             end.sendall(WELCOME + framed(Go(0, None, [(b"one", "b"), (b"three", "b")])))
             while (message := stream.receive()) is not None:
-                said.append(up(message))
-                if isinstance(said[-1], Wait):
+                messages.append(up(message))
+                if isinstance(messages[-1], Wait):
                     end.sendall(framed(Go(5, (1.0, 2.0, 3.0), [])))
 
     thread = threading.Thread(target=answer, daemon=True)
@@ -98,7 +98,7 @@ def test_unread_bytes_are_reported_to_the_run(server: socket.socket) -> None:
     with pytest.raises(ValueError, match="closed"):
         end.sendto(b"")
     thread.join(60.0)
-    assert said[1:] == [Wait(10**9, hears=False, held=517), Wait(1, hears=True, held=0)]
+    assert messages[1:] == [Wait(10**9, hears=False, held=517), Wait(1, hears=True, held=0)]
 
 
 def test_a_run_that_does_not_wait_for_answers_is_an_error(server: socket.socket) -> None:

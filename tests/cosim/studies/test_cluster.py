@@ -101,12 +101,12 @@ class CompletedFutures(list[Future]):
     """Futures in the order of completion; a future that is added again is in its next state."""
 
     def __init__(self, *, loop: object) -> None:
-        self._seen: set[str] = set()
+        self._keys: set[str] = set()
 
     def add(self, future: Future) -> None:
-        if future.key in self._seen:
+        if future.key in self._keys:
             future.next_state()
-        self._seen.add(future.key)
+        self._keys.add(future.key)
         self.append(future)
 
     def __next__(self) -> Future:

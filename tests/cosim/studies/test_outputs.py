@@ -222,9 +222,9 @@ def test_the_command_describes_the_whole_study() -> None:
     _, spec = study(vary, set={"agents.k1": 2, "name": "it's"})
     program, command, scenario, *rest = shlex.split(command_of(spec))
     assert (program, command, scenario) == ("vcmvsp", "study", "study-loss")
-    given = [(rest[i], rest[i + 1]) for i in range(0, len(rest), 2)]
-    assert vary_of([value for option, value in given if option == "--vary"]) == vary
-    assert settings_of([value for option, value in given if option == "--set"]) == spec.set
-    assert [value for option, value in given if option == "--metric"] == spec.metrics
-    assert dict(given)["--seeds"] == "3"
-    assert dict(given)["--seed"] == "1"
+    options = [(rest[i], rest[i + 1]) for i in range(0, len(rest), 2)]
+    assert vary_of([value for option, value in options if option == "--vary"]) == vary
+    assert settings_of([value for option, value in options if option == "--set"]) == spec.set
+    assert [value for option, value in options if option == "--metric"] == spec.metrics
+    assert dict(options)["--seeds"] == "3"
+    assert dict(options)["--seed"] == "1"

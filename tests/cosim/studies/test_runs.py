@@ -110,10 +110,12 @@ def test_a_metric_that_is_varied_has_one_column() -> None:
 
 
 def test_progress_counts_up(tmp_path: Path) -> None:
-    told: list[tuple[int, int, int]] = []
+    reports: list[tuple[int, int, int]] = []
     settings = {"vehicle.car1.agent.bad_seed": 0}
-    study(mine(tmp_path), vary={"agents.nap_s": [0.0]}, seeds=3, set=settings, jobs=1, progress=lambda *each: told.append(each))
-    assert told == [(0, 0, 3), (1, 1, 3), (2, 1, 3), (3, 1, 3)]
+    study(
+        mine(tmp_path), vary={"agents.nap_s": [0.0]}, seeds=3, set=settings, jobs=1, progress=lambda *each: reports.append(each)
+    )
+    assert reports == [(0, 0, 3), (1, 1, 3), (2, 1, 3), (3, 1, 3)]
 
 
 def wait_for(condition: Any, seconds: float = 30.0) -> None:
@@ -238,24 +240,24 @@ def test_progress_in_a_log_has_the_time_left(monkeypatch: pytest.MonkeyPatch, ca
 
 def test_of_many_points_each_value_is_checked_once(monkeypatch: pytest.MonkeyPatch) -> None:
     base = plans.base_of(two())
-    seen: list[tuple[Any, ...]] = []
-    told: list[tuple[int, int]] = []
+    points: list[tuple[Any, ...]] = []
+    reports: list[tuple[int, int]] = []
     check = engine._check
 
     def noted(plan: Plan, base: plans.Base, point: tuple[Any, ...]) -> Any:
-        seen.append(point)
+        points.append(point)
         return check(plan, base, point)
 
     monkeypatch.setattr(engine, "_check", noted)
     for losses, count in ((25, 50), (26, 27)):
-        seen.clear()
-        told.clear()
+        points.clear()
+        reports.clear()
         vary: dict[str, list[Any]] = {LOSS: [i / 100 for i in range(losses)], ESTIMATOR: ["hold", "dr"]}
         plan = plans.make(base, vary=vary, seeds=3, seed=None, settings={}, metrics=None, stored=None)
-        engine.examined(plan, base, lambda done, of: told.append((done, of)))
-        assert told == [(number, count) for number in range(count)]
-        assert len(set(seen)) == count
-        assert [{point[key] for point in seen} for key in (0, 1)] == [{*values} for values in vary.values()]
+        engine.examined(plan, base, lambda done, of: reports.append((done, of)))
+        assert reports == [(number, count) for number in range(count)]
+        assert len(set(points)) == count
+        assert [{point[key] for point in points} for key in (0, 1)] == [{*values} for values in vary.values()]
 
 
 def test_checking_shows_its_progress(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -304,8 +306,8 @@ def test_a_file_that_changes_while_the_study_runs_makes_no_rows(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    ("given", "says"), [({"vary": "a=0,1"}, "vary: must be a mapping"), ({"metrics": "age"}, "--metric age:")]
+    ("arguments", "says"), [({"vary": "a=0,1"}, "vary: must be a mapping"), ({"metrics": "age"}, "--metric age:")]
 )
-def test_strings_in_place_of_lists_are_refused(given: dict[str, Any], says: str) -> None:
+def test_strings_in_place_of_lists_are_refused(arguments: dict[str, Any], says: str) -> None:
     with pytest.raises(UsageError, match=says):
-        vcmvsp.study("study-delay", seeds=1, **given)
+        vcmvsp.study("study-delay", seeds=1, **arguments)

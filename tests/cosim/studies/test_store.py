@@ -32,8 +32,8 @@ NAP = "agents.nap_s"
 
 
 def plan_of(**more: Any) -> Plan:
-    given = {"scenario_toml": 'name = "two"\n', "vary": {LOSS: [0.0, 0.5], "n": [1, 2]}, "seeds": [3, 4], "metrics": ["a"]}
-    return Plan(scenario="two", **{**given, **more})
+    defaults = {"scenario_toml": 'name = "two"\n', "vary": {LOSS: [0.0, 0.5], "n": [1, 2]}, "seeds": [3, 4], "metrics": ["a"]}
+    return Plan(scenario="two", **{**defaults, **more})
 
 
 def fill(store: Store, skip: int = 0, stop: int | None = None) -> None:
@@ -101,16 +101,16 @@ def test_lines_after_a_damaged_one_count(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def test_plan_and_table_are_on_the_disk_before_they_replace_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    done: list[str] = []
+    steps: list[str] = []
     sync, replace, folder = os.fsync, Path.replace, tmp_path.stat().st_ino
 
     def synced(file: int) -> None:
         status = os.fstat(file)
-        done.append("the folder" if status.st_ino == folder else f"{status.st_size} bytes")
+        steps.append("the folder" if status.st_ino == folder else f"{status.st_size} bytes")
         sync(file)
 
     def replaced(path: Path, target: Path) -> Path:
-        done.append(f"{path.stat().st_size} bytes are {target.name}")
+        steps.append(f"{path.stat().st_size} bytes are {target.name}")
         return replace(path, target)
 
     monkeypatch.setattr(os, "fsync", synced)
@@ -121,7 +121,7 @@ def test_plan_and_table_are_on_the_disk_before_they_replace_others(tmp_path: Pat
     for name in ("study.toml", "study.parquet"):
         size = (tmp_path / name).stat().st_size
         expected += [f"{size} bytes", f"{size} bytes are {name}", "the folder"]
-    assert done == expected
+    assert steps == expected
 
 
 def test_values_and_seeds_may_be_added_later(tmp_path: Path) -> None:
@@ -165,26 +165,26 @@ def test_a_file_of_a_new_value_keeps_the_study(tmp_path: Path) -> None:
 PREDICTOR = "from vcmvsp.agents.formation.reports.prediction import DeadReckoning\n\n\nclass Own(DeadReckoning):\n    pass\n"
 
 
-def scenario_with_own_files(folder: Path, what: str) -> tuple[dict[str, Any], str]:
+def scenario_with_own_files(folder: Path, part: str) -> tuple[dict[str, Any], str]:
     """A scenario, and a key for two files of one basename with an agent or an estimator."""
     for name in ("one", "other"):
         (folder / name).mkdir()
-        text = PREDICTOR if what == "estimator" else (mine(folder).parent / "mine.py").read_text()
+        text = PREDICTOR if part == "estimator" else (mine(folder).parent / "mine.py").read_text()
         (folder / name / "own.py").write_text(f"{text}# {name}\n")
-    if what == "estimator":
+    if part == "estimator":
         return two(), ESTIMATOR
     return two(vehicle=[{"name": "car1", "agent": {"kind": "mine.py:Mine"}}], agents={}), "vehicle.car1.agent.kind"
 
 
-@pytest.mark.parametrize("what", ["agent", "estimator"])
-def test_rows_of_changed_code_are_not_mixed_with_new_ones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str) -> None:
+@pytest.mark.parametrize("part", ["agent", "estimator"])
+def test_rows_of_changed_code_are_not_mixed_with_new_ones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part: str) -> None:
     monkeypatch.chdir(tmp_path)
-    scenario, key = scenario_with_own_files(tmp_path, what)
-    name = "Own" if what == "estimator" else "Mine"
+    scenario, key = scenario_with_own_files(tmp_path, part)
+    name = "Own" if part == "estimator" else "Mine"
     values = [f"one/own.py:{name}", f"other/own.py:{name}"]
-    given: dict[str, Any] = {"seeds": 1, "jobs": 1, "out": tmp_path / "s"}
-    study(scenario, vary={key: values[:1]}, **given)
-    assert study(scenario, vary={key: values}, resume=True, **given).num_rows == 2
+    arguments: dict[str, Any] = {"seeds": 1, "jobs": 1, "out": tmp_path / "s"}
+    study(scenario, vary={key: values[:1]}, **arguments)
+    assert study(scenario, vary={key: values}, resume=True, **arguments).num_rows == 2
     for changed in ("one", "other"):
         path = tmp_path / changed / "own.py"
         before = path.read_text()
@@ -234,7 +234,7 @@ def test_only_write_errors_are_reported_as_such(tmp_path: Path, monkeypatch: pyt
         study(two(), vary={LOSS: [0.0]}, seeds=1, jobs=1, out=tmp_path / "a", progress=gone)
     for name in ("vcmvsp.cosim.studies.store.write_table", "vcmvsp.cosim.studies.outputs.write"):
 
-        def full(*given: Any, **more: Any) -> None:
+        def full(*arguments: Any, **more: Any) -> None:
             raise OSError(28, "No space left on device")
 
         with monkeypatch.context() as patch:
@@ -309,8 +309,8 @@ def test_a_started_study_is_resumed_with_its_own_settings(tmp_path: Path) -> Non
 def started_plan(settings: dict[str, Any]) -> Plan:
     """The plan of a study of one run that was started and got no further."""
     base = plans.base_of(two())
-    asked = {"vary": settings["vary"], "seed": settings["seed"], "metrics": settings["metrics"]}
-    return examined(plans.make(base, seeds=1, settings={}, stored=None, **asked), base)
+    arguments = {"vary": settings["vary"], "seed": settings["seed"], "metrics": settings["metrics"]}
+    return examined(plans.make(base, seeds=1, settings={}, stored=None, **arguments), base)
 
 
 def done(folder: Path) -> int:

@@ -42,7 +42,7 @@ def report(number: int, receivers: tuple[str, ...] = NAMES[1:]) -> FrameReport:
 @st.composite
 def reports(draw: st.DrawFn) -> list[FrameReport]:
     """Frames with any receivers and outcomes, in any order, with or without parts of the link budget."""
-    told = []
+    frames = []
     for number in draw(st.permutations(range(draw(st.integers(0, 12))))):
         receivers = tuple(draw(st.lists(st.sampled_from(NAMES), unique=True)))
 
@@ -60,23 +60,23 @@ def reports(draw: st.DrawFn) -> list[FrameReport]:
             "outcome": tuple(each(("received", "random loss", "under way", "collision"))),
             "wall_materials": tuple(each(("", "1 brick", "2 wood"))) if draw(st.booleans()) else None,
         }
-        told.append(msgspec.structs.replace(report(number, receivers), **fates, **parts))
-    return told
+        frames.append(msgspec.structs.replace(report(number, receivers), **fates, **parts))
+    return frames
 
 
-def row_by_row(told: list[FrameReport]) -> Iterator[dict[str, Any]]:
-    for each in sorted(told, key=lambda each: each.frame):
+def row_by_row(frames: list[FrameReport]) -> Iterator[dict[str, Any]]:
+    for each in sorted(frames, key=lambda each: each.frame):
         for i, receiver in enumerate(each.receivers):
             row: dict[str, Any] = {name: getattr(each, name, None) for name in RADIO_SCHEMA.names}
             for name, value in row.items():
                 own = value[i] if isinstance(value, np.ndarray | tuple) else value
                 row[name] = own.item() if isinstance(own, np.generic) else own
             row |= {name: 0 if dtype is np.int64 else 0.0 for name, dtype in radio_frames.BUDGET.items() if row[name] is None}
-            sent, got = row["sent_ns"], row["received_ns"]
+            sent_ns, received_ns = row["sent_ns"], row["received_ns"]
             row |= {
                 "receiver": receiver,
-                "delay_ns": got - sent if got >= 0 else None,
-                "received_ns": got if got >= 0 else None,
+                "delay_ns": received_ns - sent_ns if received_ns >= 0 else None,
+                "received_ns": received_ns if received_ns >= 0 else None,
             }
             row["copy_ns"] = row["copy_ns"] if row["copy_ns"] > 0 else None
             row["sinr_db"] = row["sinr_db"] if np.isfinite(row["sinr_db"]) else None
@@ -84,8 +84,8 @@ def row_by_row(told: list[FrameReport]) -> Iterator[dict[str, Any]]:
 
 
 @given(reports())
-def test_the_table_is_as_made_row_by_row(told: list[FrameReport]) -> None:
-    assert repr(radio_table(told, FACTS).to_pylist()) == repr(list(row_by_row(told)))
+def test_the_table_is_as_made_row_by_row(frames: list[FrameReport]) -> None:
+    assert repr(radio_table(frames, FACTS).to_pylist()) == repr(list(row_by_row(frames)))
 
 
 def test_paths_are_columns_if_a_channel_reports_them() -> None:
@@ -98,12 +98,12 @@ def test_paths_are_columns_if_a_channel_reports_them() -> None:
 
 
 @given(reports(), st.sampled_from((1, 3, 7)))
-def test_the_size_of_chunks_changes_no_byte(told: list[FrameReport], rows: int) -> None:
+def test_the_size_of_chunks_changes_no_byte(frames: list[FrameReport], rows: int) -> None:
     streams = []
     for size in (radio_frames.CHUNK_ROWS, rows):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(radio_frames, "CHUNK_ROWS", size)
-            table, sink = radio_table(told, FACTS), pa.BufferOutputStream()
+            table, sink = radio_table(frames, FACTS), pa.BufferOutputStream()
             with pa.ipc.new_stream(sink, table.schema) as writer:
                 writer.write_table(table)
             streams.append(sink.getvalue().to_pybytes())
@@ -114,13 +114,13 @@ def test_the_size_of_chunks_changes_no_byte(told: list[FrameReport], rows: int) 
 def test_frames_are_kept_as_numbers_only(receivers: tuple[str, ...], most: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of 20,000 frames to three receivers each, or to none: the columns that differ from row to row, and no objects."""
     monkeypatch.setattr(radio_frames, "CHUNK_ROWS", 3000)
-    kept = radio_frames.Frames(NAMES)
+    frames = radio_frames.Frames(NAMES)
     tracemalloc.start()
     try:
-        kept.extend(report(number, receivers) for number in range(20_000))
+        frames.extend(report(number, receivers) for number in range(20_000))
         gc.collect()
-        held, _ = tracemalloc.get_traced_memory()
+        memory_bytes, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert len(kept.columns()["frame"]) == 20_000 * len(receivers)
-    assert held < most
+    assert len(frames.columns()["frame"]) == 20_000 * len(receivers)
+    assert memory_bytes < most

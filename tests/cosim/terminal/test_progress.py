@@ -36,8 +36,8 @@ class Terminal:
     """A pseudo-terminal and the contents of its screen. Within it, it is stderr."""
 
     def __init__(self, columns: int, lines: int) -> None:
-        self._ours, theirs = os.openpty()
-        self.file: IO[str] = os.fdopen(theirs, "w", buffering=1)
+        self._controller, terminal_end = os.openpty()
+        self.file: IO[str] = os.fdopen(terminal_end, "w", buffering=1)
         self.resize(columns, lines)
         self._data = bytearray()
         self._reader = threading.Thread(target=self._read, daemon=True)
@@ -59,7 +59,7 @@ class Terminal:
 
     def _read(self) -> None:
         with contextlib.suppress(OSError):  # the other end is closed
-            while data := os.read(self._ours, 65536):
+            while data := os.read(self._controller, 65536):
                 self._data += data
 
     def sent(self) -> bytes:
@@ -96,7 +96,7 @@ class Terminal:
     def close(self) -> None:
         self.file.close()
         self._reader.join(10.0)
-        os.close(self._ours)
+        os.close(self._controller)
 
 
 @pytest.fixture
@@ -206,13 +206,13 @@ def test_the_last_shown_speed_is_of_the_whole_run(terminal: Terminal, monkeypatc
     now = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     monkeypatch.setattr(progress, "DRAW_EVERY_S", 0.25)
-    words: list[str] = []
-    monkeypatch.setattr(Progress, "_draw_on", lambda _shown, _screen, _completed, _total, text: words.append(text))
+    texts: list[str] = []
+    monkeypatch.setattr(Progress, "_draw_on", lambda _shown, _screen, _completed, _total, text: texts.append(text))
     with terminal, Progress(quiet=False) as shown:
         for tenths in (0, 3, 4):  # too early to be drawn, except as the last
             now[0] = 100.0 + 0.1 * tenths
             shown.on_instant(tenths * SECOND_NS // 2, 2 * SECOND_NS)
-    assert words == ["1.5 of 2 s, 5.0x, 0 s left", "2.0 of 2 s, 5.0x, writing"]
+    assert texts == ["1.5 of 2 s, 5.0x, 0 s left", "2.0 of 2 s, 5.0x, writing"]
 
 
 def test_a_lost_terminal_does_not_end_the_run(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -306,11 +306,11 @@ def test_the_summary_of_a_run_has_columns() -> None:
     result.metrics["hardware"] = {"a-vehicle-of-a-long-name": {**dict.fromkeys(REAL, 0), "age_s": {"p50": 0.01}, "stops": {}}}
     head, *lines = progress.summary(result).splitlines()
     assert head.startswith("two-cars: 2 agents (inprocess), 0.5 s simulated in ")
-    told = dict(line.split(": ", 1) for line in lines)
+    entries = dict(line.split(": ", 1) for line in lines)
     assert {len(line) - len(line.split(": ", 1)[1].lstrip()) for line in lines} == {len("a-vehicle-of-a-long-name: ")}
-    assert told["safety"].strip() == "2 collisions"
-    assert told["lost"].strip() == "car2 for 0.2 s"
-    assert list(told)[-1] == "results"
+    assert entries["safety"].strip() == "2 collisions"
+    assert entries["lost"].strip() == "car2 for 0.2 s"
+    assert list(entries)[-1] == "results"
 
 
 def test_the_summary_reports_frames_all_under_way() -> None:
@@ -320,7 +320,7 @@ def test_the_summary_reports_frames_all_under_way() -> None:
 
 def test_routing_with_one_vehicle_has_no_delivery_ratio() -> None:
     content = {**tomllib.loads(two_cars()), "routing": {"kind": "flooding"}}
-    told = progress.summary(vcmvsp.run(content, mcap=False))
-    assert "routing:   5 messages, 100.0 % delivered over 1.0 hops (1 at most), 5 frames passed on\n" in told
+    summary = progress.summary(vcmvsp.run(content, mcap=False))
+    assert "routing:   5 messages, 100.0 % delivered over 1.0 hops (1 at most), 5 frames passed on\n" in summary
     content["vehicle"] = content["vehicle"][:1]
     assert "routing:   5 messages, 0 frames passed on\n" in progress.summary(vcmvsp.run(content, mcap=False))

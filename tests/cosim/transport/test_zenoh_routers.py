@@ -67,7 +67,7 @@ def test_with_certificates_routers_are_refused(stage: Stage) -> None:
     config.insert_json5("transport/link/tls", json.dumps(secure["transport"]["link"]["tls"]))
     with zenoh.open(config):
         host = stage.start("agent", "--vehicle", "car2", "--connect", f"tls/127.0.0.1:{beyond}", "--keys", "keys/both.keys")
-        code, said = exit_of(host)
+        code, output = exit_of(host)
         assert run.poll() is None
     assert code == 2
-    assert "'both' is unknown to this run" in said
+    assert "'both' is unknown to this run" in output

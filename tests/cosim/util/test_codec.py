@@ -258,17 +258,17 @@ def test_arrays_are_aligned_and_contiguous() -> None:
 
 def test_questions_and_answers_have_arrays() -> None:
     later: Any = Later(lambda: SCAN)
-    asked = protocol.Act(7, [Event("a/scan", 7, SCAN), Event("a/estimate", 7, STATE), Event("b/scan", 7, later)])
-    back = protocol.questions.decode(protocol.encode(asked))
-    assert bits(back) == bits(protocol.Act(7, [*asked.inbox[:2], Event("b/scan", 7, SCAN)]))
-    seen = Mosaic(left=0.0, bottom=0.0, cell_m=1.0, pixels=np.arange(12, dtype=np.uint8).reshape(2, 2, 3))
-    said = protocol.Stepped([Event("a/mosaic", 7, seen)])
-    assert bits(protocol.answers.decode(protocol.encode(said))) == bits(said)
+    question = protocol.Act(7, [Event("a/scan", 7, SCAN), Event("a/estimate", 7, STATE), Event("b/scan", 7, later)])
+    back = protocol.questions.decode(protocol.encode(question))
+    assert bits(back) == bits(protocol.Act(7, [*question.inbox[:2], Event("b/scan", 7, SCAN)]))
+    mosaic = Mosaic(left=0.0, bottom=0.0, cell_m=1.0, pixels=np.arange(12, dtype=np.uint8).reshape(2, 2, 3))
+    answer = protocol.Stepped([Event("a/mosaic", 7, mosaic)])
+    assert bits(protocol.answers.decode(protocol.encode(answer))) == bits(answer)
 
 
 def test_a_message_without_arrays_is_plain() -> None:
-    asked = protocol.Act(7, [Event("a/estimate", 7, STATE)])
-    assert protocol.encode(asked) == codec.encode(asked)
+    question = protocol.Act(7, [Event("a/estimate", 7, STATE)])
+    assert protocol.encode(question) == codec.encode(question)
 
 
 FORGED = {

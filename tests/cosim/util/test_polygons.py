@@ -62,8 +62,8 @@ def checked_parts(outline: list[Point] | tuple[Point, ...], holes: tuple[tuple[P
     """The parts are convex, run counter-clockwise, have the whole area, and contain each sample as often as the polygon."""
     parts = convex_parts(outline, holes)
     ring = np.array(outline, float)
-    wanted = abs(area_m2(ring)) - sum(abs(area_m2(np.array(hole, float))) for hole in holes)
-    assert sum(area_m2(part) for part in parts) == pytest.approx(wanted, rel=1e-9, abs=1e-12)
+    expected_m2 = abs(area_m2(ring)) - sum(abs(area_m2(np.array(hole, float))) for hole in holes)
+    assert sum(area_m2(part) for part in parts) == pytest.approx(expected_m2, rel=1e-9, abs=1e-12)
     for part in parts:
         edges = np.roll(part, -1, axis=0) - part
         turns = edges[:, 0] * np.roll(edges[:, 1], -1) - edges[:, 1] * np.roll(edges[:, 0], -1)

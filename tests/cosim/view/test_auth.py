@@ -202,8 +202,8 @@ def test_an_invalid_message_ends_its_connection_quietly(
             bad.send(message)
         assert _is_closed(bad)
         assert page.hears(good)
-    said = "".join(capfd.readouterr()).splitlines()
-    assert [line for line in said if "zenoh" not in line] == []  # sessions of other tests may end late
+    lines = "".join(capfd.readouterr()).splitlines()
+    assert [line for line in lines if "zenoh" not in line] == []  # sessions of other tests may end late
 
 
 def test_invalid_frames_end_their_connection_quietly(page: Page, capfd: pytest.CaptureFixture[str]) -> None:
@@ -234,13 +234,13 @@ def test_the_number_of_pages_is_limited(page: Page) -> None:
         assert page.hears(later)
 
 
-@pytest.mark.parametrize("said", [b"", b"GET / HTTP/1.1\r\nHost: "], ids=["nothing", "half a request"])
-def test_half_open_sockets_block_no_page(page: Page, said: bytes) -> None:
+@pytest.mark.parametrize("data", [b"", b"GET / HTTP/1.1\r\nHost: "], ids=["nothing", "half a request"])
+def test_half_open_sockets_block_no_page(page: Page, data: bytes) -> None:
     with contextlib.ExitStack() as stack:
         first = stack.enter_context(page.connect())
         for _ in range(2 * web_server.MOST_SOCKETS):
             with contextlib.suppress(ConnectionError):  # closed as the oldest
-                stack.enter_context(socket.create_connection(("127.0.0.1", page.port))).sendall(said)
+                stack.enter_context(socket.create_connection(("127.0.0.1", page.port))).sendall(data)
         assert page.get("/page", Authorization=page.key)[0] == HTTPStatus.OK
         later = stack.enter_context(page.connect())
         assert page.hears(first)
@@ -300,7 +300,7 @@ def test_only_requests_with_the_token_pass(headers: list[tuple[str, str]], path:
     response = gate.answer(FakeConnection(), Request("/" + path, Headers(headers)))  # type: ignore[arg-type]
     if response is None or response.body == b"the page":
         name, brings = ("Authorization", f"Bearer {TOKEN}") if response else ("Sec-WebSocket-Protocol", f"token.{TOKEN}")
-        assert any(given == name and brings in value for given, value in headers)
+        assert any(header == name and brings in value for header, value in headers)
         assert [value for name, value in headers if name == "Host"] == ["localhost:8080"]
         assert {value for name, value in headers if name == "Origin"} <= {"http://localhost:8080"}
 

@@ -174,8 +174,8 @@ class ExpectedContents:
         pixels = np.full((side, side, 3), self._k % 256, np.uint8)
         self._reader.on(self._k, "c/mosaic", Mosaic(left=0.0, bottom=0.0, cell_m=1.0, pixels=pixels))
 
-    def halt(self, what: tuple[str, bool]) -> None:
-        name, halted = what
+    def halt(self, order: tuple[str, bool]) -> None:
+        name, halted = order
         (self.halted.add if halted else self.halted.discard)(name)
         self.lines += 1
         self._reader.on(self._k, "operator/halted", Halted(vehicles=(name,), halted=halted))
@@ -195,16 +195,16 @@ steps = st.lists(
 
 @given(steps)
 @settings(max_examples=100)
-def test_any_pattern_of_reading_ends_with_the_newest_values(taken: list[tuple[str, Any]]) -> None:
+def test_any_pattern_of_reading_ends_with_the_newest_values(actions: list[tuple[str, Any]]) -> None:
     with Reader(buffer_bytes=1) as reader:
         truth = ExpectedContents(reader)
-        for what, value in taken:
+        for method, value in actions:
             truth.go_on()
-            getattr(truth, what)(value)
+            getattr(truth, method)(value)
         shown = reader.read_all()
-    assert shown.time_ns == len(taken) - 1
+    assert shown.time_ns == len(actions) - 1
     assert shown.states is not None
-    assert shown.states.position[0, 0] == len(taken) - 1
+    assert shown.states.position[0, 0] == len(actions) - 1
     assert shown.notes.get("b", {}) == truth.notes
     assert len(shown.lines) == truth.lines
     assert {*shown.halted} == truth.halted

@@ -91,20 +91,20 @@ class Reader:
                 if isinstance(message, bytes):
                     self._take(message)
                     continue
-                said = json.loads(message)
-                if said["op"] == "serverInfo":
-                    self.info = said
-                elif said["op"] == "advertise":
-                    new = {channel["id"]: channel for channel in said["channels"]}
+                content = json.loads(message)
+                if content["op"] == "serverInfo":
+                    self.info = content
+                elif content["op"] == "advertise":
+                    new = {channel["id"]: channel for channel in content["channels"]}
                     self.channels |= new
                     await self._subscribe(connection, *new)
-                elif said["op"] == "status" and (unknown := re.fullmatch(r"Unknown channel ID: (\d+)", said["message"])):
+                elif content["op"] == "status" and (unknown := re.fullmatch(r"Unknown channel ID: (\d+)", content["message"])):
                     await asyncio.sleep(0.02)  # a channel is advertised shortly before it can be subscribed to
                     await self._subscribe(connection, *({int(unknown[1])} & self.channels.keys()))
 
     async def _subscribe(self, connection: websockets.ClientConnection, *numbers: int) -> None:
-        wanted = [{"id": number, "channelId": number} for number in numbers]
-        await connection.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+        subscriptions = [{"id": number, "channelId": number} for number in numbers]
+        await connection.send(json.dumps({"op": "subscribe", "subscriptions": subscriptions}))
 
     def _take(self, message: bytes) -> None:
         if message[0] == CLOCK:

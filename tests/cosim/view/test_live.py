@@ -47,15 +47,15 @@ class Desk:
 
     def __init__(self, acts: Mapping[float, Sequence[Order]]) -> None:
         self.now_ns, self._acts = 0, {seconds_to_ns(when): orders for when, orders in acts.items()}
-        ours, self._theirs = socket.socketpair()
-        self._pipe = protocol.Pipe(ours)
+        run_end, self._viewer_end = socket.socketpair()
+        self._pipe = protocol.Pipe(run_end)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self._pipe.close()
-        self._theirs.close()
+        self._viewer_end.close()
 
     def prepare(self, parts: Parts) -> None:
         """A page that opens before the agents have joined."""
@@ -78,9 +78,9 @@ class Desk:
             orders = self._acts.pop(when)
             for order in orders:
                 payload = codec.encode(order)
-                self._theirs.sendall(struct.pack("<I", len(payload)) + payload)
+                self._viewer_end.sendall(struct.pack("<I", len(payload)) + payload)
             if not orders:
-                self._theirs.close()
+                self._viewer_end.close()
 
 
 def run(acts: Mapping[float, Sequence[Order]], scenario: dict[str, Any] = SCENARIO, **more: Any) -> vcmvsp.Result:
@@ -101,10 +101,10 @@ def test_a_paused_run_can_be_ended() -> None:
 
 
 def test_a_paused_run_continues_without_its_operator() -> None:
-    told: list[str] = []
-    result = run({0.5: [Go(paused=True, speed=1.0)], 3.0: GONE}, tell=told.append)
+    lines: list[str] = []
+    result = run({0.5: [Go(paused=True, speed=1.0)], 3.0: GONE}, tell=lines.append)
     assert result.metrics["duration_s"] == 2.0
-    assert any("the run continues" in line for line in told)
+    assert any("the run continues" in line for line in lines)
 
 
 def test_orders_during_a_pause_are_executed_after_it() -> None:

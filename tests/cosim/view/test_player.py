@@ -97,10 +97,10 @@ def test_interventions_are_shown_from_their_time_on(recording: Recording) -> Non
     assert [at(time_s).halted for time_s in (1.0, 1.2, 2.7, 3.5)] == [(), ("car2",), (), ("car1", "car2", "car3")]
     assert at(1.9).obstacles["crate"] == pytest.approx((-3.0, 2.0, 0.2, 0.0), abs=1e-3)
     assert at(2.1).obstacles["crate"] == pytest.approx((-3.0, -1.0, 0.2, 0.4), abs=1e-3)
-    said = [(line.time_ns / SECOND_NS, line.text) for line in at(4.0).lines]
-    assert [time_s for time_s, _ in said] == sorted(time_s for time_s, _ in said)
-    assert any(time_s == 1.5 and "no radio" in text for time_s, text in said)
-    assert said[-1] == (4.0, "the run is complete") == (4.0, recording.ending)
+    lines = [(line.time_ns / SECOND_NS, line.text) for line in at(4.0).lines]
+    assert [time_s for time_s, _ in lines] == sorted(time_s for time_s, _ in lines)
+    assert any(time_s == 1.5 and "no radio" in text for time_s, text in lines)
+    assert lines[-1] == (4.0, "the run is complete") == (4.0, recording.ending)
 
 
 def test_obstacles_and_targets_keep_to_their_time_table(recording: Recording) -> None:

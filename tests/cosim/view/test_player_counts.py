@@ -29,12 +29,12 @@ def test_counts_cover_the_frames_so_far(frames: list[tuple[int, str, tuple[bool,
     now_ns, newest = 0, {}
     for number, (wait_ns, sender, arrived) in enumerate(frames):
         now_ns += wait_ns
-        got = list(zip(OTHERS[sender], arrived, strict=False))
-        received_ns = [now_ns if each else -1 for _, each in got]
-        said = {"sender": sender, "receivers": OTHERS[sender], "received_ns": received_ns, "rssi_dbm": [-60.0] * len(got)}
-        counts.take(now_ns, json.dumps(said).encode())
+        arrivals = list(zip(OTHERS[sender], arrived, strict=False))
+        received_ns = [now_ns if each else -1 for _, each in arrivals]
+        frame = {"sender": sender, "receivers": OTHERS[sender], "received_ns": received_ns, "rssi_dbm": [-60.0] * len(arrivals)}
+        counts.take(now_ns, json.dumps(frame).encode())
         if now_ns <= time_ns:
-            for receiver, each in got:
+            for receiver, each in arrivals:
                 sent[NAMES.index(sender), NAMES.index(receiver)] += 1
                 received[NAMES.index(sender), NAMES.index(receiver)] += each
             if now_ns > since_ns:

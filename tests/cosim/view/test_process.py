@@ -93,7 +93,7 @@ def messages_to(page: Connection) -> list[dict[str, Any]]:
 
 
 def test_events_reach_the_page_and_buttons_give_orders(viewer: Viewing) -> None:
-    feed, words, buttons = viewer.feed, str, dict[str, str]()
+    feed, text_of, buttons = viewer.feed, str, dict[str, str]()
     with page_connection(viewer.url) as page:
         page.send(msgspec.msgpack.encode(CAMERA))
 
@@ -111,19 +111,19 @@ def test_events_reach_the_page_and_buttons_give_orders(viewer: Viewing) -> None:
         feed.say("warning", "the bridge is up")
         feed.on(Event("world/states", SECOND_NS, view_pages.moving_state(SCENERY, 1.0).states))  # type: ignore[arg-type]  # not None
         feed.pace(Pace())
-        assert until(lambda: "the bridge is up" in words(messages_to(page)))
+        assert until(lambda: "the bridge is up" in text_of(messages_to(page)))
 
 
 def test_a_browser_shows_the_page_without_errors(viewer: Viewing) -> None:
     with view_pages.browser() as browser:
-        page, said = browser.new_page(), list[str]()
-        page.on("console", lambda message: said.append(message.text) if message.type == "error" else None)
-        page.on("pageerror", lambda error: said.append(str(error)))
-        page.on("requestfailed", lambda request: said.append(request.url))
+        page, errors = browser.new_page(), list[str]()
+        page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        page.on("requestfailed", lambda request: errors.append(request.url))
         page.goto(viewer.url)
         page.get_by_role("button", name="Stop all vehicles").wait_for(timeout=1e3 * PATIENCE_S)
         assert "token" not in page.url
-        assert said == []
+        assert errors == []
 
 
 def test_after_the_run_the_page_shows_the_cause_and_the_last_state() -> None:
@@ -198,18 +198,18 @@ def is_running(pid: int) -> bool:
 
 
 def test_waiting_updates_are_shown_together() -> None:
-    ours, theirs = protocol.pair()
+    sender, receiver = protocol.pair()
     shown: list[list[int]] = []
-    assert all(ours.offer(codec.encode(PageUpdate(time_ns=k))) for k in range(20))
-    ours.close()
-    end = protocol.Pipe(theirs)
+    assert all(sender.offer(codec.encode(PageUpdate(time_ns=k))) for k in range(20))
+    sender.close()
+    end = protocol.Pipe(receiver)
     pump(end, lambda *updates: shown.append([each.time_ns for each in updates]))
     end.close()
     assert shown == [[*range(20)]]
 
 
 def test_drawing_does_not_block_the_run() -> None:
-    ours, theirs = protocol.pair()
+    sender, receiver = protocol.pair()
     times, drawing, go_on = list[int](), threading.Event(), threading.Event()
 
     def show(*updates: PageUpdate) -> None:
@@ -217,14 +217,14 @@ def test_drawing_does_not_block_the_run() -> None:
         drawing.set()
         go_on.wait(PATIENCE_S)
 
-    end = protocol.Pipe(theirs)
+    end = protocol.Pipe(receiver)
     thread = threading.Thread(target=pump, args=(end, show))
     thread.start()
-    ours.offer(codec.encode(PageUpdate(time_ns=0)))
+    sender.offer(codec.encode(PageUpdate(time_ns=0)))
     drawing.wait(PATIENCE_S)
-    taken = [k for k in range(1, 100_000) if ours.offer(codec.encode(PageUpdate(time_ns=k)))]
+    taken = [k for k in range(1, 100_000) if sender.offer(codec.encode(PageUpdate(time_ns=k)))]
     assert taken[-1] < 99_999  # finally there was no room
-    ours.close()
+    sender.close()
     go_on.set()
     thread.join(PATIENCE_S)
     end.close()
@@ -234,6 +234,6 @@ def test_drawing_does_not_block_the_run() -> None:
 def test_no_secret_is_in_the_list_of_processes(viewer: Viewing) -> None:
     token = urllib.parse.parse_qs(urllib.parse.urlsplit(viewer.url).query)["token"][0]
     pid = viewer._process.pid
-    for what in ("cmdline", "environ"):
-        assert token.encode() not in Path(f"/proc/{pid}/{what}").read_bytes()
+    for file in ("cmdline", "environ"):
+        assert token.encode() not in Path(f"/proc/{pid}/{file}").read_bytes()
     assert os.getpgid(pid) == pid  # out of reach of Ctrl-C

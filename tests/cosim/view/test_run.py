@@ -129,9 +129,9 @@ def _lost(frames: Any) -> list[Any]:
 
 def _time_s(page: Any) -> float:
     """Simulated time on the page, s."""
-    said = re.search(r"([\d.]+) s of 3000 s", page.inner_text("body"))
-    assert said is not None
-    return float(said[1])
+    match = re.search(r"([\d.]+) s of 3000 s", page.inner_text("body"))
+    assert match is not None
+    return float(match[1])
 
 
 def _until(page: Any, holds: Callable[[], bool]) -> None:
@@ -147,9 +147,9 @@ def _until_it_changes(page: Any, look: Callable[[], Any]) -> None:
     first: list[Any] = []
 
     def changed() -> bool:
-        seen = look()
-        if seen and not first:
-            first.append(seen)
-        return bool(seen) and seen != first[0]
+        value = look()
+        if value and not first:
+            first.append(value)
+        return bool(value) and value != first[0]
 
     _until(page, changed)

@@ -98,9 +98,9 @@ def test_information_of_agents_wins_over_the_scenario() -> None:
     assert (uav.agent, uav.period_s, uav.flies, uav.sensors) == ("", None, True, {})
     parsed, source = scenarios.load("lab-patrol")  # its agents have their own periods
     with assemble(parsed, source) as assembled:
-        told = crafts_of(parsed, source, infos=assembled.agents)
+        crafts = crafts_of(parsed, source, infos=assembled.agents)
     assert scenery_of(parsed, source).vehicles[0].period_s is None
-    assert told[0].period_s == 0.1
+    assert crafts[0].period_s == 0.1
 
 
 def test_views_of_cameras_equal_their_sensors() -> None:

@@ -34,9 +34,9 @@ METRES = st.floats(-50.0, 50.0)
 @pytest.fixture(scope="module")
 def live() -> Iterator[StationPage]:
     """A station of a live run of two robots and a quadrotor."""
-    with open_station(scenery(3, flying=1)) as looked:
-        looked.show(0.0)
-        yield looked
+    with open_station(scenery(3, flying=1)) as station_page:
+        station_page.show(0.0)
+        yield station_page
 
 
 # --- the scene ---
@@ -47,10 +47,10 @@ def test_bodies_stand_where_the_vehicles_are() -> None:
         Craft(name="a", kind="p2dx", size=(0.4, 0.3, 0.2), offset=(-0.1, 0.0, 0.1)),
         Craft(name="b", kind="p2dx", size=(1, 1, 1)),
     )
-    with open_station(scenery(vehicles=crafts)) as looked:
-        looked.station.show(PageUpdate(time_ns=0, states=states([(2.0, 3.0, 0.0)], [math.pi / 2], ("a",))))
-        looked.station.draw()
-        bodies = looked.node("/vehicles/ground")
+    with open_station(scenery(vehicles=crafts)) as station_page:
+        station_page.station.show(PageUpdate(time_ns=0, states=states([(2.0, 3.0, 0.0)], [math.pi / 2], ("a",))))
+        station_page.station.draw()
+        bodies = station_page.node("/vehicles/ground")
     assert bodies.batched_positions[0] == pytest.approx((2.0, 2.9, 0.1), abs=1e-6)
     assert bodies.batched_scales[0] == pytest.approx((0.4, 0.3, 0.2))
     assert bodies.batched_scales[1] == pytest.approx((TINY,) * 3)  # position unknown
@@ -62,15 +62,15 @@ def test_a_vehicle_is_drawn_with_its_own_shape() -> None:
     scene = scenery(3)
     car, *others = scene.vehicles
     cart = msgspec.structs.replace(car, shape="cart.urdf")
-    with open_station(msgspec.structs.replace(scene, vehicles=(cart, *others), shapes={"cart.urdf": parts})) as looked:
-        looked.show(1.0)
-        first, second = looked.node("/vehicles/own0/0"), looked.node("/vehicles/own0/1")
+    with open_station(msgspec.structs.replace(scene, vehicles=(cart, *others), shapes={"cart.urdf": parts})) as station_page:
+        station_page.show(1.0)
+        first, second = station_page.node("/vehicles/own0/0"), station_page.node("/vehicles/own0/1")
         for node, part in ((first, parts[0]), (second, parts[1])):
             assert node.vertices.tolist() == part.triangles.reshape(-1, 3).tolist()
             assert node.batched_positions[0] == pytest.approx(moving_state(scene, 1.0).states.position[0])  # type: ignore[union-attr]
             assert node.batched_scales.tolist() == [[1.0, 1.0, 1.0]]
-        assert len(looked.node("/vehicles/ground").batched_positions) == 2
-        assert len(looked.node("/vehicles/wheels").batched_positions) == 4
+        assert len(station_page.node("/vehicles/ground").batched_positions) == 2
+        assert len(station_page.node("/vehicles/wheels").batched_positions) == 4
 
 
 def test_flyers_and_cars_are_drawn_differently(live: StationPage) -> None:
@@ -88,35 +88,35 @@ def test_unchanged_values_are_not_sent_again(live: StationPage) -> None:
 
 
 def test_late_clients_get_no_more_messages_than_early_ones() -> None:
-    with open_station(scenery(3, flying=1)) as looked:
-        looked.use("ring (ring)")
-        looked.use("down (nadir_camera)")
-        kept = []
+    with open_station(scenery(3, flying=1)) as station_page:
+        station_page.use("ring (ring)")
+        station_page.use("down (nadir_camera)")
+        message_counts = []
         for step in range(121):
             color = (step, 0, 0)
-            looked.show(
+            station_page.show(
                 0.1 * step, scans={"v1/ring": view_pages.scan(1.0 + step)}, images={"v1/down": view_pages.picture(color)}
             )
-            kept.append(len(looked.server._websock_server._broadcast_buffer.message_from_id))
-        assert kept[60] == kept[120]
+            message_counts.append(len(station_page.server._websock_server._broadcast_buffer.message_from_id))
+        assert message_counts[60] == message_counts[120]
 
 
 def test_many_vehicles_take_hardly_more_messages_than_few() -> None:
     counts = []
     for count in (4, 100):
-        with open_station(scenery(count, flying=count // 2)) as looked:
-            looked.show(0.0)
-            looked.now_s += 0.01  # only the repeated messages
-            looked.station.show(moving_state(looked.scene, 0.03))
-            counts.append(len(looked.told(looked.station.draw)))
+        with open_station(scenery(count, flying=count // 2)) as station_page:
+            station_page.show(0.0)
+            station_page.now_s += 0.01  # only the repeated messages
+            station_page.station.show(moving_state(station_page.scene, 0.03))
+            counts.append(len(station_page.told(station_page.station.draw)))
     assert counts[1] <= counts[0] + 16 - 4  # names, at most 16 at a time
 
 
 @pytest.mark.parametrize("count", [0, 1])
 def test_runs_of_one_vehicle_or_none_are_shown(count: int) -> None:
-    with open_station(scenery(count)) as looked:
-        looked.show(0.0)
-        looked.show(0.5)
+    with open_station(scenery(count)) as station_page:
+        station_page.show(0.0)
+        station_page.show(0.5)
 
 
 def test_a_vehicle_is_chosen_by_a_click_at_its_body(live: StationPage) -> None:
@@ -169,10 +169,10 @@ def test_a_shadow_lies_away_from_the_sun_and_has_a_soft_edge() -> None:
 
 
 def test_the_floor_of_a_world_with_solids_is_a_picture_with_the_lines_of_the_grid() -> None:
-    with open_station(scenery(1)) as looked:
-        assert looked.node("/floor-picture").position[2] > looked.node("/floor").position[2]
-        looked.use("Dark")
-        assert looked.node("/floor").plane_color == FLOOR_DARK
+    with open_station(scenery(1)) as station_page:
+        assert station_page.node("/floor-picture").position[2] > station_page.node("/floor").position[2]
+        station_page.use("Dark")
+        assert station_page.node("/floor").plane_color == FLOOR_DARK
     floor = squared((-2.0, -1.0, 2.0, 1.0), FLOOR, 1.0)
     pixels = np.asarray(floor.pixels)
     columns, rows = ((pixels != FLOOR).any(axis=2).all(axis=axis).sum() for axis in (0, 1))
@@ -181,15 +181,15 @@ def test_the_floor_of_a_world_with_solids_is_a_picture_with_the_lines_of_the_gri
     vast = np.asarray(squared((-1e9, -1e9, 1e9, 1e9), FLOOR, 10.0).pixels)
     assert (vast == FLOOR).all()  # lines would cover it
     empty = scenery(1, vertices=np.zeros((0, 3), np.float32), triangles=np.zeros((0, 3), np.uint32))
-    with open_station(msgspec.structs.replace(empty, colors=np.zeros((0, 3), np.uint8))) as looked:
-        assert looked.server.scene.get_handle_by_name("/floor-picture") is None
+    with open_station(msgspec.structs.replace(empty, colors=np.zeros((0, 3), np.uint8))) as station_page:
+        assert station_page.server.scene.get_handle_by_name("/floor-picture") is None
 
 
 def test_there_is_floor_under_every_vehicle_at_any_place() -> None:
-    with open_station(scenery(1)) as looked:
+    with open_station(scenery(1)) as station_page:
         for x, y in ((0.0, 0.0), (500.0, -20.0), (-3.0, 900.0), (510.0, 0.0)):
-            looked.show(1.0, states=states([(x, y, 0.0)], [0.0], ("v1",)))
-            floor = looked.node("/floor")
+            station_page.show(1.0, states=states([(x, y, 0.0)], [0.0], ("v1",)))
+            floor = station_page.node("/floor")
             assert abs(x - floor.position[0]) <= 0.5 * floor.width
             assert abs(y - floor.position[1]) <= 0.5 * floor.height
 
@@ -205,15 +205,15 @@ def test_every_triangle_has_a_colour_near_its_own_out_of_few(count: int, seed: i
 
 
 def test_trails_are_bounded_and_begin_anew_where_time_goes_back() -> None:
-    with open_station(scenery(2, may=RECORDED)) as looked:
+    with open_station(scenery(2, may=RECORDED)) as station_page:
         for second in range(400):
-            looked.station.show(moving_state(looked.scene, float(second)))
-        looked.show(400.0)
-        ends = looked.node("/trails").points.reshape(2, -1, 2, 3)
-        assert ends[0, -1, 1] == pytest.approx(moving_state(looked.scene, 400.0).states.position[0], abs=1e-5)  # type: ignore[union-attr]
+            station_page.station.show(moving_state(station_page.scene, float(second)))
+        station_page.show(400.0)
+        ends = station_page.node("/trails").points.reshape(2, -1, 2, 3)
+        assert ends[0, -1, 1] == pytest.approx(moving_state(station_page.scene, 400.0).states.position[0], abs=1e-5)  # type: ignore[union-attr]
         size = ends.size
-        looked.show(10.0)
-        points = looked.node("/trails").points
+        station_page.show(10.0)
+        points = station_page.node("/trails").points
         assert points.size == size
         assert np.ptp(points.reshape(2, -1, 3), axis=1).max() == 0.0
 
@@ -222,10 +222,10 @@ def test_trails_are_bounded_and_begin_anew_where_time_goes_back() -> None:
 
 
 def test_a_link_is_an_arrow_from_the_sender_to_the_receiver_in_the_colour_of_its_outcome() -> None:
-    with open_station(scenery(2)) as looked:
-        looked.show(3.0)
-        points, colors = looked.node("/links").points, looked.node("/links").colors
-        here, there = moving_state(looked.scene, 3.0).states.position  # type: ignore[union-attr]
+    with open_station(scenery(2)) as station_page:
+        station_page.show(3.0)
+        points, colors = station_page.node("/links").points, station_page.node("/links").colors
+        here, there = moving_state(station_page.scene, 3.0).states.position  # type: ignore[union-attr]
         start, tip = points[0]
         along = (there - here) / np.linalg.norm(there - here)
         assert (start - here) @ along < 0.1 * np.linalg.norm(there - here)
@@ -234,8 +234,8 @@ def test_a_link_is_an_arrow_from_the_sender_to_the_receiver_in_the_colour_of_its
         assert ((tip - points[1:3, 0]) @ along > 0.0).all()  # both barbs point ahead
         assert colors[0, 0].tolist() == linear(rssi_colors(np.array([-90.0])))[0].tolist()
         assert colors[3, 0].tolist() == linear(np.array(LOST_RGB, np.uint8)).tolist()
-        looked.show(4.5, links=())
-        assert np.ptp(looked.node("/links").points, axis=1).max() == 0.0
+        station_page.show(4.5, links=())
+        assert np.ptp(station_page.node("/links").points, axis=1).max() == 0.0
 
 
 def test_the_paths_of_the_wave_to_another_vehicle_are_drawn_and_listed() -> None:
@@ -243,48 +243,50 @@ def test_the_paths_of_the_wave_to_another_vehicle_are_drawn_and_listed() -> None
     radio = {"preset": "wifi-g-6", "path_loss": {"kind": "rays", "frequency_hz": 2.4e9}}
     cars = [{"name": name, "kind": "p2dx"} for name in ("v1", "v2")]
     site = scenery_of(*scenarios.load({"name": "open", "duration_s": 1.0, "radio": radio, "vehicle": cars})).site
-    with open_station(scenery(2, site=site)) as looked:
-        looked.use("Paths to", "v2")
+    with open_station(scenery(2, site=site)) as station_page:
+        station_page.use("Paths to", "v2")
         until = time.monotonic() + 60.0
-        while not looked.node("/paths").points.any():
-            looked.show(3.0)
+        while not station_page.node("/paths").points.any():
+            station_page.show(3.0)
             assert time.monotonic() < until
             time.sleep(0.05)
-        here, there = moving_state(looked.scene, 3.0).states.position + np.array((0.0, 0.0, 0.5))  # type: ignore[union-attr]
-        points = looked.node("/paths").points.reshape(-1, LEGS, 2, 3)
+        here, there = moving_state(station_page.scene, 3.0).states.position + np.array((0.0, 0.0, 0.5))  # type: ignore[union-attr]
+        points = station_page.node("/paths").points.reshape(-1, LEGS, 2, 3)
         middle = 0.5 * (here + there) * (1.0, 1.0, 0.0)
         assert points[0, 0] == pytest.approx(np.stack([here, there]), abs=1e-4)
         assert points[1, :2] == pytest.approx(np.stack([[here, middle], [middle, there]]), abs=1e-4)
         assert not points[2:].any()
-        (words,) = [each.content for each in looked.parts(viser.GuiHtmlHandle) if "reflection" in each.content]
-        assert words.index("direct") < words.index("reflection") < words.index("2 paths")
-        looked.use("Paths to", "nobody")
-        while looked.node("/paths").points.any():
-            looked.show(3.0)
+        (text,) = [each.content for each in station_page.parts(viser.GuiHtmlHandle) if "reflection" in each.content]
+        assert text.index("direct") < text.index("reflection") < text.index("2 paths")
+        station_page.use("Paths to", "nobody")
+        while station_page.node("/paths").points.any():
+            station_page.show(3.0)
             assert time.monotonic() < until
             time.sleep(0.05)
 
 
 def test_without_rays_there_are_no_paths_to_choose() -> None:
-    with open_station(scenery(2)) as looked:
-        assert not looked.has("Paths to")
+    with open_station(scenery(2)) as station_page:
+        assert not station_page.has("Paths to")
 
 
 def test_a_lost_frame_is_shown_for_a_second_from_its_first_update() -> None:
-    with open_station(scenery(2)) as looked:
-        looked.show(3.0)
-        assert np.ptp(looked.node("/links").points[3], axis=0).max() > 0.0
-        looked.show(3.9, links=())
-        assert np.ptp(looked.node("/links").points[3], axis=0).max() > 0.0
+    with open_station(scenery(2)) as station_page:
+        station_page.show(3.0)
+        assert np.ptp(station_page.node("/links").points[3], axis=0).max() > 0.0
+        station_page.show(3.9, links=())
+        assert np.ptp(station_page.node("/links").points[3], axis=0).max() > 0.0
 
 
 def test_the_slot_of_a_follower_is_marked_and_a_line_goes_to_its_leader() -> None:
-    with open_station(scenery(3)) as looked:
+    with open_station(scenery(3)) as station_page:
         places = [(0.0, 0.0, 0.0), (-3.0, 2.0, 0.0), (-9.0, 0.0, 0.0)]
-        looked.show(1.0, states=states(places, [math.pi / 2] * 3, ("v1", "v2", "v3")))
-        assert looked.node("/places/marks").batched_positions[1, :2] == pytest.approx((-1.0, -1.5), abs=1e-5)  # slot (-1.5, 1)
-        assert looked.node("/places/leaders").points[1] == pytest.approx(np.array([places[1], places[0]]), abs=1e-5)
-        assert np.ptp(looked.node("/places/leaders").points[0]) == 0.0  # the first vehicle has no leader
+        station_page.show(1.0, states=states(places, [math.pi / 2] * 3, ("v1", "v2", "v3")))
+        assert station_page.node("/places/marks").batched_positions[1, :2] == pytest.approx(
+            (-1.0, -1.5), abs=1e-5
+        )  # slot (-1.5, 1)
+        assert station_page.node("/places/leaders").points[1] == pytest.approx(np.array([places[1], places[0]]), abs=1e-5)
+        assert np.ptp(station_page.node("/places/leaders").points[0]) == 0.0  # the first vehicle has no leader
 
 
 def test_of_too_many_links_the_newest_are_drawn() -> None:
@@ -326,15 +328,15 @@ def test_the_free_space_of_a_scan_ends_at_the_return_or_at_the_maximum_range() -
 def test_only_open_pages_order_readings_of_the_chosen_vehicle(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    with open_station(scenery(3)) as looked:
-        looked.use("ring (ring)")
-        assert looked.orders == []
-        looked.looked_at(monkeypatch)
-        looked.use("down (nadir_camera)")
-        looked.use("Vehicle", "v2")
-        looked.use("ring (ring)", False)
-        looked.use("down (nadir_camera)", False)
-        assert looked.orders == [
+    with open_station(scenery(3)) as station_page:
+        station_page.use("ring (ring)")
+        assert station_page.orders == []
+        station_page.looked_at(monkeypatch)
+        station_page.use("down (nadir_camera)")
+        station_page.use("Vehicle", "v2")
+        station_page.use("ring (ring)", False)
+        station_page.use("down (nadir_camera)", False)
+        assert station_page.orders == [
             Sensors(names=("v1/ring", "v1/down")),
             Sensors(names=("v2/ring", "v2/down")),
             Sensors(names=("v2/down",)),
@@ -343,27 +345,27 @@ def test_only_open_pages_order_readings_of_the_chosen_vehicle(
 
 
 def test_scans_and_pictures_are_shown_while_selected() -> None:
-    with open_station(scenery(2)) as looked:
+    with open_station(scenery(2)) as station_page:
         scans, images = {"v1/ring": view_pages.scan()}, {"v1/down": view_pages.picture((200, 0, 0))}
-        looked.show(0.0, scans=scans, images=images)
-        assert looked.server.scene.get_handle_by_name("/scans/v1/ring") is None
-        looked.use("ring (ring)")
-        looked.use("down (nadir_camera)")
-        looked.show(1.0)
-        assert looked.node("/scans/v1/ring").visible
-        assert looked.node("/fans/v1/ring").visible
-        (image,) = looked.parts(viser.GuiImageHandle)
+        station_page.show(0.0, scans=scans, images=images)
+        assert station_page.server.scene.get_handle_by_name("/scans/v1/ring") is None
+        station_page.use("ring (ring)")
+        station_page.use("down (nadir_camera)")
+        station_page.show(1.0)
+        assert station_page.node("/scans/v1/ring").visible
+        assert station_page.node("/fans/v1/ring").visible
+        (image,) = station_page.parts(viser.GuiImageHandle)
         assert image.visible
         first = image.image
-        looked.show(2.0, images={"v1/down": view_pages.picture((0, 200, 0))})
+        station_page.show(2.0, images={"v1/down": view_pages.picture((0, 200, 0))})
         assert not np.array_equal(first, image.image)
-        pyramid = looked.node("/cameras/v1/down")
+        pyramid = station_page.node("/cameras/v1/down")
         assert pyramid.visible
         assert np.array_equal(pyramid.image, image.image)
-        looked.use("Vehicle", "v2")
-        looked.show(3.0)
-        assert not looked.node("/scans/v1/ring").visible
-        assert not looked.node("/fans/v1/ring").visible
+        station_page.use("Vehicle", "v2")
+        station_page.show(3.0)
+        assert not station_page.node("/scans/v1/ring").visible
+        assert not station_page.node("/fans/v1/ring").visible
         assert not image.visible
         assert not pyramid.visible
 

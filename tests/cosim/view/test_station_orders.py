@@ -20,9 +20,9 @@ MOVE = MoveTable(at_s=0.0, obstacle="crate", position=(1.0, -2.0), yaw=0.2)
 @pytest.fixture(scope="module")
 def live() -> Iterator[StationPage]:
     """A station of a live run of two robots and a quadrotor."""
-    with open_station(scenery(3, flying=1)) as looked:
-        looked.show(0.0)
-        yield looked
+    with open_station(scenery(3, flying=1)) as station_page:
+        station_page.show(0.0)
+        yield station_page
 
 
 LABELS = {
@@ -39,8 +39,8 @@ LABELS = {
 
 @pytest.mark.parametrize("may", [(), ("sensors",), ("pace", "seek"), ("halt", "outage"), LIVE])
 def test_only_permitted_orders_are_offered(may: tuple[str, ...]) -> None:
-    with open_station(scenery(2, may=may, keys={"radio.loss.probability": 0.2})) as looked:
-        assert {tag for tag, label in LABELS.items() if looked.has(label)} == set(may)
+    with open_station(scenery(2, may=may, keys={"radio.loss.probability": 0.2})) as station_page:
+        assert {tag for tag, label in LABELS.items() if station_page.has(label)} == set(may)
 
 
 @pytest.mark.parametrize(
@@ -112,76 +112,80 @@ def test_unlisted_names_and_invalid_numbers_give_no_orders(live: StationPage) ->
 
 
 def test_ending_a_run_requires_a_confirmation() -> None:
-    with open_station(scenery(1)) as looked:
-        assert not looked.part("Yes, end it now").visible
-        looked.use("End the run")
-        looked.use("No, continue")
-        assert not looked.part("Yes, end it now").visible
-        looked.use("End the run")
-        assert looked.orders == []
-        looked.use("Yes, end it now")
-        assert looked.orders == [End()]
+    with open_station(scenery(1)) as station_page:
+        assert not station_page.part("Yes, end it now").visible
+        station_page.use("End the run")
+        station_page.use("No, continue")
+        assert not station_page.part("Yes, end it now").visible
+        station_page.use("End the run")
+        assert station_page.orders == []
+        station_page.use("Yes, end it now")
+        assert station_page.orders == [End()]
 
 
 def test_a_recording_is_sought_by_hand_and_plays_by_itself() -> None:
-    with open_station(scenery(2, may=RECORDED)) as looked:
-        looked.show(5.0)
-        assert looked.part("Time [s]").value == 5.0
-        assert looked.orders == []  # values set by the station are no orders
-        looked.use("Time [s]", 30.0)
-        assert looked.orders == [Seek(time_ns=30 * SECOND_NS)]
-        looked.station.show(moving_state(looked.scene, 5.1))
-        looked.station.draw()
-        assert looked.part("Time [s]").value == 30.0  # still held by the operator
-        looked.show(30.0)
-        looked.use("Pause")
-        assert looked.orders[1:] == [Go(paused=True, speed=1.0)]
-        assert not looked.has("Step 0.1 s")
+    with open_station(scenery(2, may=RECORDED)) as station_page:
+        station_page.show(5.0)
+        assert station_page.part("Time [s]").value == 5.0
+        assert station_page.orders == []  # values set by the station are no orders
+        station_page.use("Time [s]", 30.0)
+        assert station_page.orders == [Seek(time_ns=30 * SECOND_NS)]
+        station_page.station.show(moving_state(station_page.scene, 5.1))
+        station_page.station.draw()
+        assert station_page.part("Time [s]").value == 30.0  # still held by the operator
+        station_page.show(30.0)
+        station_page.use("Pause")
+        assert station_page.orders[1:] == [Go(paused=True, speed=1.0)]
+        assert not station_page.has("Step 0.1 s")
 
 
 def test_a_recording_goes_from_event_to_event_and_marks_them_on_its_slider() -> None:
     events_ns = (4 * SECOND_NS, 12 * SECOND_NS, 40 * SECOND_NS, 12_100_000_000)
-    with open_station(scenery(may=RECORDED, events_ns=events_ns)) as looked:
-        assert [mark.value for mark in looked.part("Time [s]")._marks] == [4.0, 12.0, 40.0]  # further apart than a pixel or two
-        wanted = [
+    with open_station(scenery(may=RECORDED, events_ns=events_ns)) as station_page:
+        assert [mark.value for mark in station_page.part("Time [s]")._marks] == [
+            4.0,
+            12.0,
+            40.0,
+        ]  # further apart than a pixel or two
+        cases = [
             (0.0, "previous", None),
             (0.0, "next", 4.0),
             (12.0, "next", 12.1),
             (12.0, "previous", 4.0),
             (40.0, "next", None),
         ]
-        for time_s, which, there_s in wanted:
-            looked.show(time_s)
-            looked.orders.clear()
-            looked.use("Event", which)
-            assert looked.orders == ([] if there_s is None else [Seek(time_ns=round(there_s * SECOND_NS))])
-    with open_station(scenery(may=RECORDED)) as looked:
-        assert not looked.has("Event")  # no events
+        for time_s, which, there_s in cases:
+            station_page.show(time_s)
+            station_page.orders.clear()
+            station_page.use("Event", which)
+            assert station_page.orders == ([] if there_s is None else [Seek(time_ns=round(there_s * SECOND_NS))])
+    with open_station(scenery(may=RECORDED)) as station_page:
+        assert not station_page.has("Event")  # no events
 
 
 @pytest.mark.parametrize(("may", "resume"), [(LIVE, "Resume"), (RECORDED, "Play")])
 def test_one_button_pauses_and_resumes_and_names_its_effect(may: tuple[str, ...], resume: str) -> None:
-    with open_station(scenery(1, may=may)) as looked:
-        looked.show(1.0, pace=Pace(speed=1.0))
-        assert not looked.has(resume)
-        looked.use("Pause")
-        looked.show(1.0, pace=Pace(speed=1.0, paused=True))
-        assert not looked.has("Pause")
-        looked.use(resume)
-        assert looked.orders == [Go(paused=True, speed=1.0), Go(paused=False, speed=1.0)]
+    with open_station(scenery(1, may=may)) as station_page:
+        station_page.show(1.0, pace=Pace(speed=1.0))
+        assert not station_page.has(resume)
+        station_page.use("Pause")
+        station_page.show(1.0, pace=Pace(speed=1.0, paused=True))
+        assert not station_page.has("Pause")
+        station_page.use(resume)
+        assert station_page.orders == [Go(paused=True, speed=1.0), Go(paused=False, speed=1.0)]
 
 
 def test_a_speed_that_is_not_offered_is_shown_and_kept() -> None:
-    with open_station(scenery(1)) as looked:
-        looked.show(1.0, pace=Pace(speed=3.3))
-        assert looked.part("Speed").value == "3.3x"
-        looked.use("Pause")
-        assert looked.orders == [Go(paused=True, speed=3.3)]
+    with open_station(scenery(1)) as station_page:
+        station_page.show(1.0, pace=Pace(speed=3.3))
+        assert station_page.part("Speed").value == "3.3x"
+        station_page.use("Pause")
+        assert station_page.orders == [Go(paused=True, speed=3.3)]
 
 
 def test_after_a_run_nothing_can_be_ordered() -> None:
-    with open_station(scenery(2)) as looked:
-        looked.show(1.0, pace=Pace(over="done"), halted=("v1",))
+    with open_station(scenery(2)) as station_page:
+        station_page.show(1.0, pace=Pace(over="done"), halted=("v1",))
         labels = [
             "Stop all vehicles",
             "Release all vehicles",
@@ -194,13 +198,13 @@ def test_after_a_run_nothing_can_be_ordered() -> None:
             "Stop this vehicle",
             "Release this vehicle",
         ]
-        assert [label for label in labels if not looked.part(label).disabled] == []
+        assert [label for label in labels if not station_page.part(label).disabled] == []
 
 
 def test_stopped_vehicles_are_marked() -> None:
-    with open_station(scenery(3)) as looked:
-        looked.show(1.0, halted=("v2",))
-        assert (looked.node("/stopped").batched_scales[:, 0] > 0.1).tolist() == [False, True, False]
-        assert looked.part("Release all vehicles").disabled is False
-        looked.show(2.0)
-        assert looked.node("/stopped").batched_scales[:, 0].max() < 0.1
+    with open_station(scenery(3)) as station_page:
+        station_page.show(1.0, halted=("v2",))
+        assert (station_page.node("/stopped").batched_scales[:, 0] > 0.1).tolist() == [False, True, False]
+        assert station_page.part("Release all vehicles").disabled is False
+        station_page.show(2.0)
+        assert station_page.node("/stopped").batched_scales[:, 0].max() < 0.1

@@ -40,29 +40,29 @@ AT_FULL_RESOLUTION = """
 class Page:
     """A station, and a browser with its page open."""
 
-    def __init__(self, looked: StationPage, opened: Any, script: str = AT_FULL_RESOLUTION) -> None:
-        self.looked, self.page = looked, opened
+    def __init__(self, station_page: StationPage, opened: Any, script: str = AT_FULL_RESOLUTION) -> None:
+        self.station_page, self.page = station_page, opened
         self.problems: list[str] = []
         self.requests: list[str] = []
         opened.on("console", lambda message: self.problems.append(message.text) if message.type == "error" else None)
         opened.on("pageerror", lambda error: self.problems.append(str(error)))
         opened.on("request", lambda request: self.requests.append(request.url))
         opened.add_init_script(script)
-        opened.goto(f"{looked.url}/?token={TOKEN}")
+        opened.goto(f"{station_page.url}/?token={TOKEN}")
         opened.wait_for_function(
             "window.__viserSceneTree?.getState()['/vehicles/ground'] !== undefined", timeout=PATIENCE_S * 1e3
         )
-        self.until(lambda: bool(looked.server.get_clients()))
+        self.until(lambda: bool(station_page.server.get_clients()))
 
     def show(self, time_s: float, **more: Any) -> None:
         """Show the scene at ``time_s`` to all clients."""
-        self.looked.now_s += 1.0
-        self.looked.station.show(moving_state(self.looked.scene, time_s, **more))
+        self.station_page.now_s += 1.0
+        self.station_page.station.show(moving_state(self.station_page.scene, time_s, **more))
 
     @property
     def camera(self) -> Any:
         """The camera of the page, which may have reconnected."""
-        (client,) = self.looked.server.get_clients().values()
+        (client,) = self.station_page.server.get_clients().values()
         return client.camera
 
     def until(self, holds: Callable[[], bool], seconds: float = PATIENCE_S) -> None:
@@ -78,10 +78,10 @@ class Page:
 
     def pixel(self, right: float, down: float) -> list[int]:
         """The colour of the page at ``right`` and ``down``, each from 0 to 1."""
-        taken = cv2.imdecode(np.frombuffer(self.page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
-        assert taken is not None
-        height, width = taken.shape[:2]
-        return [int(part) for part in taken[int(down * height), int(right * width), ::-1]]
+        screenshot = cv2.imdecode(np.frombuffer(self.page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
+        assert screenshot is not None
+        height, width = screenshot.shape[:2]
+        return [int(part) for part in screenshot[int(down * height), int(right * width), ::-1]]
 
 
 @pytest.fixture(scope="module")
@@ -92,15 +92,15 @@ def chromium() -> Iterator[Any]:
 
 @pytest.fixture(scope="module")
 def page(chromium: Any) -> Iterator[Page]:
-    with open_station(scenery(5)) as looked:
-        looked.show(0.0)
+    with open_station(scenery(5)) as station_page:
+        station_page.show(0.0)
         opened = chromium.new_page(viewport={"width": 1000, "height": 700})
-        yield Page(looked, opened)
+        yield Page(station_page, opened)
         opened.close()
 
 
 def look_down(page: Page, x: float, y: float, height: float) -> None:
-    (client,) = page.looked.server.get_clients().values()
+    (client,) = page.station_page.server.get_clients().values()
     with client.atomic():
         client.camera.position = (x, y - 0.02 * height, height)
         client.camera.look_at = (x, y, 0.0)
@@ -108,10 +108,10 @@ def look_down(page: Page, x: float, y: float, height: float) -> None:
 
 def test_vehicles_have_their_positions_and_move(page: Page) -> None:
     for time_s in (0.0, 4.0):
-        told = moving_state(page.looked.scene, time_s).states
-        assert told is not None
+        vehicle_states = moving_state(page.station_page.scene, time_s).states
+        assert vehicle_states is not None
         page.show(time_s)
-        page.until(lambda told=told: np.allclose(page.places(), told.position, atol=1e-4))  # type: ignore[misc]
+        page.until(lambda vehicle_states=vehicle_states: np.allclose(page.places(), vehicle_states.position, atol=1e-4))  # type: ignore[misc]
     names = page.page.evaluate("Object.keys(window.__viserSceneTree.getState()).filter(name => name.startsWith('/names/'))")
     assert sorted(names) == [f"/names/v{index}" for index in range(1, 6)]
 
@@ -124,7 +124,7 @@ def test_texts_are_shown(page: Page) -> None:
 
 def test_a_click_at_a_vehicle_chooses_it(page: Page) -> None:
     page.show(7.0)
-    states = moving_state(page.looked.scene, 7.0).states
+    states = moving_state(page.station_page.scene, 7.0).states
     assert states is not None
     look_down(page, float(states.position[3, 0]), float(states.position[3, 1]), 3.0)
     canvas = page.page.locator("canvas").first.bounding_box()
@@ -132,20 +132,20 @@ def test_a_click_at_a_vehicle_chooses_it(page: Page) -> None:
     def clicked() -> bool:
         page.page.mouse.click(canvas["x"] + 0.5 * canvas["width"], canvas["y"] + 0.5 * canvas["height"])
         page.page.wait_for_timeout(300)
-        return bool(page.looked.part("Vehicle").value == "v4")
+        return bool(page.station_page.part("Vehicle").value == "v4")
 
     page.until(clicked)
-    page.looked.use("Vehicle", "v1")
+    page.station_page.use("Vehicle", "v1")
 
 
 def test_row_0_of_a_mosaic_is_its_south_edge(page: Page) -> None:
     pixels = np.zeros((2, 2, 3), np.uint8)
     pixels[:] = (20, 20, 220)
     pixels[0, 0] = (220, 20, 20)
-    page.looked.use("On the floor", "mosaic")
+    page.station_page.use("On the floor", "mosaic")
     mosaic = Mosaic(left=10.0, bottom=10.0, cell_m=5.0, pixels=pixels)
-    scene = page.looked.scene
-    page.looked.station.show(moving_state(scene, 8.0))
+    scene = page.station_page.scene
+    page.station_page.station.show(moving_state(scene, 8.0))
     look_down(page, 15.0, 15.0, 12.0)
     page.show(8.1, mosaics={"v1": mosaic})
     box = page.page.locator("canvas").first.bounding_box()
@@ -163,48 +163,48 @@ def test_row_0_of_a_mosaic_is_its_south_edge(page: Page) -> None:
 
 
 def test_a_choice_is_shown_during_a_pause(page: Page) -> None:
-    page.looked.now_s += 1.0
-    page.looked.use("Vehicle", "v2")
+    page.station_page.now_s += 1.0
+    page.station_page.use("Vehicle", "v2")
     page.page.get_by_text("follow, every 0.1 s").wait_for(timeout=PATIENCE_S * 1e3)
-    page.looked.use("Vehicle", "v1")
+    page.station_page.use("Vehicle", "v1")
 
 
 def test_a_page_opened_during_a_pause_shows_the_present_state(chromium: Any) -> None:
-    with open_station(scenery(2)) as looked:
-        looked.show(0.0)
-        looked.now_s += 1.0
-        looked.station.show(moving_state(looked.scene, 20.0))  # no client: nothing is sent
-        late = Page(looked, chromium.new_page())
-        told = moving_state(looked.scene, 20.0).states
-        assert told is not None
-        late.until(lambda: np.allclose(late.places(), told.position, atol=1e-4))
+    with open_station(scenery(2)) as station_page:
+        station_page.show(0.0)
+        station_page.now_s += 1.0
+        station_page.station.show(moving_state(station_page.scene, 20.0))  # no client: nothing is sent
+        late = Page(station_page, chromium.new_page())
+        vehicle_states = moving_state(station_page.scene, 20.0).states
+        assert vehicle_states is not None
+        late.until(lambda: np.allclose(late.places(), vehicle_states.position, atol=1e-4))
         late.page.close()
 
 
 def test_the_camera_follows(page: Page) -> None:
-    page.looked.use("Camera follows")
+    page.station_page.use("Camera follows")
     for time_s in (9.0, 12.0):
-        states = moving_state(page.looked.scene, time_s).states
+        states = moving_state(page.station_page.scene, time_s).states
         assert states is not None
         place, before = states.position[0], page.camera._state
 
         def follows(time_s: float = time_s, place: Array = place, before: Any = before) -> bool:
             page.show(time_s)
-            told = page.camera._state
-            return told is not before and np.allclose(told.look_at, place, atol=0.02)
+            state = page.camera._state
+            return state is not before and np.allclose(state.look_at, place, atol=0.02)
 
         page.until(follows)  # and the page has reported its camera
         assert np.linalg.norm(page.camera.position - place) < 13.0
-    page.looked.use("Camera follows", False)
+    page.station_page.use("Camera follows", False)
 
 
 def test_fit_all_shows_all_vehicles_at_any_distance(page: Page) -> None:
-    names = tuple(each.name for each in page.looked.scene.vehicles)
+    names = tuple(each.name for each in page.station_page.scene.vehicles)
     far = states([(400.0 * (index + 1), 250.0 * (index % 2), 0.0) for index in range(5)], [0.0] * 5, names)
-    page.looked.use("Names", False)
-    page.looked.use("Links", "none")
+    page.station_page.use("Names", False)
+    page.station_page.use("Links", "none")
     page.show(20.0, states=far, places={}, links=())
-    page.looked.use("Fit all")
+    page.station_page.use("Fit all")
     page.until(lambda: bool(np.linalg.norm(page.camera.position - page.camera.look_at) > 500.0))
     box = page.page.locator("canvas").first.bounding_box()
 
@@ -222,8 +222,8 @@ def test_fit_all_shows_all_vehicles_at_any_distance(page: Page) -> None:
         return min(widths) >= 12  # pixels, of about 13
 
     page.until(seen)
-    page.looked.use("Names", True)
-    page.looked.use("Links", "all")
+    page.station_page.use("Names", True)
+    page.station_page.use("Links", "all")
 
 
 def pixel_of(place: Array, camera: Any, shape: tuple[int, ...]) -> tuple[int, int]:
@@ -235,21 +235,21 @@ def pixel_of(place: Array, camera: Any, shape: tuple[int, ...]) -> tuple[int, in
 
 
 def test_a_wall_before_a_vehicle_is_translucent(page: Page) -> None:
-    names = tuple(each.name for each in page.looked.scene.vehicles)
+    names = tuple(each.name for each in page.station_page.scene.vehicles)
     behind = states([(0.3 * index, 4.0, 0.0) for index in range(5)], [0.0] * 5, names)
 
     def visible_from(position: tuple[float, float, float]) -> set[str]:
         page.camera.position, page.camera.look_at = position, (0.0, 4.0, 0.1)
         page.show(21.0, states=behind, places={})
-        return {node for node in ("/veils/0", "/world/0") if page.looked.node(node).visible}
+        return {node for node in ("/veils/0", "/world/0") if page.station_page.node(node).visible}
 
     page.until(lambda: visible_from((0.0, 9.0, 0.6)) == {"/veils/0"})
     page.until(lambda: visible_from((0.0, -9.0, 3.0)) == {"/world/0"})
 
 
 def test_the_team_stays_in_the_picture(page: Page) -> None:
-    page.looked.use("Follow team")
-    names = tuple(each.name for each in page.looked.scene.vehicles)
+    page.station_page.use("Follow team")
+    names = tuple(each.name for each in page.station_page.scene.vehicles)
 
     def centred(east: float) -> bool:
         page.show(22.0, states=states([(east + index, 1.0, 0.0) for index in range(5)], [0.0] * 5, names), places={})
@@ -257,16 +257,16 @@ def test_the_team_stays_in_the_picture(page: Page) -> None:
 
     for east in (10.0, 30.0):
         page.until(lambda east=east: centred(east))  # type: ignore[misc]
-    page.looked.use("Follow team", False)
+    page.station_page.use("Follow team", False)
 
 
 def test_the_picture_of_the_floor_has_north_above_and_hides_the_plain_floor(chromium: Any) -> None:
     pixels = np.full((20, 20, 3), (200, 40, 40), np.uint8)
     pixels[:10, 10:] = (40, 40, 200)  # in the north-east
     floor = Floor(pixels=pixels, center=(30.0, 30.0), size=(40.0, 40.0))
-    with open_station(scenery(1, floor=floor)) as looked:
-        looked.show(0.0)
-        page = Page(looked, chromium.new_page(viewport={"width": 1000, "height": 700}))
+    with open_station(scenery(1, floor=floor)) as station_page:
+        station_page.show(0.0)
+        page = Page(station_page, chromium.new_page(viewport={"width": 1000, "height": 700}))
         look_down(page, 30.0, 30.0, 60.0)
         box = page.page.locator("canvas").first.bounding_box()
 
@@ -282,10 +282,10 @@ def test_the_picture_of_the_floor_has_north_above_and_hides_the_plain_floor(chro
 
 
 def test_a_shadow_is_darker_than_the_floor_on_the_sunny_side_of_its_wall(chromium: Any) -> None:
-    with open_station(scenery(1)) as looked:  # a wall 1 m high at y = 6 m; the sun is in the south-east
-        looked.show(0.0)
-        page = Page(looked, chromium.new_page(viewport={"width": 1000, "height": 700}))
-        (client,) = looked.server.get_clients().values()
+    with open_station(scenery(1)) as station_page:  # a wall 1 m high at y = 6 m; the sun is in the south-east
+        station_page.show(0.0)
+        page = Page(station_page, chromium.new_page(viewport={"width": 1000, "height": 700}))
+        (client,) = station_page.server.get_clients().values()
         look_down(page, 0.3, 6.1, 4.0)
 
         def light(y: float) -> int:
@@ -298,7 +298,7 @@ def test_a_shadow_is_darker_than_the_floor_on_the_sunny_side_of_its_wall(chromiu
 
 def test_the_page_has_all_objects_of_the_scene_and_events_and_charts(page: Page) -> None:
     for box in ("ring (ring)", "down (nadir_camera)"):
-        page.looked.use(box)
+        page.station_page.use(box)
     for time_s in (30.0, 31.0):
         page.show(time_s, scans={"v1/ring": scan()}, images={"v1/down": picture((200, 0, 0))})
     nodes = {"/floor-picture", "/axes/east", "/axes/north", "/axes/up", "/links", "/trails", "/places/marks", "/places/leaders"}
@@ -317,23 +317,23 @@ def test_the_page_has_all_objects_of_the_scene_and_events_and_charts(page: Page)
 
 
 def test_the_slider_of_a_recording_has_marks_and_goes_to_the_next_event(chromium: Any) -> None:
-    with open_station(scenery(1, may=RECORDED, events_ns=(4 * SECOND_NS, 40 * SECOND_NS))) as looked:
-        looked.show(0.0)
-        page = Page(looked, chromium.new_page(viewport={"width": 1000, "height": 700}))
+    with open_station(scenery(1, may=RECORDED, events_ns=(4 * SECOND_NS, 40 * SECOND_NS))) as station_page:
+        station_page.show(0.0)
+        page = Page(station_page, chromium.new_page(viewport={"width": 1000, "height": 700}))
         page.until(lambda: page.page.locator(".mantine-Slider-mark").count() == 2)
         page.page.get_by_role("button", name="next").click()
-        page.until(lambda: Seek(time_ns=4 * SECOND_NS) in looked.orders)
+        page.until(lambda: Seek(time_ns=4 * SECOND_NS) in station_page.orders)
         page.page.close()
 
 
 def test_the_token_stays_in_its_tab_and_with_its_port(page: Page, chromium: Any) -> None:
-    opened = Page(page.looked, chromium.new_page(), script="").page
-    assert opened.url == f"{page.looked.url}/"
+    opened = Page(page.station_page, chromium.new_page(), script="").page
+    assert opened.url == f"{page.station_page.url}/"
     assert opened.context.cookies() == []
     assert opened.evaluate("sessionStorage.getItem('token')") == TOKEN
     opened.close()
     stranger = chromium.new_page()
-    stranger.goto(page.looked.url)
+    stranger.goto(page.station_page.url)
     stranger.get_by_text("Open the printed URL, including its token.").wait_for(timeout=PATIENCE_S * 1e3)
     stranger.close()
 
@@ -355,7 +355,7 @@ def test_a_reloaded_page_is_shown_again(page: Page) -> None:
 
 
 def test_there_are_no_foreign_requests_and_no_errors(page: Page) -> None:
-    own = page.looked.url
+    own = page.station_page.url
     foreign = [url for url in page.requests if not url.startswith((own, "data:", f"blob:{own}", own.replace("http", "ws")))]
     assert foreign == []
     assert page.problems == []

@@ -113,30 +113,30 @@ def test_curves_are_bounded_and_begin_anew_where_time_goes_back() -> None:
 
 
 def test_charts_show_first_and_chosen_vehicles_and_known_values() -> None:
-    with open_station(scenery(9)) as looked:
+    with open_station(scenery(9)) as station_page:
         for second in range(3):
-            looked.show(float(second), places={}, sent=None, heard_ns={})
-        (speed,) = looked.parts(viser.GuiUplotHandle)
+            station_page.show(float(second), places={}, sent=None, heard_ns={})
+        (speed,) = station_page.parts(viser.GuiUplotHandle)
         assert speed.title == "Speed [m/s], 7 of 9 vehicles"
         assert [each["label"] for each in speed.series[1:]] == [f"v{index}" for index in range(1, 8)]
         assert speed.data[0].tolist() == [0.0, 1.0, 2.0]
         assert speed.data[1] == pytest.approx([0.3 * 2.25] * 3)
-        looked.use("Vehicle", "v9")
-        looked.show(3.0, sent=None, heard_ns={})
-        speed, error = looked.parts(viser.GuiUplotHandle)
+        station_page.use("Vehicle", "v9")
+        station_page.show(3.0, sent=None, heard_ns={})
+        speed, error = station_page.parts(viser.GuiUplotHandle)
         assert [each["label"] for each in speed.series[1:]][-1] == "v9"
         assert error.title == "Formation error [m], 7 of 9 vehicles"
 
 
 def test_any_note_and_quantity_has_a_chart_and_a_logarithmic_one_shows_small_numbers() -> None:
-    with open_station(scenery(3)) as looked:
-        looked.show(0.0)
+    with open_station(scenery(3)) as station_page:
+        station_page.show(0.0)
         for second, gap_m in enumerate((0.002, 0.05), 1):
-            looked.show(float(second), notes={"v1": {"gap_m": gap_m}, "v2": {"gap_m": -1.0, "status": "waiting"}})
-        looked.use("Chart 4", "note gap_m")
-        looked.use("Chart 1", "East [m]")
-        looked.show(3.0, notes={})
-        east, *_, note = looked.parts(viser.GuiUplotHandle)
+            station_page.show(float(second), notes={"v1": {"gap_m": gap_m}, "v2": {"gap_m": -1.0, "status": "waiting"}})
+        station_page.use("Chart 4", "note gap_m")
+        station_page.use("Chart 1", "East [m]")
+        station_page.show(3.0, notes={})
+        east, *_, note = station_page.parts(viser.GuiUplotHandle)
         assert (east.title, note.title) == ("East [m]", "note gap_m")
         assert east.data[1] == pytest.approx([2.0 * math.cos(0.3 * second) for second in range(4)])
         assert np.isnan(note.data[1][0])  # not yet noted
@@ -144,24 +144,24 @@ def test_any_note_and_quantity_has_a_chart_and_a_logarithmic_one_shows_small_num
         assert note.data[2][1:] == pytest.approx([-1.0, -1.0, -1.0])
         assert note.scales is not None
         assert note.scales["y"]["range"] == (-1.0, pytest.approx(0.05))
-        looked.use("Log scale")
-        looked.show(4.0, notes={})
-        *_, note = looked.parts(viser.GuiUplotHandle)
+        station_page.use("Log scale")
+        station_page.show(4.0, notes={})
+        *_, note = station_page.parts(viser.GuiUplotHandle)
         assert note.scales is not None
         assert note.scales["y"] == {"range": (pytest.approx(1e-3), pytest.approx(0.1)), "distr": 3}
         assert np.isnan(note.data[2]).all()
-        looked.use("Chart 1", "none")
-        looked.show(5.0, notes={})
-        assert "East [m]" not in [chart.title for chart in looked.parts(viser.GuiUplotHandle)]
+        station_page.use("Chart 1", "none")
+        station_page.show(5.0, notes={})
+        assert "East [m]" not in [chart.title for chart in station_page.parts(viser.GuiUplotHandle)]
 
 
 def test_charts_of_the_chosen_vehicle_alone() -> None:
-    with open_station(scenery(3)) as looked:
-        looked.use("Curves of", "the chosen vehicle")
-        looked.use("Vehicle", "v2")
-        looked.show(1.0)
-        looked.show(2.0)
-        speed, *_ = looked.parts(viser.GuiUplotHandle)
+    with open_station(scenery(3)) as station_page:
+        station_page.use("Curves of", "the chosen vehicle")
+        station_page.use("Vehicle", "v2")
+        station_page.show(1.0)
+        station_page.show(2.0)
+        speed, *_ = station_page.parts(viser.GuiUplotHandle)
         assert [each["label"] for each in speed.series[1:]] == ["v2"]
         assert speed.title == "Speed [m/s], 1 of 3 vehicles"
 
@@ -213,10 +213,10 @@ def test_axes_end_little_above_their_values(number: float) -> None:
     assert round_above(top) == top
 
 
-@pytest.mark.parametrize(("count", "said"), [(7, ""), (8, ", 7 of 8 vehicles"), (100, ", 7 of 100 vehicles")])
-def test_a_chart_reports_omitted_vehicles(count: int, said: str) -> None:
-    with open_station(scenery(count)) as looked:
-        looked.show(1.0)
-        looked.show(2.0)
-        titles = [chart.title for chart in looked.parts(viser.GuiUplotHandle)]
-        assert f"Speed [m/s]{said}" in titles
+@pytest.mark.parametrize(("count", "suffix"), [(7, ""), (8, ", 7 of 8 vehicles"), (100, ", 7 of 100 vehicles")])
+def test_a_chart_reports_omitted_vehicles(count: int, suffix: str) -> None:
+    with open_station(scenery(count)) as station_page:
+        station_page.show(1.0)
+        station_page.show(2.0)
+        titles = [chart.title for chart in station_page.parts(viser.GuiUplotHandle)]
+        assert f"Speed [m/s]{suffix}" in titles

@@ -48,8 +48,8 @@ def test_where_time_goes_back_only_the_new_update_counts() -> None:
 
 def test_vehicles_are_found_by_name_in_any_order_without_unknown_ones() -> None:
     scene = scenery(3)
-    told = states([(3.0, 0.0, 0.0), (9.0, 0.0, 0.0), (1.0, 0.0, 0.0)], [0.0] * 3, ("v3", "stranger", "v1"))
-    known = station_state(scene, PageUpdate(time_ns=0, states=told))
+    vehicle_states = states([(3.0, 0.0, 0.0), (9.0, 0.0, 0.0), (1.0, 0.0, 0.0)], [0.0] * 3, ("v3", "stranger", "v1"))
+    known = station_state(scene, PageUpdate(time_ns=0, states=vehicle_states))
     assert known.position[[0, 2], 0].tolist() == [1.0, 3.0]
     assert np.isnan(known.position[1]).all()
 

@@ -28,9 +28,9 @@ def ends() -> Iterator[tuple[ByteLink, int]]:
 
 def all_of(count: int, read: Callable[[], bytes]) -> bytes:
     """At least ``count`` bytes: Linux delivers them to the other end of a terminal later, or in pieces."""
-    heard = bytearray()
-    eventually(lambda: heard.extend(read()) or len(heard) >= count)  # type: ignore[func-returns-value]
-    return bytes(heard)
+    data = bytearray()
+    eventually(lambda: data.extend(read()) or len(data) >= count)  # type: ignore[func-returns-value]
+    return bytes(data)
 
 
 def test_bytes_go_both_ways_without_blocking(ends: tuple[ByteLink, int]) -> None:

@@ -48,10 +48,10 @@ def test_errors_have_the_given_spread() -> None:
 def test_outliers_and_drop_outs_have_their_rates_and_outliers_are_horizontal() -> None:
     n, p, q = 4000, 0.1, 0.05
     located = fixes(n, sigma_m=0.0, outliers=p, drop_outs=q, outlier_m=2.0)
-    gone = sum(each.position is None for each in located)
+    drop_out_count = sum(each.position is None for each in located)
     far = np.hypot(*offsets(located).T[:2])
-    assert abs(gone - n * q) < 4 * math.sqrt(n * q * (1 - q))
-    assert abs((far > 0).sum() - (n - gone) * p) < 4 * math.sqrt(n * p * (1 - p))
+    assert abs(drop_out_count - n * q) < 4 * math.sqrt(n * q * (1 - q))
+    assert abs((far > 0).sum() - (n - drop_out_count) * p) < 4 * math.sqrt(n * p * (1 - p))
     assert 1.0 <= far[far > 0].min() <= far.max() <= 3.0
     assert not offsets(located)[:, 2].any()
 
@@ -64,11 +64,11 @@ def test_parameters_have_independent_draws() -> None:
 
 def test_fixes_come_at_their_rate_and_late_by_the_latency() -> None:
     tag = Tag("A1", Errors(fix_hz=5.0, latency_s=0.3), seed=0)
-    told = []
+    arrivals = []
     for ms in range(0, 2001, 10):
-        told += [(ms, located.source_ns) for located in tag.advance(ms * 1_000_000, standing((1.0, 2.0, 0.0)))]
-    assert [ms for ms, _ in told] == [*range(300, 2001, 200)]
-    assert all(ms * 1_000_000 - (source or 0) == 300_000_000 for ms, source in told)
+        arrivals += [(ms, located.source_ns) for located in tag.advance(ms * 1_000_000, standing((1.0, 2.0, 0.0)))]
+    assert [ms for ms, _ in arrivals] == [*range(300, 2001, 200)]
+    assert all(ms * 1_000_000 - (source or 0) == 300_000_000 for ms, source in arrivals)
 
 
 def test_a_delayed_tag_does_not_repeat_missed_fixes() -> None:
@@ -123,8 +123,8 @@ def test_a_tag_at_a_serial_port_reports_after_a_request(tmp_path: Path) -> None:
             reader, found = LineReader(dwm1001.decode, dwm1001.LONGEST_BYTES), list[Located]()
             assert port.read(100) == b""
             port.write(dwm1001.WAKE)
-            said = bytearray()
-            eventually(lambda: said.extend(port.read(200)) or dwm1001.PROMPT.encode() in said)  # type: ignore[func-returns-value]
+            output = bytearray()
+            eventually(lambda: output.extend(port.read(200)) or dwm1001.PROMPT.encode() in output)  # type: ignore[func-returns-value]
             port.write(dwm1001.POSITIONS)
             eventually(lambda: found.extend(reader.feed(port.read(200))) or len(found) >= 3)  # type: ignore[func-returns-value]
         assert {each.position for each in found} == {(1.0, 2.0, 0.0)}

@@ -157,9 +157,9 @@ link.settimeout(10.0)
 time.sleep(0.5)
 for line in ("#", *{CONFIGURATION!r}):
     link.sendall(line.encode() + (b"" if line == "#" else b"\\n"))
-    said = b""
-    while not said.rstrip().endswith((b"#", b"Rebooting")):
-        said += link.recv(4096)
+    output = b""
+    while not output.rstrip().endswith((b"#", b"Rebooting")):
+        output += link.recv(4096)
 time.sleep(0.5)
 firmware.kill()"""
     subprocess.run([sys.executable, "-c", talk], cwd=folder, check=True, timeout=30)

@@ -59,8 +59,8 @@ def test_the_line_of_readings_follows_the_interface_readme() -> None:
 @pytest.mark.parametrize("euler", [(0.0, 0.0, 0.0), (0.3, 0.0, 0.0), (0.0, -0.4, 0.0), (0.1, 0.2, 3.0), (-1.0, 1.2, -2.0)])
 def test_attitudes_are_those_of_pymavlink(euler: tuple[float, float, float]) -> None:
     ours = np.array(attitude_flipped(attitude_from_euler(*euler)))
-    theirs = np.array(QuaternionBase(list(euler)).q)
-    assert ours * np.sign(ours @ theirs) == pytest.approx(theirs, abs=1e-12)
+    reference = np.array(QuaternionBase(list(euler)).q)
+    assert ours * np.sign(ours @ reference) == pytest.approx(reference, abs=1e-12)
     assert np.abs(attitude_flipped((*ours.tolist(),))) == pytest.approx(np.abs(attitude_from_euler(*euler)))  # its own inverse
 
 
@@ -117,8 +117,8 @@ def test_sensor_messages_are_250_hz_at_most_without_loss() -> None:
         for step in range(12):
             field = (1.0, 2.0, 3.0) if step == 5 else None
             fix = Fix(time_ns=0, position=(0.0, 0.0, 0.0), sigma_m=1.0) if step == 6 else None
-            given = readings()
-            link.send(msgspec.structs.replace(given, now_ns=step * 1_000_000, field_ut=field, fix=fix, height_m=2.0))
+            values = readings()
+            link.send(msgspec.structs.replace(values, now_ns=step * 1_000_000, field_ut=field, fix=fix, height_m=2.0))
         messages = protocol.MessageReader().feed(there.recv(65536))
     sensors = [each for each in messages if each.get_type() == "HIL_SENSOR"]
     assert [each.time_usec for each in sensors] == [1000, 5000, 9000]

@@ -115,8 +115,8 @@ def test_dwm1001_a_line_without_end_is_dropped() -> None:
 )  # resolution of a line: centimetres and per cent
 def test_dwm1001_round_trip(cm: tuple[int, int, int], percent: int, index: int | None) -> None:
     position = (cm[0] / 100, cm[1] / 100, cm[2] / 100)
-    said = Located(tag="" if index is None else "4F8B", position=position, quality=percent / 100)
-    assert LineReader(dwm1001.decode, dwm1001.LONGEST_BYTES).feed(dwm1001.encode(said, index)) == [said]
+    report = Located(tag="" if index is None else "4F8B", position=position, quality=percent / 100)
+    assert LineReader(dwm1001.decode, dwm1001.LONGEST_BYTES).feed(dwm1001.encode(report, index)) == [report]
 
 
 def test_dwm1001_tag_without_position_round_trip() -> None:
@@ -128,16 +128,16 @@ S = 1_000_000_000
 
 def _positions_read(tag: dwm1001.Tag, waker: dwm1001.Waker, seconds: int) -> int:
     """Number of positions read from a tag that measures once a second; the host reads four times a second."""
-    reader, heard = LineReader(dwm1001.decode, dwm1001.LONGEST_BYTES), 0
+    reader, count = LineReader(dwm1001.decode, dwm1001.LONGEST_BYTES), 0
     for quarter in range(4 * seconds):
         now_ns = quarter * S // 4
         chunk = tag.receive(waker.write(now_ns))
         if quarter % 4 == 3:
             chunk += tag.say(Located(position=(1.0, 2.0, 0.0), quality=0.9))
         if found := [each for each in reader.feed(chunk) if each.position]:
-            waker.heard(now_ns)
-            heard += len(found)
-    return heard
+            waker.position_arrived(now_ns)
+            count += len(found)
+    return count
 
 
 def test_a_sleeping_tag_is_woken_and_an_active_one_is_not() -> None:

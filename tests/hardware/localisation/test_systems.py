@@ -39,11 +39,11 @@ GGA = b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r\n"
 HERE: dict[str, Any] = {"latitude_deg": 48.0 + 7.038 / 60.0, "longitude_deg": 11.0 + 31.0 / 60.0, "height_m": 545.4 + 46.9}
 
 
-def wait(what: Callable[[], Any]) -> Any:
+def wait(poll: Callable[[], Any]) -> Any:
     """First true result of a poll."""
     last = time.monotonic() + DEADLINE_S
     while time.monotonic() < last:
-        if found := what():
+        if found := poll():
             return found
         time.sleep(0.005)
     raise AssertionError("nothing came")
@@ -147,16 +147,16 @@ def test_the_systems_clock_gives_the_times_between_positions() -> None:
     with listening(source), sending(source) as send:
         for tick in range(3):
             send(source_ns=10**15 + tick * 40_000_000)
-        seen: list[Fix] = []
+        received: list[Fix] = []
 
         def all_three() -> bool:
-            seen.extend(fixes(source))
-            return len(seen) == 3
+            received.extend(fixes(source))
+            return len(received) == 3
 
         wait(all_three)
-        apart = [b.time_ns - a.time_ns for a, b in itertools.pairwise(seen)]
+        apart = [b.time_ns - a.time_ns for a, b in itertools.pairwise(received)]
         assert all(0 <= each <= 40_000_000 for each in apart)
-        assert seen[-1].time_ns <= time.monotonic_ns() - 50_000_000
+        assert received[-1].time_ns <= time.monotonic_ns() - 50_000_000
 
 
 @pytest.mark.usefixtures("impatient")
@@ -209,7 +209,7 @@ def test_wrong_addresses_are_refused_with_the_scenario(listen: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "table", "said"),
+    ("kind", "table", "error_text"),
     [
         (Ubisense, {"tag": "car1"}, "hexadecimal"),
         (Ubisense, {"tag": "1" * 17}, "hexadecimal"),
@@ -223,8 +223,8 @@ def test_wrong_addresses_are_refused_with_the_scenario(listen: str) -> None:
         (ExternalPose, {"key": "a", "mode": "peer"}, "connect"),
     ],
 )
-def test_wrong_parameters_are_named(kind: Any, table: dict[str, Any], said: str) -> None:
-    with pytest.raises(ScenarioError, match=said):
+def test_wrong_parameters_are_named(kind: Any, table: dict[str, Any], error_text: str) -> None:
+    with pytest.raises(ScenarioError, match=error_text):
         call(kind, table, key="localisation")
 
 
@@ -337,8 +337,8 @@ def bridge(mode: str, endpoint: str) -> Iterator[Callable[[str, Any], None]]:
     where = {"listen": {"endpoints": [endpoint]}} if mode == "router" else {"connect": {"endpoints": [endpoint]}}
     with opened({"mode": mode, **where}, {}, "no bridge") as session:
 
-        def say(key: str, what: Any) -> None:
-            session.put(key, what if isinstance(what, bytes) else json.dumps(what))
+        def say(key: str, value: Any) -> None:
+            session.put(key, value if isinstance(value, bytes) else json.dumps(value))
 
         yield say
 
@@ -434,7 +434,7 @@ def test_any_message_gives_finite_near_readings_not_from_the_future(
 
 
 @pytest.mark.parametrize(
-    ("said", "position", "yaw"),
+    ("data", "position", "yaw"),
     [
         (b'{"x": 1, "y": 2, "yaw": 0.5}', True, (0.5, 0.02)),
         (b'{"x": 1, "y": 2, "yaw": 0.5, "sigma": 1e200}', False, None),
@@ -446,13 +446,13 @@ def test_any_message_gives_finite_near_readings_not_from_the_future(
         (b'{"x": 1, "y": 2, "a": ' + b"[" * 30_000 + b"]" * 30_000 + b"}", False, None),
     ],
 )
-def test_no_message_raises_errors(said: bytes, position: bool, yaw: Any) -> None:
+def test_no_message_raises_errors(data: bytes, position: bool, yaw: Any) -> None:
     reader, placing, fusion = (
         pose_topic.PoseReader(0.02),
         WorldTransform(sigma_m=0.1, latency_s=0.0),
         Fusion(start=(0.0, 0.0, 0.0)),
     )
-    fixes = [placing.place(each, SECOND_NS) for each in reader.feed(said)]
+    fixes = [placing.place(each, SECOND_NS) for each in reader.feed(data)]
     known = [each for each in fixes if each is not None]
     assert bool(known) == position
     for fix in known:

@@ -89,7 +89,7 @@ class Program:
             words += ["--driver", f"{folder / 'logged.py'}:Logged:{self.log}"]
         command = [sys.executable, "-c", PROGRAM.format(shift_ns=shift_ns), *words, *options]
         self.process = subprocess.Popen(command, stderr=subprocess.PIPE)
-        self._said = b""
+        self._output = b""
 
     def until(self, text: str) -> None:
         """Waits for this output."""
@@ -98,15 +98,15 @@ class Program:
         assert pipe is not None
         with selectors.DefaultSelector() as selector:
             selector.register(pipe, selectors.EVENT_READ)
-            while text not in self.said:
-                assert selector.select(max(0.0, end - time.monotonic())), f"it never said {text!r}: {self.said}"
+            while text not in self.output:
+                assert selector.select(max(0.0, end - time.monotonic())), f"it never said {text!r}: {self.output}"
                 chunk = os.read(pipe.fileno(), 65536)
-                self._said += chunk
-                assert chunk or text in self.said, f"it ended without {text!r}: {self.said}"
+                self._output += chunk
+                assert chunk or text in self.output, f"it ended without {text!r}: {self.output}"
 
     @property
-    def said(self) -> str:
-        return self._said.decode()
+    def output(self) -> str:
+        return self._output.decode()
 
     def told(self) -> list[list[Any]]:
         """Calls to its robot's driver: time, ns, call, argument."""
@@ -119,7 +119,7 @@ class Program:
 
     def end(self, number: int = signal.SIGINT) -> int:
         self.process.send_signal(number)
-        self._said += self.process.communicate(timeout=PATIENCE_S)[1]
+        self._output += self.process.communicate(timeout=PATIENCE_S)[1]
         return self.process.returncode
 
 
@@ -168,8 +168,8 @@ def lost(made: ZenohDriver) -> DriverError:
     return caught.value
 
 
-def write_times(told: list[list[Any]]) -> list[int]:
-    return [each[0] for each in told if each[1] == "write"]
+def write_times(calls: list[list[Any]]) -> list[int]:
+    return [each[0] for each in calls if each[1] == "write"]
 
 
 def test_it_is_driven_stopped_and_freed_run_after_run(tmp_path: Path, port: int) -> None:
@@ -180,12 +180,12 @@ def test_it_is_driven_stopped_and_freed_run_after_run(tmp_path: Path, port: int)
             assert moved.odometry.pose[1:] == (2.0, 0.0)  # starts at the run's start pose
             assert moved.link == 1
             made.stop("enough")
-            stood = robot.when(lambda told: told[-1][1:] == ["stop", "enough"])
+            stood = robot.when(lambda calls: calls[-1][1:] == ["stop", "enough"])
             eventually(lambda: (each := made.read()) is not None and each.odometry.v == 0.0 and each.stopped == "enough")
             drive(made, lambda each: each.odometry.v > 0.1)  # the next command moves it again
             assert len(write_times(robot.told())) > len(write_times(stood))
             eventually(lambda: (each := made.read()) is not None and each.stopped == "no command for 0.5 s")
-        assert robot.when(lambda told: told[-1][1] == "close")[-2][1:] == ["stop", "the run is over"]
+        assert robot.when(lambda calls: calls[-1][1] == "close")[-2][1:] == ["stop", "the run is over"]
         causes = [(each.what, each.cause) for each in made.notices()]
         assert ("stopped", "enough") in causes
         assert ("stopped", "the run is over") in causes
@@ -193,7 +193,7 @@ def test_it_is_driven_stopped_and_freed_run_after_run(tmp_path: Path, port: int)
             drive(made, lambda each: each.odometry.v > 0.1)
         assert [each[2] for each in robot.told() if each[1] == "open"] == [[1.0, 2.0, 0.0]] * 2
         assert robot.end() == 0
-        assert robot.said.splitlines()[-1] == "car3: ended by SIGINT"
+        assert robot.output.splitlines()[-1] == "car3: ended by SIGINT"
 
 
 def test_the_start_pose_may_be_set_at_the_robot(tmp_path: Path, port: int) -> None:
@@ -226,8 +226,8 @@ def test_a_restarted_program_continues_the_odometry(tmp_path: Path, port: int) -
             assert after.odometry.pose[0] >= before.odometry.pose[0]
             assert after.number > before.number
             assert again.told()[0][2][0] >= before.odometry.pose[0]
-            what = [each.what for each in made.notices()]
-            assert what.index("lost") < len(what) - what[::-1].index("connected")
+            kinds = [each.what for each in made.notices()]
+            assert kinds.index("lost") < len(kinds) - kinds[::-1].index("connected")
 
 
 @contextlib.contextmanager
@@ -247,19 +247,19 @@ def test_the_robot_stops_if_its_run_dies_or_hangs(tmp_path: Path, port: int, num
             last = time.monotonic() + PATIENCE_S
             while True:
                 driven = len(write_times(robot.told())) if robot.log.exists() else 0
-                robot.when(lambda told, driven=driven: len(write_times(told)) > driven + 20)  # type: ignore[misc]
+                robot.when(lambda calls, driven=driven: len(write_times(calls)) > driven + 20)  # type: ignore[misc]
                 run.send_signal(number)
                 gone_ns = time.monotonic_ns()
-                told = robot.when(
-                    lambda told: told[-1][1] == "stop" and (number == signal.SIGSTOP or told[-1][2].startswith(cause))
+                calls = robot.when(
+                    lambda calls: calls[-1][1] == "stop" and (number == signal.SIGSTOP or calls[-1][2].startswith(cause))
                 )
-                if told[-1][2].startswith(cause):
+                if calls[-1][2].startswith(cause):
                     break
-                assert time.monotonic() < last, f"it stands, as {told[-1][2]}"
+                assert time.monotonic() < last, f"it stands, as {calls[-1][2]}"
                 run.send_signal(signal.SIGCONT)  # stopped for a delay shortly before, on a loaded machine
-            assert told[-1][0] - gone_ns < 5e9  # 0.5 s nominal, tenfold under load
+            assert calls[-1][0] - gone_ns < 5e9  # 0.5 s nominal, tenfold under load
             if number == signal.SIGSTOP:
-                assert told[-1][0] - write_times(told)[-1] > 0.4e9  # 0.5 s, minus the time between clock and log
+                assert calls[-1][0] - write_times(calls)[-1] > 0.4e9  # 0.5 s, minus the time between clock and log
         finally:
             run.kill()
             run.communicate(timeout=PATIENCE_S)
@@ -329,18 +329,18 @@ def test_after_a_frozen_link_zero_speed_comes_first(tmp_path: Path, port: int) -
             made.notices()
             proxy.freeze()
             eventually(lambda: "lost" in [each.what for each in made.notices()])
-            frozen = len(robot.when(lambda told: told[-1][1] == "stop"))
+            frozen = len(robot.when(lambda calls: calls[-1][1] == "stop"))
             made.write(Velocity(linear=(0.9, 0.0, 0.0)))  # dropped: no robot is connected
             made.read()
             proxy.thaw()
             again = drive(made, lambda each: each.link >= 2 and each.odometry.v > 0.1)
             assert again.odometry.pose[0] > 1.0
-            told = robot.told()
-            assert "open" not in [each[1] for each in told[1:]]  # its own driver stayed open
-            anew = [each[1] for each in told[frozen:]]
+            calls = robot.told()
+            assert "open" not in [each[1] for each in calls[1:]]  # its own driver stayed open
+            anew = [each[1] for each in calls[frozen:]]
             assert anew[0] == "stop"
             assert anew[-1] == "write"
-            assert {each[2] for each in told if each[1] == "write"} == {0.3}
+            assert {each[2] for each in calls if each[1] == "write"} == {0.3}
         assert robot.end() == 0
 
 

@@ -140,7 +140,7 @@ def test_sonar_is_the_newest_of_each_since_the_last_read() -> None:
     both = heard(track, said(2, now, sent_ns=now, sonar=((0, 1.5),)), now)
     assert both is not None
     assert dict(both.sonar) == {0: 1.5, 1: 2.0}
-    track.taken()
+    track.clear_sonar()
     none = heard(track, said(3, now, sent_ns=now), now)
     assert none is not None
     assert none.sonar == ()
@@ -199,9 +199,9 @@ class Robot:
 
     def __init__(self, **options: Any) -> None:
         self.now = SECOND
-        self.said: list[str] = []
+        self.lines: list[str] = []
         self.bench = Bench(now=lambda: self.now, accel=100.0, decel=100.0, latency_s=0.0, **options)
-        self.aboard = DriverWatchdog(self.bench, None, self.said.append)
+        self.aboard = DriverWatchdog(self.bench, None, self.lines.append)
         self.aboard.open("run", (0.0, 0.0, 0.0), str)
         self.number = 0
 
@@ -227,12 +227,12 @@ def test_a_robot_stands_first_then_follows_and_stops_on_silence() -> None:
     assert robot.speed(0.3) == pytest.approx(0.3)
     robot.speed(0.1)
     assert robot.speed() == 0.0
-    assert robot.said[-1] == "stopped: no velocity from the run for 0.5 s"
+    assert robot.lines[-1] == "stopped: no velocity from the run for 0.5 s"
     robot.hear(AHEAD)
     assert robot.speed() == pytest.approx(0.3)
     robot.hear(None, stop="enough\x1b[2J")
     assert robot.speed() == 0.0
-    assert robot.said[-1] == "stopped: enough"
+    assert robot.lines[-1] == "stopped: enough"
     robot.aboard.meet()
     robot.hear(AHEAD)
     assert robot.speed() == 0.0
@@ -244,7 +244,7 @@ def test_possibly_old_velocities_are_ignored() -> None:
     robot.hear(AHEAD, old_s=0.6)
     assert robot.speed() == 0.0
     robot.hear(AHEAD, old_s=0.6)
-    assert [each for each in robot.said if "arrive too late" in each] == [
+    assert [each for each in robot.lines if "arrive too late" in each] == [
         "warned: velocities arrive too late and are ignored: 0.6 s for both ways"
     ]
     robot.hear(AHEAD, old_s=0.4)

@@ -98,7 +98,7 @@ def test_a_certificate_for_the_vehicle_permits_both_ways(
     assert is_welcome(robot, name)
     peer = Peer(name, str(robot.zid()))
     stage.door.follow(peer)
-    told = received_texts(robot, key_of(robot, name, what="down"))
+    texts = received_texts(robot, key_of(robot, name, what="down"))
     token = robot.liveliness().declare_token(key_of(robot, name, what="alive"))
     box: list[News] = []
 
@@ -106,7 +106,7 @@ def test_a_certificate_for_the_vehicle_permits_both_ways(
         robot.put(key_of(robot, name), b"here")
         stage.door.say(b"there")
         box.extend(stage.all())
-        return bool(told) and any(isinstance(each, RobotMessage) for each in box)
+        return bool(texts) and any(isinstance(each, RobotMessage) for each in box)
 
     eventually(both)
     assert {each.peer for each in box if isinstance(each, RobotMessage)} == {peer}
@@ -120,19 +120,19 @@ def test_others_cannot_send_receive_or_replace_it(keys: certificates.Keys, stack
     assert is_welcome(robot, "car3")
     peer = Peer("car3", str(robot.zid()))
     stage.door.follow(peer)
-    told = received_texts(robot, key_of(robot, "car3", what="down"))
+    texts = received_texts(robot, key_of(robot, "car3", what="down"))
 
     def is_told() -> bool:
         stage.door.say(b"there")
-        return bool(told)
+        return bool(texts)
 
     eventually(is_told)
     others = {name: stage.dial(name) for name in ("car2", "anna", "gone")}
-    heard = {}
+    texts_by_session = {}
     for name, session in others.items():
         assert is_welcome(session, name) == (name == "car2")  # for the reason of the refusal
         assert not is_welcome(session, "car3")
-        heard[name] = received_texts(session, "vcmvsp/robot/**")
+        texts_by_session[name] = received_texts(session, "vcmvsp/robot/**")
         for key in (key_of(session, "car3", zid=peer.session), key_of(session, name, zid=peer.session), key_of(session, name)):
             session.put(key, b"lie", congestion_control=ALL_GO)
         for key in (
@@ -147,12 +147,12 @@ def test_others_cannot_send_receive_or_replace_it(keys: certificates.Keys, stack
         for token in tokens:
             token.undeclare()  # type: ignore[no-untyped-call]
     stage.door.say(b"there")
-    for key, what in (
+    for key, data in (
         ("vcmvsp/robot/car3/car3/*/up", b"for many"),  # permitted, but with a wildcard
         (key_of(robot, "car3"), b"x" * (access_control.MAX_ROBOT + 1)),
         (key_of(robot, "car3"), b"truth"),
     ):
-        robot.put(key, what, congestion_control=ALL_GO)
+        robot.put(key, data, congestion_control=ALL_GO)
     box: list[News] = []
 
     def is_heard() -> bool:
@@ -165,7 +165,7 @@ def test_others_cannot_send_receive_or_replace_it(keys: certificates.Keys, stack
     assert [each.data for each in box if isinstance(each, RobotMessage)] == [b"truth"]
     assert not [each for each in box if isinstance(each, LinkEnded)]
     assert {each.name for each in box if isinstance(each, RobotGreeting)} == {"car3", "car2"}
-    assert {word for got in heard.values() for word in got} == {"lie"}  # a session receives its own messages
+    assert {word for got in texts_by_session.values() for word in got} == {"lie"}  # a session receives its own messages
 
 
 def test_without_the_rules_others_get_through(
@@ -178,14 +178,14 @@ def test_without_the_rules_others_get_through(
     peer = Peer("car3", "a1")
     stage.door.follow(peer)
     other = stage.dial("car2")
-    heard = received_texts(other, key_of(other, "car3", what="down", zid="a1"))
+    texts = received_texts(other, key_of(other, "car3", what="down", zid="a1"))
     box: list[News] = []
 
     def through() -> bool:
         other.put(key_of(other, "car3", zid="a1"), b"lie")
         stage.door.say(b"there")
         box.extend(stage.all())
-        return "there" in heard and any(isinstance(each, RobotMessage) for each in box)
+        return "there" in texts and any(isinstance(each, RobotMessage) for each in box)
 
     eventually(through)
 

@@ -42,21 +42,21 @@ def others_at(places: Any, velocity: Any = None) -> Others:
 def fly(
     parameters: Safety,
     place: Flight,
-    asked: list[tuple[Flight, int]],
+    orders: list[tuple[Flight, int]],
     others: Others | None = None,
     ideal: bool = False,
 ) -> list[tuple[Flight, Flight, Any]]:
     """Place, speeds and decision after each piece of a flight; each command lasts for some periods."""
-    supervisor, now, speeds, seen = AerialSupervisor(parameters), 0, (0.0, 0.0, 0.0, 0.0), []
-    for command, periods in asked:
+    supervisor, now, speeds, pieces = AerialSupervisor(parameters), 0, (0.0, 0.0, 0.0, 0.0), []
+    for command, periods in orders:
         for _ in range(periods):
             decision = supervisor.step(now, velocity_of(command), place, others, all_received(now))
             sent: Flight = (*decision.command.linear, decision.command.yaw_rate)
             for each in flight_of(place, speeds, sent, 0.1, parameters, ideal=ideal):
                 place, speeds = each
-                seen.append((place, speeds, decision))
+                pieces.append((place, speeds, decision))
             now += PERIOD_NS
-    return seen
+    return pieces
 
 
 def flights(most: int) -> st.SearchStrategy[list[tuple[Flight, int]]]:
@@ -85,8 +85,8 @@ def test_a_slanting_flight_misses_another(sign: float) -> None:
     other, nearest = others_at([(3.0, 0.0, 0.0)]), []
     for tenth in range(10, 40):
         slant = [((1.5, 0.0, -sign, 0.0), 40)]
-        seen = fly(parameters, (0.0, 0.0, 0.1 * tenth * sign, 0.0), slant, other)
-        gaps = [max(math.hypot(x - 3.0, y), abs(z)) - 0.7 for (x, y, z, _), _, _ in seen]
+        pieces = fly(parameters, (0.0, 0.0, 0.1 * tenth * sign, 0.0), slant, other)
+        gaps = [max(math.hypot(x - 3.0, y), abs(z)) - 0.7 for (x, y, z, _), _, _ in pieces]
         assert min(gaps) >= -1e-6
         nearest.append(min(gaps))
     assert min(nearest) < 0.01
@@ -127,23 +127,23 @@ def test_it_stands_before_an_approaching_one_at_the_distance(keep: Limits, ideal
 
 def test_it_climbs_from_the_ground_through_the_floor_for_good() -> None:
     parameters = safety_of(QUAD, max_climb=1.0, radius_m=0.2, floor_m=0.5, ceiling_m=2.0)
-    seen = fly(
+    pieces = fly(
         parameters, (0.0, 0.0, 0.0, 0.0), [((0.0, 0.0, -1.0, 0.0), 10), ((0.0, 0.0, 1.0, 0.0), 40), ((1.0, 0.0, -1.0, 0.0), 40)]
     )
-    heights = [place[2] for place, _, _ in seen]
+    heights = [place[2] for place, _, _ in pieces]
     assert min(heights) == 0.0
     assert max(heights) == pytest.approx(2.0, abs=1e-2)
     assert heights[-1] == pytest.approx(0.5, abs=1e-2)
-    assert seen[-1][0][0] > 3.0  # the floor does not block horizontal flight
-    assert seen[-1][2].causes == (Cause.LIMITS, Cause.GEOFENCE)
+    assert pieces[-1][0][0] > 3.0  # the floor does not block horizontal flight
+    assert pieces[-1][2].causes == (Cause.LIMITS, Cause.GEOFENCE)
 
 
 def test_at_the_fence_it_stands_and_can_leave() -> None:
     for name, fence in FENCES.items():
         parameters = safety_of(QUAD, max_climb=1.0, radius_m=RADIUS, fence=fence)
         x, y = STARTS[name]
-        seen = fly(parameters, (x, y, 1.0, 0.0), [((1.9, 0.4, 0.0, 0.0), 80)])
-        standing = seen[-1]
+        pieces = fly(parameters, (x, y, 1.0, 0.0), [((1.9, 0.4, 0.0, 0.0), 80)])
+        standing = pieces[-1]
         assert room(fence, *standing[0][:2]) == pytest.approx(RADIUS, abs=1e-2)
         assert math.hypot(*standing[1][:2]) < 1e-2
         assert standing[2].causes[-1] is Cause.GEOFENCE

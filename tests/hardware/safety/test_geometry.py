@@ -48,10 +48,10 @@ def test_a_free_sector_agrees_with_sampling(
     assume(disc or math.dist(a, b) > 1e-3)
     away = float(distance(np.array(here[0]), np.array(here[1]), a, b))
     assume(away > radius + 1e-3)
-    seen = Stadiums(*here, np.array([a]), np.array([b]), np.array([radius]), np.zeros(1))
-    free = float(seen.free(lo, lo + width)[0])
-    assert seen.clearance == pytest.approx(away - radius)
-    assert free >= seen.clearance - 1e-9
+    stadiums = Stadiums(*here, np.array([a]), np.array([b]), np.array([radius]), np.zeros(1))
+    free = float(stadiums.free(lo, lo + width)[0])
+    assert stadiums.clearance == pytest.approx(away - radius)
+    assert free >= stadiums.clearance - 1e-9
     phi = np.linspace(lo, lo + width, 241)[:, None]
     rho = np.linspace(0.0, 1.0, 241)[None, :]
     reach = min(free, 20.0) - 1e-6

@@ -71,34 +71,34 @@ def room(fence: Polygon, x: float, y: float) -> float:
 
 
 def ideal(
-    pose: Pose, speeds: tuple[float, float], told: tuple[float, float], dt: float, _: Limits
+    pose: Pose, speeds: tuple[float, float], target_speeds: tuple[float, float], dt: float, _: Limits
 ) -> Iterator[tuple[Pose, tuple[float, float]]]:
     """A robot that reaches the commanded speeds at once."""
     for part in range(1, 5):
-        yield arc(pose, *told, dt * part / 4), told
+        yield arc(pose, *target_speeds, dt * part / 4), target_speeds
 
 
 def ramping(
-    pose: Pose, speeds: tuple[float, float], told: tuple[float, float], dt: float, limits: Limits
+    pose: Pose, speeds: tuple[float, float], target_speeds: tuple[float, float], dt: float, limits: Limits
 ) -> Iterator[tuple[Pose, tuple[float, float]]]:
     """A robot that accelerates and brakes at the limits; each piece is an arc."""
-    (v, w), (dv, dw) = speeds, (told[0] - speeds[0], told[1] - speeds[1])
+    (v, w), (dv, dw) = speeds, (target_speeds[0] - speeds[0], target_speeds[1] - speeds[1])
     ready_v, ready_w = abs(dv) / limits.decel, abs(dw) / limits.yaw_decel
     times = sorted({0.0, dt, 0.5 * dt, min(dt, ready_v), min(dt, ready_w)})  # both speeds are linear in between
     for t0, t1 in itertools.pairwise(times):
         before = v, w
-        v = told[0] if t1 >= ready_v else speeds[0] + math.copysign(limits.decel * t1, dv)
-        w = told[1] if t1 >= ready_w else speeds[1] + math.copysign(limits.yaw_decel * t1, dw)
+        v = target_speeds[0] if t1 >= ready_v else speeds[0] + math.copysign(limits.decel * t1, dv)
+        w = target_speeds[1] if t1 >= ready_w else speeds[1] + math.copysign(limits.yaw_decel * t1, dw)
         pose = arc(pose, 0.5 * (v + before[0]), 0.5 * (w + before[1]), t1 - t0)
         yield pose, (v, w)
 
 
 def drive(
-    supervisor: GroundSupervisor, robot: Any, pose: Pose, told: list[tuple[float, float, int]], keep: Limits
+    supervisor: GroundSupervisor, robot: Any, pose: Pose, orders: list[tuple[float, float, int]], keep: Limits
 ) -> Iterator[tuple[Pose, tuple[float, float], Any]]:
     """Pose, command and decision after each piece of a drive; each command lasts for some periods."""
     now, speeds = 0, (0.0, 0.0)
-    for v, w, periods in told:
+    for v, w, periods in orders:
         for _ in range(periods):
             decision = supervisor.step(now, Velocity(linear=(v, 0.0, 0.0), yaw_rate=w), pose, None, heard(now))
             command = decision.command.linear[0], decision.command.yaw_rate
@@ -140,7 +140,7 @@ situations = {
 def test_a_stricter_limit_never_gives_a_faster_command(
     name: str, keep: Limits, pose: Pose, last: Any, command: Any, places: Any, which: str, by: float
 ) -> None:
-    given_: dict[str, Any] = {"limits": keep, "radius_m": RADIUS, "fence": FENCES[name], "separation_m": 0.2}
+    params: dict[str, Any] = {"limits": keep, "radius_m": RADIUS, "fence": FENCES[name], "separation_m": 0.2}
     stricter: Any = {
         "speed": {"limits": msgspec.structs.replace(keep, max_speed=keep.max_speed * (1.0 - 0.9 * by))},
         "accel": {"limits": msgspec.structs.replace(keep, accel=keep.accel * (1.0 - 0.9 * by))},
@@ -148,8 +148,8 @@ def test_a_stricter_limit_never_gives_a_faster_command(
         "separation": {"separation_m": 0.2 + by},
         "reaction": {"reaction_s": 0.1 + by},
     }[which]
-    loose = one_step(safety_of(**given_), pose, last, command, crowd(places))
-    strict = one_step(safety_of(**(given_ | stricter)), pose, last, command, crowd(places))
+    loose = one_step(safety_of(**params), pose, last, command, crowd(places))
+    strict = one_step(safety_of(**(params | stricter)), pose, last, command, crowd(places))
     assert abs(strict[0]) <= abs(loose[0]) + 1e-9
 
 
@@ -198,14 +198,14 @@ def test_at_the_fence_it_slows_down_once_and_stands(name: str, robot: Any, yaw: 
 
 def test_a_goal_beyond_the_fence_causes_no_oscillation() -> None:
     supervisor = GroundSupervisor(safety_of(AMIGO, radius_m=RADIUS, fence=FENCES["square"]))
-    pose, goal, seen = (1.0, 1.0, 1.0), (5.0, 2.0), []
+    pose, goal, speeds = (1.0, 1.0, 1.0), (5.0, 2.0), []
     for tick in range(600):
         bearing = math.atan2(goal[1] - pose[1], goal[0] - pose[0])
         ask = Velocity(linear=(math.dist(goal, pose[:2]), 0, 0), yaw_rate=2.0 * math.remainder(bearing - pose[2], math.tau))
-        told = supervisor.step(tick * PERIOD_NS, ask, pose, None, heard(tick * PERIOD_NS)).command
-        pose = arc(pose, told.linear[0], told.yaw_rate, 0.1)
-        seen.append((told.linear[0], told.yaw_rate))
-    assert all(abs(v) < 1e-3 and abs(w) < 1e-3 for v, w in seen[-100:])
+        command = supervisor.step(tick * PERIOD_NS, ask, pose, None, heard(tick * PERIOD_NS)).command
+        pose = arc(pose, command.linear[0], command.yaw_rate, 0.1)
+        speeds.append((command.linear[0], command.yaw_rate))
+    assert all(abs(v) < 1e-3 and abs(w) < 1e-3 for v, w in speeds[-100:])
     assert 4.0 - pose[0] == pytest.approx(RADIUS, abs=1e-2)
 
 
@@ -228,8 +228,8 @@ def test_a_robot_outside_finds_back_into_every_fence() -> None:
                 bearing = fence.way_back(*pose[:2])
             turn = math.remainder(bearing - pose[2], math.tau)
             ask = Velocity(linear=(0.7 if abs(turn) < 0.2 else 0.0, 0, 0), yaw_rate=2.0 * turn)
-            told = supervisor.step(tick * PERIOD_NS, ask, pose, None, heard(tick * PERIOD_NS)).command
-            pose = arc(pose, told.linear[0], told.yaw_rate, 0.1)
+            command = supervisor.step(tick * PERIOD_NS, ask, pose, None, heard(tick * PERIOD_NS)).command
+            pose = arc(pose, command.linear[0], command.yaw_rate, 0.1)
         assert room(fence, *pose[:2]) > RADIUS - 1e-6, name
 
 
@@ -240,8 +240,8 @@ def test_it_stands_before_an_oncoming_one_at_the_distance(keep: Limits, robot: A
     pose, speeds, x, tick = (0.0, 0.0, 0.0), (0.0, 0.0), 4.0, 0
     while x - pose[0] - RADIUS - 0.2 >= 0.3:
         others = crowd([(x, 0.0, -c, 0.0)])
-        told = supervisor.step(tick * PERIOD_NS, Velocity(linear=(2.0, 0, 0)), pose, others, heard(tick * PERIOD_NS)).command
-        pose, speeds = list(robot(pose, speeds, (told.linear[0], told.yaw_rate), 0.1, keep))[-1]
+        command = supervisor.step(tick * PERIOD_NS, Velocity(linear=(2.0, 0, 0)), pose, others, heard(tick * PERIOD_NS)).command
+        pose, speeds = list(robot(pose, speeds, (command.linear[0], command.yaw_rate), 0.1, keep))[-1]
         x, tick = x - c * 0.1, tick + 1
     # the remaining shortfall is the other vehicle's motion in its last period
     assert x - pose[0] - RADIUS - 0.2 >= 0.3 - c * 0.1 - 1e-6

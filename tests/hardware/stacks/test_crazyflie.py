@@ -71,13 +71,13 @@ def test_programs_of_cflib_fly_a_square_and_a_swarm() -> None:
             started.extend((program("square", first), program("go_to", first + 1, first + 2, first + 3)))
 
     vcmvsp.run(scenario(first, 28.0), tell=start)
-    said = [json.loads(each.communicate(timeout=20.0)[0]) for each in started]
-    (corners,), x, y = said[0].values(), 0.0, 0.0
+    results = [json.loads(each.communicate(timeout=20.0)[0]) for each in started]
+    (corners,), x, y = results[0].values(), 0.0, 0.0
     for (flown_s, corner), (ahead, left) in zip(corners, [(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)], strict=True):
         x, y = x + MOTION_M_PER_S * flown_s * ahead, y + MOTION_M_PER_S * flown_s * left
         assert corner == pytest.approx([x, y, 0.5], abs=0.05)
-    assert len(said[1]) == 3
-    for uri, places in said[1].items():
+    assert len(results[1]) == 3
+    for uri, places in results[1].items():
         x = float(int(uri.rpartition(":")[2]) - first)
         for place, expected in zip(places, [(x, 0.0, 0.6), (x + 0.4, 0.6, 1.0), (x + 0.4, 0.6, 0.02)], strict=True):
             assert place == pytest.approx(expected, abs=0.05)
@@ -100,15 +100,16 @@ def test_a_connection_brings_tables_and_flies_trajectories_and_a_second_program_
                 third.sendto(b"\x80\x03\x00", ("127.0.0.1", first + 1))
 
     vcmvsp.run(scenario(first, 15.0), tell=start)
-    said, flown = (next(iter(json.loads(each.communicate(timeout=20.0)[0]).values())) for each in started)
-    assert said["log"] == sorted(LOG)
-    assert {*said["param"]} == {*PARAMETERS}
-    assert float(said["param"]["kalman.initialX"]) == 1.5
+    tables, flown = (next(iter(json.loads(each.communicate(timeout=20.0)[0]).values())) for each in started)
+    assert tables["log"] == sorted(LOG)
+    assert {*tables["param"]} == {*PARAMETERS}
+    assert float(tables["param"]["kalman.initialX"]) == 1.5
     for place, expected in zip(flown, [(2.0, 0.0, 0.5), (2.0, 0.4, 0.5), (1.6, 0.4, 0.8)], strict=True):
         assert place == pytest.approx(expected, abs=0.05)
     assert any(line == "stack.crazyflie: cf2: refused packets: 1 second program" for line in lines)
 
 
+@pytest.mark.sockets
 def test_a_port_in_use_is_one_error() -> None:
     first = free_ports()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:

@@ -78,26 +78,26 @@ def radio_lines(output: IO[str]) -> list[list[str]]:
 def test_in_lock_step_runs_have_equal_bytes_and_radio_losses_by_table(
     port: int, tmp_path: Path, stamped: tuple[str, ...]
 ) -> None:
-    runs, said = [], []
+    runs, receptions = [], []
     for number in range(2):
         with node(port, "car1", *stamped) as one, node(port, "car2", *stamped) as two:
             runs.append(vcmvsp.run(scenario(port, "car1", "car2"), out=tmp_path / f"run{number}"))
             assert one.stdin
             one.stdin.close()
             assert one.stdout
-            said.append(radio_lines(one.stdout))
+            receptions.append(radio_lines(one.stdout))
             two.kill()
     first = runs[0]
     assert runs[1].metrics["digest"] == first.metrics["digest"]
-    assert said[0] == said[1]
+    assert receptions[0] == receptions[1]
     for vehicle, goal in GOALS.items():
         assert end_of(first, vehicle) == pytest.approx(goal, abs=0.1)
     frames = [each for each in first.radio.to_pylist() if each["sender"] == "car2" and each["receiver"] == "car1"]
     number_of = {sent_ns: number for number, sent_ns in enumerate(sorted(each["sent_ns"] for each in frames), 1)}
     arrived = [each for each in frames if each["outcome"] == "received"]
     assert 40 < len(arrived) < 72  # of 80, with a loss of 0.3
-    assert len(arrived) - len(said[0]) in {0, 1}  # a frame may arrive after the last tick
-    for (sender, content, rssi, age), frame in zip(said[0], arrived, strict=False):
+    assert len(arrived) - len(receptions[0]) in {0, 1}  # a frame may arrive after the last tick
+    for (sender, content, rssi, age), frame in zip(receptions[0], arrived, strict=False):
         assert (sender, int(content, 16)) == ("car2", number_of[frame["sent_ns"]])
         assert float(rssi) == pytest.approx(frame["rssi_dbm"], abs=1e-6)
         assert float(age) == pytest.approx(1e-9 * (frame["received_ns"] - frame["sent_ns"]), abs=1e-9)
@@ -105,12 +105,12 @@ def test_in_lock_step_runs_have_equal_bytes_and_radio_losses_by_table(
 
 
 def test_a_follower_of_the_platform_follows_the_reports_of_a_node(port: int, tmp_path: Path) -> None:
-    asked = scenario(port, "car1", duration_s=12.0)
+    run_config = scenario(port, "car1", duration_s=12.0)
     follow = {"kind": "leader_follower", "leader": "car1", "slot": [-1.0, 0.0]}
-    asked["vehicle"][1] |= {"agent": follow, "pose": [-1.0, 0.0, 0.0]}
-    asked["radio"] = {"preset": "ideal"}
+    run_config["vehicle"][1] |= {"agent": follow, "pose": [-1.0, 0.0, 0.0]}
+    run_config["radio"] = {"preset": "ideal"}
     with node(port, "car1", "--report"):
-        result = vcmvsp.run(asked, out=tmp_path / "run")
+        result = vcmvsp.run(run_config, out=tmp_path / "run")
     (x, y), (behind_x, behind_y) = (end_of(result, vehicle) for vehicle in GOALS)
     assert (x, y) == pytest.approx(GOALS["car1"], abs=0.1)
     assert math.hypot(x - behind_x, y - behind_y) == pytest.approx(1.0, abs=0.05)
@@ -118,8 +118,8 @@ def test_a_follower_of_the_platform_follows_the_reports_of_a_node(port: int, tmp
 
 
 def test_in_real_time_a_node_drives_and_its_end_is_a_loss(port: int) -> None:
-    asked = scenario(port, "car1", duration_s=120.0, pace="wall")
-    asked["vehicle"].pop()
+    run_config = scenario(port, "car1", duration_s=120.0, pace="wall")
+    run_config["vehicle"].pop()
     with node(port, "car1") as process:
 
         def look(event: Event) -> None:
@@ -127,20 +127,20 @@ def test_in_real_time_a_node_drives_and_its_end_is_a_loss(port: int) -> None:
                 process.kill()
 
         with pytest.raises(FederateError, match=r"the node that published /car1/cmd_vel has gone"):
-            vcmvsp.run(asked, observe=look)
+            vcmvsp.run(run_config, observe=look)
 
 
 @pytest.mark.parametrize("on_lost", ["stop", "hold", "remove"])
 def test_a_silent_node_is_lost_like_an_agent(port: int, tmp_path: Path, on_lost: str) -> None:
-    asked = scenario(port, "car1", duration_s=3.0)
-    asked["agents"] = {"on_lost": on_lost, "hold_s": 0.0, "deadline_s": 3.0}
-    asked["vehicle"].pop()
+    run_config = scenario(port, "car1", duration_s=3.0)
+    run_config["agents"] = {"on_lost": on_lost, "hold_s": 0.0, "deadline_s": 3.0}
+    run_config["vehicle"].pop()
     with node(port, "car1", "--silent-after", "15"):
         if on_lost == "stop":
             with pytest.raises(FederateError, match=r"car1: no command on /car1/cmd_vel within 3 s"):
-                vcmvsp.run(asked)
+                vcmvsp.run(run_config)
             return
-        result = vcmvsp.run(asked, out=tmp_path / "run")
+        result = vcmvsp.run(run_config, out=tmp_path / "run")
     assert presence(tmp_path / "run", "car1") == [{"hold": "lost", "remove": "removed"}[on_lost]]
     before, *_, after = result.states["vx"].to_numpy()[14:]
     assert abs(after) < 0.01 < abs(before)
@@ -171,12 +171,12 @@ def test_a_second_publisher_and_other_types_are_refused_by_name(port: int) -> No
             over.set()
 
     refusals = "another node publishes it, too", f"it is {STRING}, not {TWIST} or geometry_msgs/msg/TwistStamped"
-    asked = scenario(port, "car1", duration_s=120.0, pace="wall")
+    run_config = scenario(port, "car1", duration_s=120.0, pace="wall")
     with node(port, "car1") as process:
         disturbing = threading.Thread(target=disturb)
         disturbing.start()
         with pytest.raises(FederateError, match="has gone"):
-            vcmvsp.run(asked, tell=tell)
+            vcmvsp.run(run_config, tell=tell)
         disturbing.join()
     assert sum("/car1/cmd_vel is refused" in line for line in lines) == 2
     assert any("car1: refused messages: " in line for line in lines)
@@ -186,9 +186,9 @@ def test_bytes_names_and_hashes_are_those_of_rmw_zenoh(port: int) -> None:
     store = get_typestore(Stores.ROS2_JAZZY)
     for name, text in OWN_TYPES.items():
         store.register(get_types_from_msg(text, name))
-    asked = scenario(port, "car1", duration_s=2.0)
-    asked["vehicles"]["sensors"] |= {"eye": {"kind": "camera", "rate_hz": 5.0}, "sat": {"kind": "gps", "rate_hz": 5.0}}
-    asked["vehicle"][1]["agent"] = {"kind": "trajectory", "path": "circle", "speed": 0.3, "yaw_rate": 0.2}
+    run_config = scenario(port, "car1", duration_s=2.0)
+    run_config["vehicles"]["sensors"] |= {"eye": {"kind": "camera", "rate_hz": 5.0}, "sat": {"kind": "gps", "rate_hz": 5.0}}
+    run_config["vehicle"][1]["agent"] = {"kind": "trajectory", "path": "circle", "speed": 0.3, "yaw_rate": 0.2}
     samples: list[zenoh.Sample] = []
     tokens: set[str] = set()
 
@@ -198,7 +198,9 @@ def test_bytes_names_and_hashes_are_those_of_rmw_zenoh(port: int) -> None:
         )
         with zenoh.open(config) as session:
             session.declare_subscriber("0/**", samples.append)
-            session.liveliness().declare_subscriber("@ros2_lv/**", lambda said: tokens.add(str(said.key_expr)), history=True)
+            session.liveliness().declare_subscriber(
+                "@ros2_lv/**", lambda sample: tokens.add(str(sample.key_expr)), history=True
+            )
             static = f"0/car1/tf_static/tf2_msgs::msg::dds_::TFMessage_/{store.hash_rihs01('tf2_msgs/msg/TFMessage')}"
             history = zenoh.ext.HistoryConfig(detect_late_publishers=True)
             zenoh.ext.declare_advanced_subscriber(session, static, samples.append, history=history)
@@ -208,16 +210,16 @@ def test_bytes_names_and_hashes_are_those_of_rmw_zenoh(port: int) -> None:
     over = threading.Event()
     listening = threading.Thread(target=listen)
     listening.start()
-    vcmvsp.run(asked)
+    vcmvsp.run(run_config)
     over.set()
     listening.join()
-    seen: dict[str, Any] = {}
+    message_by_topic: dict[str, Any] = {}
     for sample in samples:
         _, *topic, kind, digest = str(sample.key_expr).split("/")
         name = kind.replace("::dds_::", "/").replace("::", "/").removesuffix("_")
         assert digest == store.hash_rihs01(name)
         data, attachment = sample.payload.to_bytes(), sample.attachment
-        seen["/".join(topic)] = message = store.deserialize_cdr(data, name)
+        message_by_topic["/".join(topic)] = message = store.deserialize_cdr(data, name)
         assert bytes(store.serialize_cdr(message, name)) == data
         assert attachment is not None
         assert len(attachment.to_bytes()) == 33
@@ -235,17 +237,20 @@ def test_bytes_names_and_hashes_are_those_of_rmw_zenoh(port: int) -> None:
         "eye/camera_info",
         "sat/fix",
     )
-    assert {*seen} == {each if each == "clock" else f"car1/{each}" for each in parts}
-    assert (seen["car1/odom"].header.frame_id, seen["car1/odom"].child_frame_id) == ("odom", "base_link")
-    assert [each.child_frame_id for each in seen["car1/tf"].transforms] == ["odom", "base_link"]
-    frames = {each.child_frame_id: each for each in seen["car1/tf_static"].transforms}
+    assert {*message_by_topic} == {each if each == "clock" else f"car1/{each}" for each in parts}
+    assert (message_by_topic["car1/odom"].header.frame_id, message_by_topic["car1/odom"].child_frame_id) == (
+        "odom",
+        "base_link",
+    )
+    assert [each.child_frame_id for each in message_by_topic["car1/tf"].transforms] == ["odom", "base_link"]
+    frames = {each.child_frame_id: each for each in message_by_topic["car1/tf_static"].transforms}
     assert {*frames} == {"scan", "inertia", "eye", "sat"}
     turn = frames["eye"].transform.rotation  # body x is forward, the optical axis z: rotation by (-90, 0, -90) degrees
     assert (turn.w, turn.x, turn.y, turn.z) == pytest.approx((0.5, -0.5, 0.5, -0.5))
-    picture, lens = seen["car1/eye/image_raw"], seen["car1/eye/camera_info"]
+    picture, lens = message_by_topic["car1/eye/image_raw"], message_by_topic["car1/eye/camera_info"]
     assert len(picture.data) == picture.step * picture.height == 3 * lens.width * lens.height
-    assert abs(seen["car1/sat/fix"].latitude) < 1e-3
-    assert seen["car1/scan"].range_max == pytest.approx(80.0, abs=80.0)
+    assert abs(message_by_topic["car1/sat/fix"].latitude) < 1e-3
+    assert message_by_topic["car1/scan"].range_max == pytest.approx(80.0, abs=80.0)
     ends = {(part[9].replace("%", "/"), part[5]) for part in (each.split("/") for each in tokens) if len(part) == 13}
     assert {("/car1/cmd_vel", "MS"), ("/car1/odom", "MP"), ("/car1/scan", "MP")} <= ends
 
@@ -267,10 +272,10 @@ def test_a_wrong_table_is_one_error(change: dict[str, Any], problem: str) -> Non
 
 
 def test_without_a_node_lock_step_does_not_begin(port: int) -> None:
-    asked = scenario(port, "car1")
-    asked["agents"] = {"join_timeout_s": 0.2}
+    run_config = scenario(port, "car1")
+    run_config["agents"] = {"join_timeout_s": 0.2}
     with pytest.raises(FederateError, match=r"no node publishes /car1/cmd_vel within 0\.2 s"):
-        vcmvsp.run(asked)
+        vcmvsp.run(run_config)
     router = Node(f"tcp/127.0.0.1:{port}", "listen", RmwZenoh(0, "router"), ())
     with contextlib.closing(router), pytest.raises(FederateError, match="end the other router"):
-        vcmvsp.run(asked)
+        vcmvsp.run(run_config)

@@ -75,22 +75,22 @@ def test_calls_pause_step_and_change_a_run_which_is_recorded_and_repeatable(port
         with caller(port) as process:
             results.append(vcmvsp.run(scenario(port), out=tmp_path / f"run{number}"))
             answers.append(answers_of(process))
-    said: list[tuple[str, Any]] = answers[0]
-    assert answers[1] == said
+    responses: list[tuple[str, Any]] = answers[0]
+    assert answers[1] == responses
     assert results[1].metrics["digest"] == results[0].metrics["digest"]
-    ((_, features),) = [each for each in said if each[0] == "GetSimulatorFeatures"]
+    ((_, features),) = [each for each in responses if each[0] == "GetSimulatorFeatures"]
     assert features["features"]["features"] == [10, 11, 24, 25, 26, 31, 32]  # features of the other calls
-    codes = [(kind, response["result"]["result"]) for kind, response in said if "result" in response]
+    codes = [(kind, response["result"]["result"]) for kind, response in responses if "result" in response]
     assert [code for kind, code in codes if kind == "SetSimulationState"] == [1, 101, 0, 1]
     assert [code for kind, code in codes if kind == "GetEntities"] == [1, 1, 4, 0, 0]
     assert [code for kind, code in codes if kind == "GetEntityState"] == [2, 1, 1, 1]
     assert [code for kind, code in codes if kind == "StepSimulation"] == [1, 1, 4, 1]
     assert [code for kind, code in codes if kind == "SetEntityState"] == [1, 0, 2, 101, 101, 0, 4]
     assert ("ResetSimulation", 0) in codes
-    assert [response["state"]["state"] for kind, response in said if kind == "GetSimulationState"] == [2]
-    names = [response["entities"] for kind, response in said if kind == "GetEntities"]
+    assert [response["state"]["state"] for kind, response in responses if kind == "GetSimulationState"] == [2]
+    names = [response["entities"] for kind, response in responses if kind == "GetEntities"]
     assert names[:2] == [["car1", "car2", "crate"], ["car1", "car2"]]
-    states = [response["state"] for kind, response in said if kind == "GetEntityState"][1:]
+    states = [response["state"] for kind, response in responses if kind == "GetEntityState"][1:]
     times = [stamp_ns(each) for each in states]
     assert [b - a for a, b in pairwise(times)] == [PERIOD_NS, 10 * PERIOD_NS]
     before, _, after = (each["pose"]["position"]["x"] for each in states)
@@ -98,7 +98,7 @@ def test_calls_pause_step_and_change_a_run_which_is_recorded_and_repeatable(port
     assert after > 0.05
     table = [each for each in results[0].states.to_pylist() if each["vehicle"] == "car1" and each["time_ns"] == times[-1]]
     assert after == pytest.approx(table[0]["x"], abs=1e-12)
-    ((_, all_states),) = [each for each in said if each[0] == "GetEntitiesStates"]
+    ((_, all_states),) = [each for each in responses if each[0] == "GetEntitiesStates"]
     crate = all_states["states"][all_states["entities"].index("crate")]["pose"]
     assert [crate["position"][axis] for axis in "xy"] == pytest.approx([4.0, 2.0], abs=0.01)
     assert abs(crate["orientation"]["z"]) == pytest.approx(1.0, abs=1e-3)
@@ -143,16 +143,16 @@ def test_rosbags_reads_and_writes_every_request_and_response_to_the_same_bytes()
 
 def test_a_service_has_token_and_answer_of_rmw_zenoh(port: int) -> None:
     services.register()
-    what = Endpoint("SS", "get_entities", "simulation_interfaces/srv/GetEntities")
+    endpoint = Endpoint("SS", "get_entities", "simulation_interfaces/srv/GetEntities")
     mapping = RmwZenoh(0, "vcmvsp")
-    token, _ = mapping.tokens("a1", (what,))
+    token, _ = mapping.tokens("a1", (endpoint,))
     dds = "simulation_interfaces::srv::dds_::GetEntities_"
     digest = hash_of("GetEntities")
     assert token == f"@ros2_lv/0/a1/0/1/SS/%/%/vcmvsp/%get_entities/{dds}/{digest}/::,10:,:,:,,"
     key, gid = f"0/get_entities/{dds}/{digest}", bytes(range(16))
     request = mapping.attachment(Origin(7, 123, gid))
-    with contextlib.closing(Node(f"tcp/127.0.0.1:{port}", "listen", mapping, (what,))) as node:
-        node.serve(what, lambda call: call.reply(call.data[::-1]))
+    with contextlib.closing(Node(f"tcp/127.0.0.1:{port}", "listen", mapping, (endpoint,))) as node:
+        node.serve(endpoint, lambda call: call.reply(call.data[::-1]))
         config = zenoh.Config.from_json5(f'{{mode: "client", connect: {{endpoints: ["tcp/127.0.0.1:{port}"]}}}}')
         with zenoh.open(config) as session:
             (reply,) = session.get(key, payload=b"abc", attachment=request, target=zenoh.QueryTarget.ALL_COMPLETE)

@@ -73,12 +73,12 @@ class Tag:
 class Station:
     """A station on a manual clock, and a run that sends it orders every 100 ms."""
 
-    def __init__(self, told: StationMission, driver: Any = None, tag: Tag | None = None) -> None:
+    def __init__(self, station_mission: StationMission, driver: Any = None, tag: Tag | None = None) -> None:
         self.ns = 7_000_000_000
         self.driver: Any = driver or Bench(now=self.now, latency_s=0.02, accel=2.0, decel=2.0)
-        self.driver.open(told.start)
-        self.onboard = StationController(told, self.driver, tag, self.now)
-        self.said: list[StationReport] = []
+        self.driver.open(station_mission.start)
+        self.onboard = StationController(station_mission, self.driver, tag, self.now)
+        self.reports: list[StationReport] = []
         self._orders = 0
         self.climb = 0.0
 
@@ -111,17 +111,17 @@ class Station:
                     others=others,
                     stop=stop,
                 )
-            self.said.append(self.onboard.turn(self.ns, order))
+            self.reports.append(self.onboard.turn(self.ns, order))
             self.onboard.delivered()
-        return self.said[-1]
+        return self.reports[-1]
 
     @property
     def notices(self) -> list[tuple[str, str]]:
-        return [(each.what, each.cause) for report in self.said for each in report.notices]
+        return [(each.what, each.cause) for report in self.reports for each in report.notices]
 
     @property
     def stops(self) -> list[str]:
-        return [cause for what, cause in self.notices if what == "stopped"]
+        return [cause for kind, cause in self.notices if kind == "stopped"]
 
 
 def test_a_robot_follows_commands_and_the_station_reports_its_pose() -> None:
@@ -139,7 +139,7 @@ def test_a_robot_follows_commands_and_the_station_reports_its_pose() -> None:
 def test_limits_and_ramps_hold_for_any_command() -> None:
     station = Station(mission(max_speed=0.2, accel=0.5))
     report = station.drive(2.0, v=9.0)
-    speeds = [each.sent.linear[0] for each in station.said if each.sent is not None]
+    speeds = [each.sent.linear[0] for each in station.reports if each.sent is not None]
     assert max(speeds) == pytest.approx(0.2)
     assert max(np.diff(speeds)) <= 0.5 * TURN_MS / 1000 + 1e-9
     assert report.causes == ("limits",)
@@ -165,7 +165,7 @@ def test_silence_of_the_run_stops_the_robot_until_its_return() -> None:
     station.drive(1.0, v=0.4)
     before_ns = station.ns
     station.drive(2.0)
-    stopped = next(each for each in station.said if "federation" in each.causes)
+    stopped = next(each for each in station.reports if "federation" in each.causes)
     assert stopped.sent == Velocity()
     assert stopped.time_ns - before_ns <= 500 * MS + TURN_MS * MS
     assert station.driver.pose[0] < 0.4 * 1.0 + 0.4 * 0.52 + 0.4**2 / 4.0 + 0.02
@@ -192,9 +192,9 @@ def test_an_old_command_stops_the_robot_until_a_new_one(pace: float | None, caus
             command_ns=given_ns,
             command_age_ns=None if pace is None else round(pace * age_ns),
         )
-        station.said.append(station.onboard.turn(station.ns, order))
+        station.reports.append(station.onboard.turn(station.ns, order))
         station.onboard.delivered()
-    assert station.said[-1].causes == ("command",)
+    assert station.reports[-1].causes == ("command",)
     assert station.stops == [cause]
     assert station.drive(1.0, v=0.4).causes == ()
 
@@ -211,10 +211,10 @@ def test_one_late_tick_of_the_run_stops_no_robot(late_ms: int) -> None:
         return StationOrder(number=number, sent_ns=sent_ns, command=command, command_ns=given_ns, command_age_ns=own_ns)
 
     station.ns += TURN_MS * MS
-    station.said.append(station.onboard.turn(station.ns, order(1000, 200, 200)))  # a slow agent
+    station.reports.append(station.onboard.turn(station.ns, order(1000, 200, 200)))  # a slow agent
     station.drive(late_ms / 1000)  # no message of the run
     station.ns += TURN_MS * MS
-    station.said.append(station.onboard.turn(station.ns, order(1001, 220 + late_ms, 220)))  # the agent is not late
+    station.reports.append(station.onboard.turn(station.ns, order(1001, 220 + late_ms, 220)))  # the agent is not late
     assert station.stops == []
     assert station.driver.pose[0] > 0.4 * (1.0 + late_ms / 1000) - 0.2
 
@@ -381,7 +381,7 @@ def test_positions_and_odometry_are_fused() -> None:
     assert math.sqrt(report.covariance[0, 0]) < 0.05
     assert report.fix_age_s is not None
     assert report.fix_age_s <= 0.2
-    fixes = [fix for each in guided.station.said for fix in each.fixes]
+    fixes = [fix for each in guided.station.reports for fix in each.fixes]
     assert len(fixes) == 100
 
 
@@ -437,7 +437,7 @@ def test_a_small_jump_of_positions_is_omitted_then_accepted_with_a_notice() -> N
     assert report.state is not None
     assert report.state.position[0] == pytest.approx(guided.station.driver.pose[0] + 0.9, abs=0.15)
     assert report.state.yaw == pytest.approx(0.0, abs=0.3)
-    assert [what for what, cause in guided.station.notices if "jumped" in cause] == ["warned"]
+    assert [kind for kind, cause in guided.station.notices if "jumped" in cause] == ["warned"]
 
 
 def test_motion_during_a_loss_is_not_taken_for_standstill() -> None:

@@ -55,15 +55,15 @@ def drives(report: StationReport) -> bool:
 def zero_ns(served: ArcosServer, after_ns: int) -> int | None:
     """First time of a zero speed command after ``after_ns``, on the robot's clock, or None."""
     with served.lock:
-        heard = list(served.device.heard)
-    return next((ns for ns, number, value in heard if ns >= after_ns and number == Command.VEL and not value), None)
+        commands = list(served.device.heard)
+    return next((ns for ns, number, value in commands if ns >= after_ns and number == Command.VEL and not value), None)
 
 
 def driven_ns(served: ArcosServer) -> int:
     """Time of the last non-zero speed command, on the robot's clock."""
     with served.lock:
-        heard = list(served.device.heard)
-    return next((ns for ns, number, value in reversed(heard) if number == Command.VEL and value), 0)
+        commands = list(served.device.heard)
+    return next((ns for ns, number, value in reversed(commands) if number == Command.VEL and value), 0)
 
 
 def test_a_robot_drives_and_reports_its_state() -> None:
@@ -79,15 +79,15 @@ def test_a_robot_drives_and_reports_its_state() -> None:
         assert report.sent.linear[0] == pytest.approx(0.4)
         assert report.causes == ()
         assert report.order > 0
-        numbers = [each.number for each in run.said]
+        numbers = [each.number for each in run.reports]
         assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
-        speeds = [each.sent.linear[0] for each in run.said if each.sent is not None]
+        speeds = [each.sent.linear[0] for each in run.reports if each.sent is not None]
         assert max(speeds) <= 0.4
         run.station.leave()
         last = run.station.close()
     assert last[-1].failed == ""
     assert run.notices == [("connected", "a robot in software")]
-    run.said += last
+    run.reports += last
     assert run.notices[1:] == [("stopped", "the run is over")]
 
 
@@ -100,8 +100,8 @@ def test_a_station_with_slow_turns_still_receives_orders(tmp_path: Path) -> None
         "        time.sleep(0.05)\n"
         "        return super().read()\n"
     )
-    told = mission(PartSpec(group="driver", kind="slow.py:Slow", params=BENCH.params))
-    with ready_station(msgspec.structs.replace(told, folder=str(tmp_path))) as run:
+    station_mission = mission(PartSpec(group="driver", kind="slow.py:Slow", params=BENCH.params))
+    with ready_station(msgspec.structs.replace(station_mission, folder=str(tmp_path))) as run:
         report = run.until(drives, v=0.4)
         assert report.late_s > 0.0
 
@@ -113,8 +113,10 @@ def test_positions_of_a_tag_are_fused() -> None:
         kind="vcmvsp.hardware.localisation.ubisense:Ubisense",
         params={"listen": f"udp://127.0.0.1:{port}"},
     )
-    told = msgspec.structs.replace(mission(), localisation=tag, fusion={"start_sigma_m": 0.5, "noise": {"turn": 0.02}})
-    with ready_station(told) as run, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as engine:
+    station_mission = msgspec.structs.replace(
+        mission(), localisation=tag, fusion={"start_sigma_m": 0.5, "noise": {"turn": 0.02}}
+    )
+    with ready_station(station_mission) as run, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as engine:
 
         def hears(report: StationReport) -> bool:
             datagram = struct.pack(">HHQIffffQ", 0xE298, 0x026B, 7, 1, 0.2, 0.1, 0.0, 0.01, time.time_ns())
@@ -134,8 +136,8 @@ def test_an_unreadable_order_stops_the_robot_and_ends_the_station() -> None:
         with pytest.raises(DriverError, match="an invalid order"):
             run.until(lambda _: False, v=None)
         eventually(lambda: not served.device.is_open)
-        assert served.device.motion.wanted(0.0) == (0.0, 0.0)
-    assert run.said[-1].failed
+        assert served.device.motion.target_speeds(0.0) == (0.0, 0.0)
+    assert run.reports[-1].failed
 
 
 def test_an_unplugged_robot_is_named() -> None:

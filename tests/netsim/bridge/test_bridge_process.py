@@ -115,36 +115,41 @@ def hear(process: BridgeClient, kind: type, seconds: float = PATIENCE_S) -> Any:
 def test_a_custom_gateway_gets_deliveries_losses_and_levels(
     probe: messages.GatewaySpec, tmp_path: Path, started: list[BridgeClient]
 ) -> None:
-    def said() -> list[str]:
+    def output_lines() -> list[str]:
         file = tmp_path / "out.txt"
         return file.read_text().splitlines() if file.exists() else []
 
     started.append(process := BridgeClient.start(opening(probe, folder=tmp_path, payloads=True)))
     assert process.wait_ready() == ("bridge.probe: probe is open",)
-    heard = process.read()
-    while not any(isinstance(each, messages.NewDatagrams) for each in heard) or not any(
-        isinstance(each, messages.LevelsRequest) for each in heard
+    received = process.read()
+    while not any(isinstance(each, messages.NewDatagrams) for each in received) or not any(
+        isinstance(each, messages.LevelsRequest) for each in received
     ):
         select.select([process], [], [], 10.0)
-        heard += process.read()
-    (came,) = [each for each in heard if isinstance(each, messages.NewDatagrams)]
+        received += process.read()
+    (came,) = [each for each in received if isinstance(each, messages.NewDatagrams)]
     assert (came.sender.tolist(), came.to.tolist(), came.payloads) == ([0, 0], [1, -1], (b"to one", b"to all"))
     process.send(messages.LevelRows(first=1, dbm=np.arange(3.0, 9.0).reshape(2, 3)))
     process.send(messages.LevelRows(first=0, dbm=np.arange(3.0).reshape(1, 3)))
-    wait_for(lambda: said() == ["level 2.0"])
+    wait_for(lambda: output_lines() == ["level 2.0"])
     os.kill(process.pid, signal.SIGSTOP)  # they arrive together, however long sending takes
     now_ns = time.monotonic_ns()
     process.send(due((1, 2, now_ns + 20_000_000), (1, 1, now_ns + 10_000_000), taken=2, settled=(0, 1)))
     process.send(messages.AgentDatagram(sender=2, receiver=0, at_ns=now_ns + 15_000_000, payload=b"said"))
     os.kill(process.pid, signal.SIGCONT)
-    wait_for(lambda: len(said()) == 5)
-    assert said()[1:] == ["lost 0 1 b'to one'", "delivered 0 1 b'to all'", "delivered 2 0 b'said'", "delivered 0 2 b'to all'"]
+    wait_for(lambda: len(output_lines()) == 5)
+    assert output_lines()[1:] == [
+        "lost 0 1 b'to one'",
+        "delivered 0 1 b'to all'",
+        "delivered 2 0 b'said'",
+        "delivered 0 2 b'to all'",
+    ]
     process.leave()
-    went = [each for each in process.close() if isinstance(each, messages.Delivered)]
-    first, second = np.concatenate([each.due for each in went]).tolist()
+    deliveries = [each for each in process.close() if isinstance(each, messages.Delivered)]
+    first, second = np.concatenate([each.due for each in deliveries]).tolist()
     assert (first, second) == (1, 0)  # messages of agents are not counted
-    assert (np.concatenate([each.at_ns for each in went]) >= now_ns + np.array([10_000_000, 20_000_000])).all()
-    assert said()[-1] == "closed"
+    assert (np.concatenate([each.at_ns for each in deliveries]) >= now_ns + np.array([10_000_000, 20_000_000])).all()
+    assert output_lines()[-1] == "closed"
 
 
 def test_a_gateway_that_cannot_open_ends_the_bridge_before_later_gateways(
@@ -166,18 +171,18 @@ class Deaf:
     def __init__(self, *says: messages.Down) -> None:
         self.says, self.ended = [encode(each) for each in says], False
         self.reads = False
-        self.heard: list[bytes] = []
+        self.received: list[bytes] = []
 
     def wait(self, seconds: float) -> None:
         pass
 
     def receive(self) -> list[bytes]:
-        said, self.says = self.says, []
-        return said
+        pending, self.says = self.says, []
+        return pending
 
     def send(self, message: bytes) -> bool:
         if self.reads:
-            self.heard.append(message)
+            self.received.append(message)
         return self.reads
 
 
@@ -189,19 +194,19 @@ def test_counts_are_sent_once_when_the_run_reads_again() -> None:
         for k in range(50):
             process.count(k % 2, "too long")
             process._report()
-        unsaid, link.reads = len(process._outbox), True
+        unreported, link.reads = len(process._outbox), True
         process._send_outbox()
         process._report()
-        return unsaid, [messages.ups.decode(each) for each in link.heard]
+        return unreported, [messages.ups.decode(each) for each in link.received]
 
-    unsaid, said = asyncio.run(trial())
-    assert unsaid == 1
+    unreported, reports = asyncio.run(trial())
+    assert unreported == 1
     counts: dict[str, dict[str, int]] = {}
-    for each in said:
+    for each in reports:
         assert isinstance(each, messages.Counts)
         counts |= each.counts
     assert counts == {"a": {"too long": 25}, "b": {"too long": 25}}
-    assert len(said) == 2
+    assert len(reports) == 2
 
 
 def test_a_message_too_long_for_the_link_is_an_error(
@@ -221,15 +226,16 @@ def test_counts_of_many_vehicles_are_split_into_messages() -> None:
         process = BridgeProcess(link, asyncio.get_running_loop())
         process._opening()
         for row in range(len(names)):
-            for what in range(8):
-                process.count(row, f"what there is no room for, of kind {what}")
+            for kind in range(8):
+                process.count(row, f"what there is no room for, of kind {kind}")
         process._report_counts()
-        return link.heard
+        return link.received
 
-    said = asyncio.run(trial())
-    assert max(map(len, said)) < 100_000
+    reports = asyncio.run(trial())
+    assert max(map(len, reports)) < 100_000
     assert (
-        sum(len(each.counts) for message in said if isinstance(each := messages.ups.decode(message), messages.Counts)) == 3000
+        sum(len(each.counts) for message in reports if isinstance(each := messages.ups.decode(message), messages.Counts))
+        == 3000
     )
 
 
@@ -324,9 +330,9 @@ def test_a_process_that_does_not_read_is_ended_and_never_blocks_the_run(started:
     process = BridgeClient.start(opening(udp(free_ports(300))))
     process.wait_ready()
     os.kill(process.pid, signal.SIGSTOP)
-    said = messages.AgentDatagram(sender=0, receiver=1, at_ns=0, payload=bytes(60_000))
+    datagram = messages.AgentDatagram(sender=0, receiver=1, at_ns=0, payload=bytes(60_000))
     with pytest.raises(FederateError, match=rf"bridge: its process \(pid {process.pid}\) no longer reads its messages"):
-        deque(map(process.send, itertools.repeat(said)), 0)
+        deque(map(process.send, itertools.repeat(datagram)), 0)
     assert process.has_outbox
     process._process.kill()
     process.close()

@@ -39,10 +39,10 @@ def test_unacknowledged_and_undelivered_datagrams_count_as_held() -> None:
     store.due(first)
     store.settle(first)
     assert not put(store)
-    store.left(first)
+    store.mark_delivered(first)
     assert put(store)
     store.due(second)
-    store.left(second)
+    store.mark_delivered(second)
     assert not put(store)
     store.settle(second)
     assert put(store)
@@ -53,14 +53,14 @@ def test_batches_are_shared_fairly_among_vehicles() -> None:
     for sender in range(20):
         for _ in range(2 if sender == 7 else 300):
             put(store, sender)
-    seen: set[int] = set()
+    all_senders: set[int] = set()
     for _ in range(-(-20 * BATCH_OF_ONE // BATCH)):  # missing in one batch, present in the next
         numbers = store.batch()
         assert len(numbers) <= BATCH
         senders = [store[number].sender for number in numbers]
         assert max(senders.count(each) for each in set(senders)) <= BATCH_OF_ONE
-        seen |= set(senders)
-    assert seen == set(range(20))
+        all_senders |= set(senders)
+    assert all_senders == set(range(20))
 
 
 def test_where_bytes_go_along_a_batch_is_short_unless_one_datagram_is_long() -> None:
@@ -68,12 +68,12 @@ def test_where_bytes_go_along_a_batch_is_short_unless_one_datagram_is_long() -> 
     for sender in (0, 1, 2):
         for _ in range(300):
             put(store, sender, size=1472)
-    seen: set[int] = set()
+    all_senders: set[int] = set()
     for _ in range(3):
         numbers = store.batch()
         assert 1 < len(numbers) <= BATCH_BYTES // 1472
-        seen |= {store[number].sender for number in numbers}
-    assert seen == {0, 1, 2}
+        all_senders |= {store[number].sender for number in numbers}
+    assert all_senders == {0, 1, 2}
     store = DatagramStore(1, payloads=True)
     put(store, size=65_535)
     put(store, size=65_535)
@@ -86,12 +86,12 @@ def test_a_lost_unicast_datagram_is_reported() -> None:
     put(store, to=1)
     put(store, to=2)
     put(store)
-    lost, heard, broadcast = store.batch()
-    store.due(heard)
-    kept = store.settle(lost)
-    assert kept is not None
-    assert (kept.sender, kept.to) == (0, 1)
-    assert store.settle(heard) is None
+    lost, received, broadcast = store.batch()
+    store.due(received)
+    datagram = store.settle(lost)
+    assert datagram is not None
+    assert (datagram.sender, datagram.to) == (0, 1)
+    assert store.settle(received) is None
     assert store.settle(broadcast) is None
 
 
@@ -101,7 +101,7 @@ def test_messages_of_agents_take_no_room_of_programs() -> None:
     assert put(store)
     assert max(numbers) < min(store.batch())
     for number in numbers:
-        store.left(number)
+        store.mark_delivered(number)
     assert len(store) == 1
 
 

@@ -30,17 +30,17 @@ class Beside:
 
     def __init__(self) -> None:
         self.says: list[Any] = []
-        self.heard: list[Any] = []
+        self.received: list[Any] = []
 
     def send_outbox(self) -> None:
         pass
 
     def read(self) -> list[Any]:
-        said, self.says = self.says, []
-        return said
+        pending, self.says = self.says, []
+        return pending
 
     def send(self, message: Any) -> None:
-        self.heard.append(message)
+        self.received.append(message)
 
 
 class Clock:
@@ -134,7 +134,7 @@ def test_a_run_that_is_behind_catches_up_before_it_takes_more(monkeypatch: pytes
     wall_ns += PATIENCE_NS
     assert bridge.poll(1_023 * MS)  # it never catches up: programs are served nevertheless
     assert len(sent(bridge, 1_023 * MS)) == 1
-    assert [each.taken for each in process.heard] == [1, 2, 3]
+    assert [each.taken for each in process.received] == [1, 2, 3]
 
 
 def test_lateness_is_measured_on_the_wall_clock_at_any_speed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -165,8 +165,8 @@ def test_levels_are_those_at_the_time_of_the_query() -> None:
     process.says = [messages.LevelsRequest()]
     bridge.poll(MS)
     bridge.step(MS, [Event("world/states", 0, at_rest(("a", "b"), [(1.0, 0.0, 0.0), (5.0, 0.0, 0.0)]))])
-    (told,) = process.heard
-    assert (told.first, told.dbm.tolist()) == (0, [[2.0, 6.0], [6.0, 10.0]])
+    (levels,) = process.received
+    assert (levels.first, levels.dbm.tolist()) == (0, [[2.0, 6.0], [6.0, 10.0]])
 
 
 def heard_by_b(message: Message, at_ns: int) -> Event:
@@ -181,7 +181,7 @@ def test_messages_of_agents_too_long_for_a_datagram_are_counted() -> None:
     for size in (LARGEST, LARGEST + 1, LARGEST + 2):
         message = Message(sender="a", body=bytes(size), size_bytes=4)
         bridge.step(3 * MS, [heard_by_b(message, 3 * MS)])
-    assert [len(each.payload) for each in process.heard if isinstance(each, messages.AgentDatagram)] == [LARGEST]
+    assert [len(each.payload) for each in process.received if isinstance(each, messages.AgentDatagram)] == [LARGEST]
     assert bridge.lateness["counts"] == {
         "a": {"of the process": 1},
         "b": {"of the process": 2, "sent by agents in more than 65535 bytes": 2},
@@ -189,7 +189,7 @@ def test_messages_of_agents_too_long_for_a_datagram_are_counted() -> None:
 
 
 @pytest.mark.parametrize(
-    ("killed", "kind", "words"),
+    ("killed", "kind", "expected"),
     [
         (False, "ip", []),
         (True, "udp", ["bridge: its process did not end in time and was killed"]),
@@ -200,16 +200,16 @@ def test_messages_of_agents_too_long_for_a_datagram_are_counted() -> None:
         ),
     ],
 )
-def test_a_killed_process_is_reported_with_the_command_that_cleans_up(killed: bool, kind: str, words: list[str]) -> None:
+def test_a_killed_process_is_reported_with_the_command_that_cleans_up(killed: bool, kind: str, expected: list[str]) -> None:
     none: Any = None
-    told: list[str] = []
+    lines: list[str] = []
     gateways = [messages.GatewaySpec(name=kind, kind=kind, params={})]
-    bridge = bridge_of(("a", "b"), none, Clock(), gateways=gateways, tell=told.append)
+    bridge = bridge_of(("a", "b"), none, Clock(), gateways=gateways, tell=lines.append)
     process: Any = Beside()
     process.killed, process.close = killed, list
     bridge._process = process
     bridge.close()
-    assert told == words
+    assert lines == expected
 
 
 def test_equal_payloads_of_a_program_and_an_agent_are_distinguished() -> None:
@@ -218,7 +218,7 @@ def test_equal_payloads_of_a_program_and_an_agent_are_distinguished() -> None:
     bridge.poll(MS)
     sent(bridge, MS)
     message = Message(sender="a", body=b"same", size_bytes=4)
-    heard = heard_by_b(message, 3 * MS)
+    reception = heard_by_b(message, 3 * MS)
     number = np.zeros(1, np.int64)
     traffic = Traffic(
         reports=(),
@@ -229,13 +229,13 @@ def test_equal_payloads_of_a_program_and_an_agent_are_distinguished() -> None:
         frame=number,
         settled=number,
     )
-    bridge.step(3 * MS, [heard, Event("radio/traffic", 3 * MS, traffic)])  # ordered by key
-    assert not [each for each in process.heard if isinstance(each, messages.AgentDatagram)]
-    bridge.step(3 * MS, [heard])
-    (spoken,) = [each for each in process.heard if isinstance(each, messages.AgentDatagram)]
+    bridge.step(3 * MS, [reception, Event("radio/traffic", 3 * MS, traffic)])  # ordered by key
+    assert not [each for each in process.received if isinstance(each, messages.AgentDatagram)]
+    bridge.step(3 * MS, [reception])
+    (spoken,) = [each for each in process.received if isinstance(each, messages.AgentDatagram)]
     assert (spoken.sender, spoken.receiver, spoken.payload) == (0, 1, b"same")
     bridge.step(4 * MS, [heard_by_b(message, 4 * MS)])
-    assert len([each for each in process.heard if isinstance(each, messages.AgentDatagram)]) == 2
+    assert len([each for each in process.received if isinstance(each, messages.AgentDatagram)]) == 2
 
 
 def test_datagrams_at_the_end_of_the_run_are_not_sent() -> None:
@@ -317,13 +317,13 @@ def test_deliveries_are_reported_with_their_frame_and_lateness() -> None:
     lateness.due(traffic((2, 1, 1_200, 41), (0, 0, 1_100, 40), settled=(0, 2)), ints(5_000_000, 6_000_000))
     lateness.due(traffic((1, 0, 1_300, 42), settled=(1,)), ints(9_000_000))
     lateness.delivered(ints(1, 0), ints(6_500_000, 8_000_000))
-    told = lateness.summary({"a": {"longer than max_bytes": 2}})
-    assert told == {
+    summary = lateness.summary({"a": {"longer than max_bytes": 2}})
+    assert summary == {
         "datagrams": 3,
         "delivered": 2,
         "lost": 0,
         "p50_s": (0.0005 + 0.003) / 2,
-        "p99_s": told["p99_s"],
+        "p99_s": summary["p99_s"],
         "max_s": 0.003,
         "over_1ms": 1,
         "counts": {"a": {"longer than max_bytes": 2}},
@@ -348,6 +348,6 @@ def test_losses_are_counted_per_intended_receiver() -> None:
 
 
 def test_a_run_in_which_nothing_was_sent_has_no_lateness() -> None:
-    told = Lateness(("a",)).summary({})
-    assert (told["datagrams"], told["delivered"], told["p50_s"], told["max_s"]) == (0, 0, None, None)
+    summary = Lateness(("a",)).summary({})
+    assert (summary["datagrams"], summary["delivered"], summary["p50_s"], summary["max_s"]) == (0, 0, None, None)
     assert Lateness(("a",)).table(("udp",)).num_rows == 0

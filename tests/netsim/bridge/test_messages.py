@@ -15,7 +15,7 @@ ROOM = 200_000  # largest message, bytes, that every Linux accepts (`cosim.proce
 
 def traffic(deliveries: int, settled: int) -> tuple[Traffic, Array]:
     number = np.arange(deliveries)
-    told = Traffic(
+    radio_traffic = Traffic(
         reports=(),
         carries=frozen(np.zeros(0, np.int64)),
         number=frozen(number),
@@ -24,32 +24,32 @@ def traffic(deliveries: int, settled: int) -> tuple[Traffic, Array]:
         frame=frozen(number),
         settled=frozen(10**9 + np.arange(settled)),
     )
-    return told, frozen(10**18 + number)
+    return radio_traffic, frozen(10**18 + number)
 
 
 @given(deliveries=st.integers(0, 20), settled=st.integers(0, 20), most=st.integers(1, 8))
 def test_deliveries_arrive_complete_and_before_acknowledgements(deliveries: int, settled: int, most: int) -> None:
-    told, at_ns = traffic(deliveries, settled)
+    radio_traffic, at_ns = traffic(deliveries, settled)
     with mock.patch.object(messages, "MOST_DUE", most):
-        said = list(messages.due_in_chunks(42, told, at_ns))
-    assert np.concatenate([each.number for each in said]).tolist() == told.number.tolist()
-    assert np.concatenate([each.receiver for each in said]).tolist() == told.receiver.tolist()
-    assert np.concatenate([each.at_ns for each in said]).tolist() == at_ns.tolist()
-    assert np.concatenate([each.settled for each in said]).tolist() == told.settled.tolist()
-    assert {each.taken for each in said} == {42}
-    assert max(len(each.number) for each in said) <= most >= max(len(each.settled) for each in said)
-    last = max((k for k, each in enumerate(said) if len(each.number)), default=0)
-    assert not any(len(each.settled) for each in said[:last])
+        chunks = list(messages.due_in_chunks(42, radio_traffic, at_ns))
+    assert np.concatenate([each.number for each in chunks]).tolist() == radio_traffic.number.tolist()
+    assert np.concatenate([each.receiver for each in chunks]).tolist() == radio_traffic.receiver.tolist()
+    assert np.concatenate([each.at_ns for each in chunks]).tolist() == at_ns.tolist()
+    assert np.concatenate([each.settled for each in chunks]).tolist() == radio_traffic.settled.tolist()
+    assert {each.taken for each in chunks} == {42}
+    assert max(len(each.number) for each in chunks) <= most >= max(len(each.settled) for each in chunks)
+    last = max((k for k, each in enumerate(chunks) if len(each.number)), default=0)
+    assert not any(len(each.settled) for each in chunks[:last])
 
 
 @given(vehicles=st.integers(1, 60), most=st.integers(1, 100))
 def test_levels_come_row_by_row(vehicles: int, most: int) -> None:
     dbm = np.arange(vehicles * vehicles, dtype=np.float64).reshape(vehicles, vehicles)
     with mock.patch.object(messages, "MOST_LEVELS", most):
-        said = list(messages.levels_in_chunks(dbm))
-    assert [each.first for each in said] == np.cumsum([0, *(len(each.dbm) for each in said[:-1])]).tolist()
-    assert np.concatenate([each.dbm for each in said]).tolist() == dbm.tolist()
-    assert all(each.dbm.size <= max(most, vehicles) for each in said)
+        chunks = list(messages.levels_in_chunks(dbm))
+    assert [each.first for each in chunks] == np.cumsum([0, *(len(each.dbm) for each in chunks[:-1])]).tolist()
+    assert np.concatenate([each.dbm for each in chunks]).tolist() == dbm.tolist()
+    assert all(each.dbm.size <= max(most, vehicles) for each in chunks)
 
 
 def test_the_longest_messages_fit() -> None:

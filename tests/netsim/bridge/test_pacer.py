@@ -46,11 +46,11 @@ steps = st.lists(
 
 
 @given(steps)
-def test_deliveries_leave_once_never_early_and_in_order(given_: list) -> None:  # type: ignore[type-arg]
+def test_deliveries_leave_once_never_early_and_in_order(script: list) -> None:  # type: ignore[type-arg]
     loop, left = Turning(), list[TimedDelivery]()
     pacer = Pacer(loop, left.append, lambda: loop.now_ns)  # type: ignore[arg-type]
     added: list[TimedDelivery] = []
-    for deliveries, pause_ns in [*given_, ([], 2000)]:
+    for deliveries, pause_ns in [*script, ([], 2000)]:
         for after_ns, number in deliveries:
             added.append(TimedDelivery(after_ns, number, len(added), 0))
             pacer.put(added[-1])

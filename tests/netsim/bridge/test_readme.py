@@ -52,7 +52,7 @@ def test_the_worked_example(tmp_path: Path) -> None:
     try:
         lines = [run.stderr.readline() for _ in range(2)] if run.stderr else []  # its ports are open from now on
         started.append(ask := start("ask.py", stdout=subprocess.PIPE))
-        said = ask.communicate(timeout=500)[0].splitlines()
+        answers = ask.communicate(timeout=500)[0].splitlines()
         _, rest = run.communicate(timeout=500)
     finally:
         for process in started:
@@ -60,8 +60,8 @@ def test_the_worked_example(tmp_path: Path) -> None:
             process.communicate()
     assert [line.split()[:3] for line in lines] == [["bridge.udp:", car, "sends"] for car in ("car1", "car2")]
     assert (ask.returncode, run.returncode) == (0, 0), rest
-    assert [line.partition(":")[0] for line in said] == [str(number) for number in range(20)]
-    answered = sum(line.endswith(" ms") for line in said)
+    assert [line.partition(":")[0] for line in answers] == [str(number) for number in range(20)]
+    answered = sum(line.endswith(" ms") for line in answers)
     out = tmp_path / "two-programs"
     rows = pq.read_table(out / "bridge.parquet").to_pylist()
     left = [row for row in rows if row["late_s"] is not None]

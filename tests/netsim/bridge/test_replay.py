@@ -41,13 +41,13 @@ def programs(first_port: int) -> Iterator[None]:
     stop = threading.Event()
 
     def say() -> None:
-        said = 0
+        rounds = 0
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
-            while said < MOST_SAID and not stop.wait(PERIOD_S):
+            while rounds < MOST_SAID and not stop.wait(PERIOD_S):
                 with contextlib.suppress(ConnectionError):  # the run has not started, or has ended
                     program.sendto(b"to all", ("127.0.0.1", first_port))
                     program.sendto(b"to one", ("127.0.0.1", first_port + 100 + 3))
-                    said += 1
+                    rounds += 1
 
     thread = threading.Thread(target=say)
     thread.start()
@@ -80,9 +80,9 @@ def test_a_replay_with_programs_is_equal_to_the_byte_and_its_files_agree(channel
         assert carried["received_ns"] == (None if late else row["wanted_ns"])
         assert carried["outcome"] == ("under way" if late else "received")
         assert carried["sender"] == row["sender"] or channel == "flooding"
-    given = [(now_ns, value) for _, now_ns, value in read_inputs(folder / "hardware.mcap") if isinstance(value, Datagrams)]
-    to = np.concatenate([each.to for _, each in given])
-    entered_ns = np.concatenate([np.maximum(each.sent_ns, now_ns) for now_ns, each in given])  # later than sent, if delayed
+    batches = [(now_ns, value) for _, now_ns, value in read_inputs(folder / "hardware.mcap") if isinstance(value, Datagrams)]
+    to = np.concatenate([each.to for _, each in batches])
+    entered_ns = np.concatenate([np.maximum(each.sent_ns, now_ns) for now_ns, each in batches])  # later than sent, if delayed
     assert about["datagrams"] == len(to)
     arrived = {(row["number"], row["receiver"]) for row in deliveries}
     missing = int(np.where(to < 0, 2, 1).sum()) - len(arrived)

@@ -55,10 +55,10 @@ class Chain:
 
     def call(self, command: str, *, check: bool = True) -> str:
         """Output of a command of the page."""
-        words = command.replace("vcmvsp net exec", f"vcmvsp net exec --run {self.name}")
+        line = command.replace("vcmvsp net exec", f"vcmvsp net exec --run {self.name}")
         path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
-        done = subprocess.run(
-            ["sh", "-ec", words],
+        result = subprocess.run(
+            ["sh", "-ec", line],
             cwd=self.folder,
             env={**os.environ, "PATH": path},
             capture_output=True,
@@ -66,8 +66,8 @@ class Chain:
             check=False,
             timeout=300,
         )
-        assert done.returncode == 0 or not check, f"{command}: {done.stdout}{done.stderr}"
-        return done.stdout
+        assert result.returncode == 0 or not check, f"{command}: {result.stdout}{result.stderr}"
+        return result.stdout
 
     @property
     def time_s(self) -> float:
@@ -132,19 +132,19 @@ def check_routes(chain: Chain) -> None:
 
 def answers(chain: Chain) -> int:
     """Replies to 20 requests over all hops, forwarded by four vehicles."""
-    said = chain.call(command(" ping "), check=False)
-    found = re.search(r"(\d+) received", said)
-    return int(found[1]) if found and "ttl=60" in said else 0
+    output = chain.call(command(" ping "), check=False)
+    found = re.search(r"(\d+) received", output)
+    return int(found[1]) if found and "ttl=60" in output else 0
 
 
 def share_delivered(chain: Chain) -> float:
     """Share of 1000 datagrams that arrive over all hops; 0: the programs did not meet."""
     chain.call(command("iperf3 -s"), check=False)
-    said = chain.call(f"{command('iperf3 -4')} -t 10 --json", check=False)
-    told = json.loads(said)["end"].get("sum") if said else None
-    if not told or told["packets"] < 950:
+    output = chain.call(f"{command('iperf3 -4')} -t 10 --json", check=False)
+    totals = json.loads(output)["end"].get("sum") if output else None
+    if not totals or totals["packets"] < 950:
         return 0.0
-    return 1.0 - float(told["lost_packets"]) / float(told["packets"])
+    return 1.0 - float(totals["lost_packets"]) / float(totals["packets"])
 
 
 def share_lost(folder: Path) -> float:

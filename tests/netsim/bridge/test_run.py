@@ -42,7 +42,7 @@ def test_a_scenario_that_is_only_checked_opens_nothing() -> None:
     assert run.bridge.fileno() == -1
     assert not run.bridge.poll(0)
     run.kernel.close()
-    assert run.told == []
+    assert run.lines == []
 
 
 def test_arrivals_equal_the_radios_reports_datagram_by_datagram() -> None:
@@ -55,29 +55,32 @@ def test_arrivals_equal_the_radios_reports_datagram_by_datagram() -> None:
                 time.sleep(0.0001)
         wait_for(lambda: len(run.reports) == count)
         wait_for(lambda: run.left == sum(int((report.received_ns >= 0).sum()) for report in run.reports))
-        heard = {1: [int(each) for each in receive_available(b)], 2: [int(each) for each in receive_available(c)]}
-    said: dict[int, int] = {}  # by number: sockets are read in turn, each in its order
+        received = {1: [int(each) for each in receive_available(b)], 2: [int(each) for each in receive_available(c)]}
+    payloads: dict[int, int] = {}  # by number: sockets are read in turn, each in its order
     for to, own in ((-1, [k for k in range(count) if k % 3]), (2, [k for k in range(count) if not k % 3])):
         numbers = [
-            n for _, value in run.sent for n, meant in zip(value.number.tolist(), value.to.tolist(), strict=True) if meant == to
+            n
+            for _, value in run.sent
+            for n, receiver in zip(value.number.tolist(), value.to.tolist(), strict=True)
+            if receiver == to
         ]
-        said |= dict(zip(numbers, own, strict=True))
-    wanted: dict[int, list[int]] = {1: [], 2: []}
+        payloads |= dict(zip(numbers, own, strict=True))
+    expected: dict[int, list[int]] = {1: [], 2: []}
     for report, number in zip(run.reports, run.carries, strict=True):
-        assert report.receivers == (("b", "c") if said[number] % 3 else ("c",))
+        assert report.receivers == (("b", "c") if payloads[number] % 3 else ("c",))
         for name, at_ns in zip(report.receivers, report.received_ns.tolist(), strict=True):
             if at_ns >= 0:
-                wanted["abc".index(name)].append(said[number])
+                expected["abc".index(name)].append(payloads[number])
     lateness, rows = run.bridge.lateness, run.bridge.table().to_pylist()
     for place in (1, 2):
-        assert sorted(heard[place]) == sorted(wanted[place])
+        assert sorted(received[place]) == sorted(expected[place])
         left = sorted(
             (each for each in rows if each["receiver"] == "abc"[place]),
             key=lambda each: each["wanted_ns"] + round(each["late_s"] * SECOND_NS),
         )
-        assert heard[place] == [said[each["number"]] for each in left]
+        assert received[place] == [payloads[each["number"]] for each in left]
     assert lateness["datagrams"] == count
-    assert lateness["delivered"] == len(heard[1]) + len(heard[2]) == len(rows)
+    assert lateness["delivered"] == len(received[1]) + len(received[2]) == len(rows)
     assert lateness["lost"] == sum(int((report.received_ns < 0).sum()) for report in run.reports) > 0
     frames = {report.frame: report for report in run.reports}
     for row in rows:
@@ -92,8 +95,8 @@ def test_datagrams_enter_when_they_came_in_order_and_none_before_the_beginning_o
     run = BridgeRun("a", "b", clock=clock)
     log, taken_ns = run.bridge._log, list[int]()
 
-    def note(*what: Any) -> None:
-        log(*what)
+    def note(*entry: Any) -> None:
+        log(*entry)
         taken_ns.append(clock.logical_ns(time.monotonic_ns()))  # of a late run, not the time that it believes
 
     run.bridge._log = note
@@ -106,9 +109,9 @@ def test_datagrams_enter_when_they_came_in_order_and_none_before_the_beginning_o
         run.go(early)
         try:
             assert b.recv(100) == b"early"
-            said_ns = []
+            program_times_ns = []
             for _ in range(50):
-                said_ns.append(time.monotonic_ns())
+                program_times_ns.append(time.monotonic_ns())
                 a.sendto(b"x", run.port(0, BROADCAST))
             receive_all(b, 50)
         finally:
@@ -117,7 +120,9 @@ def test_datagrams_enter_when_they_came_in_order_and_none_before_the_beginning_o
     first, *times = np.concatenate([value.sent_ns for _, value in run.sent]).tolist()
     assert first == 0
     assert times == sorted(times)
-    assert all(sent_ns >= clock.logical_ns(said) - MS for sent_ns, said in zip(times, said_ns, strict=True))  # by two clocks
+    assert all(
+        sent_ns >= clock.logical_ns(program_ns) - MS for sent_ns, program_ns in zip(times, program_times_ns, strict=True)
+    )  # by two clocks
     assert all(value.sent_ns.max() <= now_ns for (_, value), now_ns in zip(run.sent, taken_ns, strict=True))
     assert [(key, time_ns) for key, time_ns, _ in run.logged] == [("bridge/sent", now_ns) for now_ns, _ in run.sent]
     assert [value for *_, value in run.logged] == [value for _, value in run.sent]
@@ -167,14 +172,14 @@ class Agents:
 
     def __init__(self, says: dict[str, Any], times: int = 1000) -> None:
         self.says, self.times, self.acted = says, times, 0
-        self.heard: list[Event] = []
+        self.receptions: list[Event] = []
 
     def start(self, run: RunInfo) -> int:
         self._end_ns = run.duration_ns
         return 100_000_000
 
     def step(self, now_ns: int, inbox: Any) -> Step:
-        self.heard += inbox
+        self.receptions += inbox
         says = self.says if self.acted < self.times else {}
         events = [Event(f"{name}/send", now_ns, Message(sender=name, body=body, size_bytes=20)) for name, body in says.items()]
         self.acted += 1
@@ -186,28 +191,31 @@ class Agents:
 
 def test_programs_and_agents_hear_each_other_and_nothing_twice() -> None:
     agents = Agents({"a": {"x": 1.5}, "b": b"said"})
-    own, said = [b"", b"said", b"one", b"two"], encode({"x": 1.5})
+    program_payloads, agent_payload = [b"", b"said", b"one", b"two"], encode({"x": 1.5})
     run = BridgeRun("a", "b", "c", hear=True, agents=[agents], delay={"seconds": 0.005})
 
     def by_agents() -> list[tuple[str, str, bytes]]:
         return [
             (vehicle, each.message.sender, each.message.body)
-            for vehicle, each in receptions_in(agents.heard)
+            for vehicle, each in receptions_in(agents.receptions)
             if each.message.sender == "a" and isinstance(each.message.body, bytes)
         ]
 
     with run.program(1) as b, run.program(2) as c:
         with background_run(run), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as a:
-            for payload in own:
+            for payload in program_payloads:
                 a.sendto(payload, run.port(0, BROADCAST))
-            heard_b, heard_c = receive_each_of(b, [*own, said]), receive_each_of(c, [*own, said])
+            received_b, received_c = (
+                receive_each_of(b, [*program_payloads, agent_payload]),
+                receive_each_of(c, [*program_payloads, agent_payload]),
+            )
             wait_for(lambda: len(by_agents()) >= 2 * 3)
-        heard_b += receive_available(b)
-        heard_c += receive_available(c)
-    assert [each for each in heard_b if each in own] == own
-    assert {each for each in heard_b if each not in own} == {said}
-    assert heard_c.count(b"one") == heard_c.count(b"two") == heard_c.count(b"") == 1
-    assert sorted(by_agents()) == sorted((name, "a", each) for name in "bc" for each in own if each)
+        received_b += receive_available(b)
+        received_c += receive_available(c)
+    assert [each for each in received_b if each in program_payloads] == program_payloads
+    assert {each for each in received_b if each not in program_payloads} == {agent_payload}
+    assert received_c.count(b"one") == received_c.count(b"two") == received_c.count(b"") == 1
+    assert sorted(by_agents()) == sorted((name, "a", each) for name in "bc" for each in program_payloads if each)
 
 
 def test_messages_of_agents_are_delivered_once_per_reception() -> None:
@@ -226,10 +234,10 @@ def test_many_deliveries_are_split_into_messages(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr("vcmvsp.netsim.bridge.messages.MOST_DUE", 3)
     names = [f"v{k}" for k in range(8)]
     run = BridgeRun(*names)
-    with run.program(3) as heard, background_run(run), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
+    with run.program(3) as receiver, background_run(run), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
         for k in range(100):
             program.sendto(b"%d" % k, run.port(0, BROADCAST))
-        assert receive_all(heard, 100) == [b"%d" % k for k in range(100)]
+        assert receive_all(receiver, 100) == [b"%d" % k for k in range(100)]
         wait_for(lambda: run.left == 700)
     assert run.bridge.lateness["delivered"] == 700
 
@@ -240,9 +248,9 @@ def test_datagrams_contend_for_the_air_as_frames_of_agents_do() -> None:
         for k in range(200):
             program.sendto(b"a%d" % k, run.port(0, 3))
             program.sendto(b"b%d" % k, run.port(1, 3))
-        heard = receive_all(c, 400)
-    assert [each for each in heard if each.startswith(b"a")] == [b"a%d" % k for k in range(200)]
-    assert [each for each in heard if each.startswith(b"b")] == [b"b%d" % k for k in range(200)]
+        received = receive_all(c, 400)
+    assert [each for each in received if each.startswith(b"a")] == [b"a%d" % k for k in range(200)]
+    assert [each for each in received if each.startswith(b"b")] == [b"b%d" % k for k in range(200)]
     assert max(report.access_ns for report in run.reports) > 0
     assert run.bridge.lateness["delivered"] == 400
 

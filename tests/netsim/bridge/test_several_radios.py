@@ -135,13 +135,13 @@ def up(folder: Path) -> Iterator[None]:
     with subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, text=True, start_new_session=True) as run:
         try:
             assert run.stderr is not None
-            said = []
+            lines = []
             for line in run.stderr:
-                said.append(line)
+                lines.append(line)
                 if "vcmvsp net exec car1" in line:
                     break
             else:
-                raise AssertionError("".join(said))
+                raise AssertionError("".join(lines))
             yield
             run.send_signal(signal.SIGINT)
             run.communicate(timeout=READY_S)
@@ -155,10 +155,10 @@ def on(vehicle: str, words: str, tries: int = 1) -> str:
     """Output of a command on a vehicle's machine; retried if it fails."""
     command = [*VCMVSP, "net", "exec", vehicle, "--run", NAME, "--", *words.split()]
     for _ in range(tries):
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=READY_S)
-        if done.returncode == 0:
-            return done.stdout
-    raise AssertionError(f"{words}: {done.stdout}{done.stderr}")
+        result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=READY_S)
+        if result.returncode == 0:
+            return result.stdout
+    raise AssertionError(f"{words}: {result.stdout}{result.stderr}")
 
 
 def received(listener: socket.socket) -> list[int]:
@@ -175,7 +175,7 @@ def test_datagrams_are_lost_as_recorded_on_their_radio(tmp_path: Path) -> None:
     """The recording lists the datagrams that must arrive; the machine's load changes neither."""
     with contextlib.ExitStack() as open_sockets:
         with up(tmp_path):
-            told = vcmvsp_command("net", "status").out
+            output = vcmvsp_command("net", "status").out
             listeners = {}
             for name, (own, other) in ADDRESSES.items():
                 sender = open_sockets.enter_context(udp("car1", own, run=NAME))
@@ -206,7 +206,7 @@ def test_datagrams_are_lost_as_recorded_on_their_radio(tmp_path: Path) -> None:
     assert set(frames[frames.radio == "near"].receiver) <= {"car1", "car2"}
     hosts = ["10.77.0.1\tcar1 car1.near", "fd77::1\tcar1 car1.near", "10.78.0.1\tcar1.far", "fd77:0:0:1::1\tcar1.far"]
     assert {*hosts, "10.78.0.3\tcar3 car3.far"} <= {*names.splitlines()}
-    status = [line.split() for line in told.splitlines()]
+    status = [line.split() for line in output.splitlines()]
     for row in (
         ["car1", "near", "10.77.0.1", "fd77::1"],
         ["far", "10.78.0.1", "fd77:0:0:1::1"],
@@ -222,8 +222,8 @@ async def test_the_routing_table_chooses_the_radio() -> None:
     async with open_gateway(Ip(), context):
         links = {}
         for vehicle in context.vehicles:
-            _, said = await run_command(vehicle, "ip", "-br", "link")
-            links[vehicle] = {line.split()[0]: line.split()[2] for line in said.splitlines()}
+            _, output = await run_command(vehicle, "ip", "-br", "link")
+            links[vehicle] = {line.split()[0]: line.split()[2] for line in output.splitlines()}
             del links[vehicle]["lo"]
         for address, radio in (("10.77.0.2", "near"), ("fd77::2", "near"), ("10.78.0.2", "far"), ("fd77:0:0:1::2", "far")):
             with udp("car1", "::" if ":" in address else "0.0.0.0") as sender, udp("car2", address, 9000) as listener:
@@ -253,8 +253,8 @@ async def test_a_single_radio_is_as_without_a_name() -> None:
         with udp("car1", "10.77.0.1") as sender, udp("car2", "10.77.0.2", 9000) as listener:
             sender.sendto(b"x", ("10.77.0.2", 9000))
             assert await next_datagram(listener) == (b"x", "10.77.0.1")
-        _, said = await run_command("car1", "ip", "-br", "link", "show", "radio0")
-    assert ethernet.mac_of(0).hex(":") in said
+        _, output = await run_command("car1", "ip", "-br", "link", "show", "radio0")
+    assert ethernet.mac_of(0).hex(":") in output
 
 
 def test_addresses_of_radios_are_all_different() -> None:

@@ -67,8 +67,8 @@ def test_a_jammer_destroys_weaker_frames(preset: str, mac: str) -> None:
         assert at.get("car1") != "received"
         assert report.sinr_db is not None
         assert report.snr_db is not None
-        heard = np.isfinite(report.sinr_db)
-        assert (report.sinr_db[heard] < report.snr_db[heard]).all()
+        audible = np.isfinite(report.sinr_db)
+        assert (report.sinr_db[audible] < report.snr_db[audible]).all()
 
 
 def test_a_weak_jammer_adds_to_the_noise() -> None:
@@ -138,11 +138,11 @@ def test_a_delay_is_queue_and_access_and_air(preset: str, mac: str, changes: dic
 def test_no_frame_is_decided_before_the_predicted_time(preset: str, mac: str, offers: list[tuple[int, int, int, int]]) -> None:
     """Frames of all sizes among partly hidden radios, with different delays on their way to the radio."""
     air = channel(preset, mac, path_loss={"exponent": 4.0})
-    sent, told = 0, None
+    sent, predicted_ns = 0, None
     reports: list[FrameReport] = []
-    while sent < len(offers) or told is not None:
+    while sent < len(offers) or predicted_ns is not None:
         at_ns = offers[sent][0] * 1000 if sent < len(offers) else None
-        if at_ns is not None and (told is None or at_ns <= told):
+        if at_ns is not None and (predicted_ns is None or at_ns <= predicted_ns):
             early = air.advance(at_ns - 1)
             assert not early
             reports += air.advance(at_ns)
@@ -152,10 +152,10 @@ def test_no_frame_is_decided_before_the_predicted_time(preset: str, mac: str, of
             reports += air.advance(at_ns)
             sent += 1
         else:
-            assert told is not None
-            assert not air.advance(told - 1)
-            reports += air.advance(told)
-        told = air.next_ns()
+            assert predicted_ns is not None
+            assert not air.advance(predicted_ns - 1)
+            reports += air.advance(predicted_ns)
+        predicted_ns = air.next_ns()
     assert sorted(report.frame for report in reports) == list(range(len(offers)))
 
 
@@ -166,7 +166,7 @@ def test_frames_sent_together_get_the_budgets_of_frames_sent_alone(
 ) -> None:
     """Budgets of frames sent at one instant are computed together: equal to the last bit."""
 
-    def told() -> list[bytes]:
+    def encoded_reports() -> list[bytes]:
         air = channel(preset, mac, path_loss={"kind": path_loss}, loss={"probability": 0.2})
         found: list[FrameReport] = []
         for k in range(6):
@@ -177,7 +177,7 @@ def test_frames_sent_together_get_the_budgets_of_frames_sent_alone(
             found += air.advance(100 * (k + 1) * MS - 1)
         return [encode(report) for report in found]
 
-    together = told()
+    together = encoded_reports()
     monkeypatch.setattr("vcmvsp.netsim.channel.link_budget.AT_ONCE", 0)
-    assert told() == together
+    assert encoded_reports() == together
     assert len(together) == 27

@@ -80,10 +80,10 @@ def test_a_report_is_the_recorded_one_to_the_last_bit(tmp_path: Path) -> None:
     then = reports(lossy(), SENDS)
     for now, before in zip(reports(again(saved(tmp_path, then)), SENDS), then, strict=True):
         for name in FrameReport.__struct_fields__:
-            mine, other = getattr(now, name), getattr(before, name)
-            assert (mine is None) == (other is None), name
-            np.testing.assert_array_equal(mine, other)
-            assert getattr(mine, "dtype", None) == getattr(other, "dtype", None), name
+            replayed, original = getattr(now, name), getattr(before, name)
+            assert (replayed is None) == (original is None), name
+            np.testing.assert_array_equal(replayed, original)
+            assert getattr(replayed, "dtype", None) == getattr(original, "dtype", None), name
 
 
 def test_a_second_copy_arrives_again(tmp_path: Path) -> None:
@@ -99,10 +99,10 @@ def test_the_recorded_delay_counts_from_when_the_frame_is_sent_now(tmp_path: Pat
     then = reports(lossy(), SENDS)
     later = [(time_ns + 1_234_567, sender, to) for time_ns, sender, to in SENDS]
     now = reports(again(saved(tmp_path, then)), later, PLACES + 1000.0)
-    for mine, other in zip(now, then, strict=True):
-        assert mine.sent_ns == other.sent_ns + 1_234_567
-        assert mine.received_ns.tolist() == [t + 1_234_567 if t >= 0 else -1 for t in other.received_ns.tolist()]
-        assert mine.outcome == other.outcome
+    for replayed, original in zip(now, then, strict=True):
+        assert replayed.sent_ns == original.sent_ns + 1_234_567
+        assert replayed.received_ns.tolist() == [t + 1_234_567 if t >= 0 else -1 for t in original.received_ns.tolist()]
+        assert replayed.outcome == original.outcome
 
 
 def test_unrecorded_frames_are_drawn_as_without_a_recording(tmp_path: Path) -> None:
@@ -114,11 +114,11 @@ def test_unrecorded_frames_are_drawn_as_without_a_recording(tmp_path: Path) -> N
 
 
 @settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(order=st.permutations(range(40)), kept=st.integers(0, 40))
-def test_a_frame_is_known_by_its_sender_and_number(tmp_path: Path, order: list[int], kept: int) -> None:
+@given(order=st.permutations(range(40)), recorded_count=st.integers(0, 40))
+def test_a_frame_is_known_by_its_sender_and_number(tmp_path: Path, order: list[int], recorded_count: int) -> None:
     """The k-th broadcast of each sender has the outcome of its recorded k-th, in whatever order senders take turns."""
     sends = [(k * 50 * MS, "abcb"[k % 4], None) for k in range(40)]
-    then = reports(lossy(), sends)[:kept]
+    then = reports(lossy(), sends)[:recorded_count]
     turns = [sends[k][1] for k in order]
     now = reports(again(saved(tmp_path, then)), [(k * 50 * MS, sender, None) for k, sender in enumerate(turns)])
     assert [each.frame for each in now] == list(range(40))
@@ -139,17 +139,17 @@ def test_a_frame_to_another_receiver_is_drawn(tmp_path: Path) -> None:
 
 
 def test_the_number_of_unrecorded_frames_is_reported_at_the_end(tmp_path: Path) -> None:
-    path, told = saved(tmp_path, reports(lossy(), SENDS)[:77]), list[str]()
+    path, lines = saved(tmp_path, reports(lossy(), SENDS)[:77]), list[str]()
     channel = lossy()
-    channel.recorded = RecordedFrames(path, told.append)
+    channel.recorded = RecordedFrames(path, lines.append)
     reports(channel, SENDS)
-    assert told == []
+    assert lines == []
     channel.close()
-    assert told == ["3 of 80 frames are not in the recording; the radio model decided their reception"]
+    assert lines == ["3 of 80 frames are not in the recording; the radio model decided their reception"]
     channel.start(1)
     reports(channel, SENDS[:77])
     channel.close()
-    assert len(told) == 1
+    assert len(lines) == 1
 
 
 def test_a_lone_vehicle_has_no_receivers(tmp_path: Path) -> None:

@@ -62,14 +62,16 @@ def changed(at_ns: int, key: str, value: float) -> Event:
     return Event("operator/changed", at_ns, Changed(key=key, value=value))
 
 
-def fates(radio: RadioFederate, told: Sequence[Event], cuts: Sequence[int] = (), *, asked: bool = True) -> list[FrameReport]:
+def fates(
+    radio: RadioFederate, events: Sequence[Event], cuts: Sequence[int] = (), *, use_next: bool = True
+) -> list[FrameReport]:
     """Every report of a run, by frames: stepped at transmissions, at requested times, and at further times, ns.
 
     Changes are applied at the next step, as by the kernel.
     """
     radio.start(RUN)
-    waiting = [where(), *sorted(told, key=lambda each: (each.time_ns, isinstance(each.value, Message)))]
-    times = sorted({*(each.time_ns for each in told if isinstance(each.value, Message)), *cuts, RUN.duration_ns})
+    waiting = [where(), *sorted(events, key=lambda each: (each.time_ns, isinstance(each.value, Message)))]
+    times = sorted({*(each.time_ns for each in events if isinstance(each.value, Message)), *cuts, RUN.duration_ns})
     found, due = [], None
     while times or due is not None:
         now = min(each for each in (due, *times[:1]) if each is not None)
@@ -78,7 +80,7 @@ def fates(radio: RadioFederate, told: Sequence[Event], cuts: Sequence[int] = (),
         waiting = waiting[len(inbox) :]
         step = radio.step(now, inbox)
         found += [event.value for event in step.events if isinstance(event.value, FrameReport)]
-        due = step.next_ns if asked else None
+        due = step.next_ns if use_next else None
     return sorted(found, key=lambda each: each.frame)
 
 
@@ -92,17 +94,17 @@ def test_outages_equal_a_script_with_the_same_changes(
     cuts: list[tuple[set[str], int, int]], sender: str, start: int, air: int
 ) -> None:
     operated, changes = RuntimeChanges(), list[Change]()
-    for who, begin, length in cuts:
-        operated.cut_off(sorted(who), begin * MS, (begin + length) * MS)
-        links = tuple(link for name in who for link in (f"{name}/*", f"*/{name}"))
+    for vehicles, begin, length in cuts:
+        operated.cut_off(sorted(vehicles), begin * MS, (begin + length) * MS)
+        links = tuple(link for name in vehicles for link in (f"{name}/*", f"*/{name}"))
         changes.append(Change(from_s=begin / 1e3, to_s=(begin + length) / 1e3, links=links, loss=1.0))
     links_of = SenderLinks(1, sender, tuple(each for each in NAMES if each != sender))
     paths = Paths.between(np.zeros(3), np.ones((len(NAMES) - 1, 3)))
     frame = Frame(0, start * MS, (start + air) * MS, 10, paths, np.zeros(len(NAMES) - 1), links_of)
-    ours, theirs = (
+    outages, scripted = (
         each.lost(frame, lambda: np.full((len(NAMES) - 1, 2), 0.5)) for each in (operated.outages, Script((*changes,)))
     )
-    assert ours.tolist() == theirs.tolist()
+    assert outages.tolist() == scripted.tolist()
 
 
 def radio(preset: str = "wifi-b-1", mac: str = "ideal", **changes: Any) -> RadioFederate:
@@ -117,21 +119,24 @@ def bare(report: FrameReport, at: int) -> Any:
 @MACS
 @settings(max_examples=25)
 @given(
-    offers=OFFERS, begin=st.integers(0, 60_000), length=st.integers(1, 40_000), who=st.sets(st.sampled_from(NAMES), min_size=1)
+    offers=OFFERS,
+    begin=st.integers(0, 60_000),
+    length=st.integers(1, 40_000),
+    vehicles=st.sets(st.sampled_from(NAMES), min_size=1),
 )
 def test_nothing_passes_in_an_outage_and_all_else_fares_as_without_it(
-    preset: str, mac: str, offers: list[tuple[int, str, str | None]], begin: int, length: int, who: set[str]
+    preset: str, mac: str, offers: list[tuple[int, str, str | None]], begin: int, length: int, vehicles: set[str]
 ) -> None:
     begin_ns, end_ns = begin * 1000, (begin + length) * 1000
     without = fates(radio(preset, mac), sends(offers))
-    with_it = fates(radio(preset, mac), [*sends(offers), outage(begin_ns, end_ns, *sorted(who))])
+    with_it = fates(radio(preset, mac), [*sends(offers), outage(begin_ns, end_ns, *sorted(vehicles))])
     assert len(without) == len(with_it) == len(offers)
     for plain, cut in zip(without, with_it, strict=True):
         start = plain.sent_ns + plain.queue_ns + plain.access_ns
         decided_ns = plain.sent_ns if mac == "ideal" else start + plain.air_time_ns
         overlaps = start < end_ns and start + plain.air_time_ns > begin_ns and decided_ns >= begin_ns
         for at, receiver in enumerate(plain.receivers):
-            if not (overlaps and who & {plain.sender, receiver}):
+            if not (overlaps and vehicles & {plain.sender, receiver}):
                 assert bare(cut, at) == bare(plain, at)
                 continue
             assert cut.received_ns[at] == -1
@@ -174,12 +179,12 @@ def test_after_a_change_a_run_equals_one_that_always_had_the_value(
 def test_changes_apply_at_their_time_whenever_the_radio_hears_of_them(
     preset: str, mac: str, offers: list[tuple[int, str, str | None]], cuts: list[int]
 ) -> None:
-    told = [outage(11 * MS + 1, 23 * MS, "car2"), changed(20 * MS, "radio.loss.probability", 0.9)]
-    told.append(changed(31 * MS + 5, "radio.delay.seconds", 0.05))
-    events = [*sends(offers), *told]
+    changes = [outage(11 * MS + 1, 23 * MS, "car2"), changed(20 * MS, "radio.loss.probability", 0.9)]
+    changes.append(changed(31 * MS + 5, "radio.delay.seconds", 0.05))
+    events = [*sends(offers), *changes]
     whole = fates(radio(preset, mac), events)
     assert encode(fates(radio(preset, mac), events, cuts)) == encode(whole)
-    assert encode(fates(radio(preset, mac), events, asked=False)) == encode(whole)  # not even when it has something to send
+    assert encode(fates(radio(preset, mac), events, use_next=False)) == encode(whole)  # not even when it has something to send
 
 
 def test_layers_go_by_their_names_in_whatever_order_they_stand() -> None:
@@ -192,8 +197,8 @@ def test_layers_go_by_their_names_in_whatever_order_they_stand() -> None:
 
 def test_a_restart_drops_all_changes() -> None:
     offers = [(k * 1000, "car1", None) for k in range(50)]
-    used, told = radio(), [outage(0, 20 * MS, "car1"), changed(0, "radio.loss.probability", 1.0)]
-    assert {each for report in fates(used, [*sends(offers), *told]) for each in report.outcome} <= {
+    used, changes = radio(), [outage(0, 20 * MS, "car1"), changed(0, "radio.loss.probability", 1.0)]
+    assert {each for report in fates(used, [*sends(offers), *changes]) for each in report.outcome} <= {
         "outage",
         "random loss",
         "fading",
@@ -205,8 +210,8 @@ def test_a_restart_drops_all_changes() -> None:
 
 def test_recorded_frames_fare_as_recorded(tmp_path: Path) -> None:
     offers = [(k * 1000, "car1", None) for k in range(50)]
-    told = [outage(10 * MS, 20 * MS, "car1"), changed(30 * MS, "radio.loss.probability", 1.0)]
-    then = fates(radio(), [*sends(offers), *told])
+    changes = [outage(10 * MS, 20 * MS, "car1"), changed(30 * MS, "radio.loss.probability", 1.0)]
+    then = fates(radio(), [*sends(offers), *changes])
     write_table(radio_table(then, RunFacts(scenario="t", seed=4, end_ns=10**9, vehicles=NAMES)), tmp_path / "radio.parquet")
     channel = make_channel("wifi-b-1", **CHANCE)
     channel.recorded = RecordedFrames(tmp_path / "radio.parquet")

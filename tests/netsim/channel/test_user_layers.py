@@ -127,8 +127,8 @@ def test_the_recording_before_a_wrong_answer_is_complete(verb: str, tmp_path: Pa
     assert caught.value.exit_code == 3
     assert pq.read_table(tmp_path / "out" / "radio.parquet").num_rows == 2 * 4  # four frames, each to two vehicles
     assert (tmp_path / "out" / "run.mcap").stat().st_size
-    done = vcmvsp_command("radio", str(tmp_path / "out"))
-    assert (done.code, done.err) == (0, "")
+    result = vcmvsp_command("radio", str(tmp_path / "out"))
+    assert (result.code, result.err) == (0, "")
 
 
 @pytest.mark.parametrize("layer", ["loss", "script", "trace", "delivery"])
@@ -197,10 +197,10 @@ def test_commands_have_no_traceback_for_own_layers(layer: str, tmp_path: Path) -
         ["check", str(tmp_path / "s.toml")],
         ["pathloss", "--preset", "ideal", "--distance", "1:9:4", "--set", f"{layer}.kind={kind}"],
     ):
-        done = vcmvsp_command(*command)
-        assert done.code in (0, 2, 3)
-        assert done.err.count("\n") <= 1, done.err
-        assert "Own" in done.err or done.code == 0
+        result = vcmvsp_command(*command)
+        assert result.code in (0, 2, 3)
+        assert result.err.count("\n") <= 1, result.err
+        assert "Own" in result.err or result.code == 0
 
 
 @pytest.mark.parametrize("layer", LAYERS)

@@ -61,13 +61,13 @@ CHANNELS: list[dict[str, Any]] = [
 def test_every_radio_sends_once_a_period_until_the_end() -> None:
     """Also where the period is no whole number of nanoseconds."""
     for rate_hz, duration_s in ((10.0, 1.0), (3.0, 2.1), (0.4, 1.0)):
-        what = plan(places(40), rate_hz=rate_hz, duration_s=duration_s)
-        sent = list(what.sendings())
+        traffic = plan(places(40), rate_hz=rate_hz, duration_s=duration_s)
+        sent = list(traffic.sendings())
         times = [time_ns for time_ns, _ in sent]
         assert times == sorted(times)
         assert times[0] >= 0
-        assert times[-1] < what.end_ns
-        for row, phase_ns in enumerate(what.phases_ns()):
+        assert times[-1] < traffic.end_ns
+        for row, phase_ns in enumerate(traffic.phases_ns()):
             own = [time_ns for time_ns, sender in sent if sender == row]
             assert len(own) == max(0, np.ceil((duration_s - phase_ns / 1e9) * rate_hz))
             assert np.allclose(own, phase_ns + np.arange(len(own)) * 1e9 / rate_hz, atol=1.0, rtol=0.0)
@@ -90,27 +90,27 @@ def test_phases_differ_from_seed_to_seed_and_another_radio_changes_none() -> Non
 # --- rules of sending -------------------------------------------------------------------------------------------------------
 
 
-def gaps_ns(what: broadcast_trial.TrialTraffic, row: int) -> Floats:
-    return np.diff([time_ns for time_ns, sender in what.sendings() if sender == row]).astype(np.float64)
+def gaps_ns(traffic: broadcast_trial.TrialTraffic, row: int) -> Floats:
+    return np.diff([time_ns for time_ns, sender in traffic.sendings() if sender == row]).astype(np.float64)
 
 
 def test_jittered_periods_are_uniform_around_the_period() -> None:
     """First frame as with periodic traffic; Kolmogorov-Smirnov at 0.1 %: 1.95 / sqrt(n)."""
-    what = plan(places(3), kind="jitter", jitter=0.2, rate_hz=20.0, duration_s=100.0)
-    sent = list(what.sendings())
+    traffic = plan(places(3), kind="jitter", jitter=0.2, rate_hz=20.0, duration_s=100.0)
+    sent = list(traffic.sendings())
     assert [time_ns for time_ns, _ in sent] == sorted(time_ns for time_ns, _ in sent)
-    assert [next(time_ns for time_ns, row in sent if row == each) for each in range(3)] == what.phases_ns()
+    assert [next(time_ns for time_ns, row in sent if row == each) for each in range(3)] == traffic.phases_ns()
     for row in range(3):
-        shares = np.sort((gaps_ns(what, row) * 20.0 / SECOND_NS - 0.8) / 0.4)
+        shares = np.sort((gaps_ns(traffic, row) * 20.0 / SECOND_NS - 0.8) / 0.4)
         assert -1e-6 < shares[0] < shares[-1] < 1.0 + 1e-6
         assert np.abs(shares - np.arange(len(shares)) / len(shares)).max() < 1.95 / np.sqrt(len(shares))
 
 
 def test_frames_of_a_poisson_process_have_exponential_gaps_also_before_the_first() -> None:
-    what = plan(places(300), kind="poisson", rate_hz=20.0, duration_s=10.0)
-    first = [next(time_ns for time_ns, row in what.sendings() if row == each) for each in range(0, 300, 10)]
+    traffic = plan(places(300), kind="poisson", rate_hz=20.0, duration_s=10.0)
+    first = [next(time_ns for time_ns, row in traffic.sendings() if row == each) for each in range(0, 300, 10)]
     assert np.mean(first) == pytest.approx(SECOND_NS / 20.0, rel=4.0 / np.sqrt(len(first)))
-    sent = [row for _, row in what.sendings()]
+    sent = [row for _, row in traffic.sendings()]
     assert len(sent) == pytest.approx(300 * 200, abs=4.0 * np.sqrt(300 * 200))
     gaps = np.sort(gaps_ns(plan(places(2), kind="poisson", rate_hz=20.0, duration_s=200.0), 0)) * 20.0 / SECOND_NS
     assert np.abs(1.0 - np.exp(-gaps) - np.arange(len(gaps)) / len(gaps)).max() < 1.95 / np.sqrt(len(gaps))
@@ -134,8 +134,8 @@ def test_saturated_unicast_to_one_radio_is_bianchis(count: int) -> None:
     """Equal levels: no frame survives a collision; see `reproduction.validation.medium_access`."""
     channel = make_channel("wifi-b-11", mac={"kind": "dcf"}, path_loss=dict(medium_access.EQUAL))
     reports: list[FrameReport] = []
-    what = plan(places(count + 1), kind="saturated", to="v0", size_bytes=1000, duration_s=8.0)
-    counts = broadcast_trial.run(channel, what, sink=reports.append)
+    traffic = plan(places(count + 1), kind="saturated", to="v0", size_bytes=1000, duration_s=8.0)
+    counts = broadcast_trial.run(channel, traffic, sink=reports.append)
     tau, air_ns = medium_access.sending_chance(count), reports[0].air_time_ns
     idle, alone = (1 - tau) ** count, count * tau * (1 - tau) ** (count - 1)
     success_ns = air_ns + medium_access.SIFS_NS + medium_access.ACK_NS + medium_access.DIFS_NS
@@ -149,8 +149,8 @@ def test_unicast_frames_have_one_receiver_and_repeat(kind: str, channel: dict[st
     found, is_quick = [], kind == "saturated" and channel["name"] == "ideal"  # a frame of each radio per microsecond
     for _ in range(2):
         reports: list[FrameReport] = []
-        what = plan(places(5), kind=kind, to="v2", rate_hz=30.0, duration_s=0.001 if is_quick else 0.2)
-        counts = broadcast_trial.run(make_channel(**channel), what, sink=reports.append)
+        traffic = plan(places(5), kind=kind, to="v2", rate_hz=30.0, duration_s=0.001 if is_quick else 0.2)
+        counts = broadcast_trial.run(make_channel(**channel), traffic, sink=reports.append)
         assert {report.receivers for report in reports} == {("v2",)}
         assert {report.sender for report in reports} == {"v0", "v1", "v3", "v4"}
         assert counts["receptions"] + sum(counts["losses"].values()) == counts["frames"] == len(reports)
@@ -163,11 +163,11 @@ def test_radios_are_where_their_paths_lead_at_the_time_of_sending(kind: broadcas
     """A rests, B waits until 0.5 s, then moves away at 20 m/s until 1.5 s."""
     (tmp_path / "p.csv").write_text("t,name,x,y,z\n0.5,b,3,4,0\n0,a,0,0,0\n1.5,b,15,20,0\n")
     reports: list[FrameReport] = []
-    what = broadcast_trial.TrialTraffic(
+    traffic = broadcast_trial.TrialTraffic(
         waypoints=read_positions(tmp_path / "p.csv"), rate_hz=50.0, size_bytes=100, duration_s=2.0, kind=kind
     )
-    assert what.names == ("b", "a")
-    broadcast_trial.run(make_channel("wifi-b-1"), what, sink=reports.append)
+    assert traffic.names == ("b", "a")
+    broadcast_trial.run(make_channel("wifi-b-1"), traffic, sink=reports.append)
     assert len(reports) >= 200
     times_s = np.array([report.sent_ns for report in reports]) / 1e9
     distances_m = [float(report.distance_m[0]) for report in reports]
@@ -180,25 +180,25 @@ def test_radios_are_where_their_paths_lead_at_the_time_of_sending(kind: broadcas
 @pytest.mark.parametrize("channel", CHANNELS)
 def test_every_frame_is_received_or_lost_at_every_receiver(channel: dict[str, Any]) -> None:
     reports: list[FrameReport] = []
-    what = plan(places(12))
-    counts = broadcast_trial.run(make_channel(**channel), what, sink=reports.append)
+    traffic = plan(places(12))
+    counts = broadcast_trial.run(make_channel(**channel), traffic, sink=reports.append)
     assert counts["frames"] == 120 == len(reports)
     assert counts["receptions"] + sum(counts["losses"].values()) == 120 * 11
     outcomes = [outcome for report in reports for outcome in report.outcome]
     assert counts["losses"] == {cause: outcomes.count(cause) for cause in sorted(set(outcomes) - {"received"})}
     assert counts["delivery_ratio"] == outcomes.count("received") / len(outcomes)
     delays = np.concatenate([report.received_ns[report.received_ns >= 0] - report.sent_ns for report in reports]) / 1e9
-    wanted = {"mean": np.mean(delays), **{f"p{p}": np.percentile(delays, p) for p in (50, 95, 99)}}
-    assert counts["delay_s"] == pytest.approx(wanted, rel=1e-12)
+    expected = {"mean": np.mean(delays), **{f"p{p}": np.percentile(delays, p) for p in (50, 95, 99)}}
+    assert counts["delay_s"] == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize("channel", CHANNELS)
 def test_the_same_seed_gives_the_same_and_another_seed_something_else(channel: dict[str, Any], tmp_path: Path) -> None:
     def once(name: str, seed: int) -> tuple[dict[str, Any], bytes]:
-        what, path = plan(places(8), seed=seed), tmp_path / name
-        facts = RunFacts(scenario="x", seed=seed, end_ns=what.end_ns, vehicles=what.names)
+        traffic, path = plan(places(8), seed=seed), tmp_path / name
+        facts = RunFacts(scenario="x", seed=seed, end_ns=traffic.end_ns, vehicles=traffic.names)
         with RowFile(path, facts, rows=100) as rows:
-            counts = broadcast_trial.run(make_channel(**channel), what, sink=rows.add)
+            counts = broadcast_trial.run(make_channel(**channel), traffic, sink=rows.add)
         return without_cpu(counts), path.read_bytes()
 
     assert once("a", 1) == once("b", 1)
@@ -219,11 +219,11 @@ def test_a_duration_shorter_than_all_phases_has_no_frames() -> None:
 
 
 def test_progress_never_goes_back_nor_beyond_the_end() -> None:
-    seen: list[tuple[int, int]] = []
-    broadcast_trial.run(make_channel("ideal"), plan(places(20)), progress=lambda now_ns, end_ns: seen.append((now_ns, end_ns)))
-    assert seen == sorted(seen)
-    assert seen
-    assert all(now_ns < end_ns == SECOND_NS for now_ns, end_ns in seen)
+    calls: list[tuple[int, int]] = []
+    broadcast_trial.run(make_channel("ideal"), plan(places(20)), progress=lambda now_ns, end_ns: calls.append((now_ns, end_ns)))
+    assert calls == sorted(calls)
+    assert calls
+    assert all(now_ns < end_ns == SECOND_NS for now_ns, end_ns in calls)
 
 
 # --- delays -----------------------------------------------------------------------------------------------------------------
@@ -267,20 +267,20 @@ def test_percentiles_of_too_many_delays_are_right_within_half_a_bin(values: list
 # --- rows -------------------------------------------------------------------------------------------------------------------
 
 
-def facts_of(what: broadcast_trial.TrialTraffic) -> RunFacts:
-    return RunFacts(scenario="trial", seed=what.seed, end_ns=what.end_ns, vehicles=what.names)
+def facts_of(traffic: broadcast_trial.TrialTraffic) -> RunFacts:
+    return RunFacts(scenario="trial", seed=traffic.seed, end_ns=traffic.end_ns, vehicles=traffic.names)
 
 
 def test_rows_equal_a_runs_in_order_of_sending(tmp_path: Path) -> None:
     """One group gives the same bytes, many groups the same rows, also where frames are decided out of order."""
-    what, reports = plan(places(10), rate_hz=300.0, duration_s=0.1), list[FrameReport]()
-    broadcast_trial.run(make_channel("wifi-b-1", mac={"kind": "dcf"}), what, sink=reports.append)
+    traffic, reports = plan(places(10), rate_hz=300.0, duration_s=0.1), list[FrameReport]()
+    broadcast_trial.run(make_channel("wifi-b-1", mac={"kind": "dcf"}), traffic, sink=reports.append)
     numbers = [report.frame for report in reports]
     assert numbers != sorted(numbers)
-    whole = radio_table(reports, facts_of(what))
+    whole = radio_table(reports, facts_of(traffic))
     write_table(whole, tmp_path / "whole")
     for rows, name in ((10**9, "one"), (100, "many")):
-        with RowFile(tmp_path / name, facts_of(what), rows=rows) as file:
+        with RowFile(tmp_path / name, facts_of(traffic), rows=rows) as file:
             for report in reports:
                 file.add(report)
     assert (tmp_path / "one").read_bytes() == (tmp_path / "whole").read_bytes()

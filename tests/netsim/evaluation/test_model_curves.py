@@ -95,7 +95,7 @@ def test_a_file_of_positions_that_cannot_be_read_is_named(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("text", "wanted"),
+    ("text", "expected"),
     [
         ("0:1:0.25", [0.0, 0.25, 0.5, 0.75, 1.0]),
         ("0:0.3:0.1", [0.0, 0.1, 0.2, 0.3]),
@@ -107,8 +107,8 @@ def test_a_file_of_positions_that_cannot_be_read_is_named(tmp_path: Path) -> Non
         (" 1e1 : 2e1 : 5 ", [10.0, 15.0, 20.0]),
     ],
 )
-def test_a_range_holds_its_end_where_that_is_a_step(text: str, wanted: list[float]) -> None:
-    assert grid(text, "--snr").tolist() == wanted
+def test_a_range_holds_its_end_where_that_is_a_step(text: str, expected: list[float]) -> None:
+    assert grid(text, "--snr").tolist() == expected
 
 
 def test_a_range_has_a_million_points_at_most() -> None:
@@ -140,7 +140,7 @@ def test_a_range_that_is_none_is_refused(text: str, problem: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("phy", "model", "name", "wanted"),
+    ("phy", "model", "name", "expected"),
     [
         (Ofdm(rate_bps=6e6), "default", "table", OfdmErrors(6e6, "2.4GHz", "table")),
         (Ofdm(rate_bps=54e6, band="5GHz", error_model="yans"), "default", "yans", OfdmErrors(54e6, "5GHz", "yans")),
@@ -151,15 +151,15 @@ def test_a_range_that_is_none_is_refused(text: str, problem: str) -> None:
         (Ieee802154(), "oqpsk", "oqpsk", OqpskErrors()),
     ],
 )
-def test_packet_errors_equal_the_model(phy: Any, model: str, name: str, wanted: Any) -> None:
+def test_packet_errors_equal_the_model(phy: Any, model: str, name: str, expected: Any) -> None:
     errors, called = error_rate(phy, model)
-    assert (errors, called) == (wanted, name)
+    assert (errors, called) == (expected, name)
     snr_db = np.arange(-12.0, 25.0, 0.37)
     curves = packet_errors(errors, snr_db, 200)
     assert curves["snr_db"] == snr_db.tolist()
-    assert curves["success"] == pytest.approx(wanted.frame_success(snr_db, 200), rel=1e-12)
+    assert curves["success"] == pytest.approx(expected.frame_success(snr_db, 200), rel=1e-12)
     assert np.array(curves["per"]) + curves["success"] == pytest.approx(np.ones(len(snr_db)), abs=1e-15)
-    header, bits = wanted.header
+    header, bits = expected.header
     assert np.array(curves["payload_success"]) * header.success(snr_db, bits) == pytest.approx(
         np.array(curves["success"]), rel=1e-9
     )
@@ -185,11 +185,11 @@ def test_levels_by_distance_follow_the_law() -> None:
     """Log-distance by its closed form; thermal noise in 20 MHz with 7 dB is -93.965 dBm."""
     distance_m = np.array([0.5, 1.0, 10.0, 85.6])
     levels = mean_levels(LogDistance(exponent=2.5, reference_loss_db=40.0), Dsss(tx_power_dbm=20.0), distance_m)
-    wanted = 40.0 + 25.0 * np.log10([1.0, 1.0, 10.0, 85.6])
+    loss_db = 40.0 + 25.0 * np.log10([1.0, 1.0, 10.0, 85.6])
     assert levels["distance_m"] == distance_m.tolist()
-    assert levels["path_loss_db"] == pytest.approx(wanted)
-    assert levels["rssi_dbm"] == pytest.approx(20.0 - wanted)
-    assert levels["snr_db"] == pytest.approx(20.0 - wanted + 93.965, abs=1e-3)
+    assert levels["path_loss_db"] == pytest.approx(loss_db)
+    assert levels["rssi_dbm"] == pytest.approx(20.0 - loss_db)
+    assert levels["snr_db"] == pytest.approx(20.0 - loss_db + 93.965, abs=1e-3)
 
 
 Floats = NDArray[np.float64]
@@ -287,10 +287,10 @@ def test_a_place_is_independent_of_other_places() -> None:
 def test_asking_changes_nothing_for_a_channel_that_is_in_use() -> None:
     layers: dict[str, Any] = {**SHADOWED, "fading": {"kind": "rayleigh"}}
     places = {"a": (0.0, 0.0, 0.0), "b": (40.0, 1.0, 0.0)}
-    asked, other = make(**layers), make(**layers)
+    channel, other = make(**layers), make(**layers)
     for _ in range(3):
-        coverage(asked, "a", np.ones(3), np.ones((4, 3)), seed=77)
-        assert reported(asked, "a", places)[0] == reported(other, "a", places)[0]
+        coverage(channel, "a", np.ones(3), np.ones((4, 3)), seed=77)
+        assert reported(channel, "a", places)[0] == reported(other, "a", places)[0]
 
 
 def test_range_of_the_log_distance_law() -> None:

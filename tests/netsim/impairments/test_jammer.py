@@ -23,31 +23,31 @@ def loss_db(tx: Floats, rx: Floats) -> Floats:
     return SQUARE.loss_db(Paths.between(tx, rx))
 
 
-def heard(*sources: Emitter, at_ns: int = 0, air_ns: int = MS, cars: Mapping[str, Any] | None = None) -> list[float]:
+def received_mw(*sources: Emitter, at_ns: int = 0, air_ns: int = MS, cars: Mapping[str, Any] | None = None) -> list[float]:
     found = Jammer(sources).interference_mw(at_ns, at_ns + air_ns, RX, loss_db, lambda name: np.array((cars or {})[name]))
     assert found.shape == (3,)
     return found.tolist()
 
 
 def on(source: Emitter, at_ns: int, air_ns: int) -> bool:
-    return heard(source, at_ns=at_ns, air_ns=air_ns)[0] > 0.0
+    return received_mw(source, at_ns=at_ns, air_ns=air_ns)[0] > 0.0
 
 
 def test_a_jammer_arrives_with_its_power_less_the_path_loss() -> None:
     """20 dBm less 60, 80 and 100 dB at 10, 100 and 1000 m: -40, -60, -80 dBm."""
-    assert heard(Emitter(power_dbm=20.0, position=(0.0, 0.0, 0.0))) == pytest.approx([1e-4, 1e-6, 1e-8], rel=1e-12)
+    assert received_mw(Emitter(power_dbm=20.0, position=(0.0, 0.0, 0.0))) == pytest.approx([1e-4, 1e-6, 1e-8], rel=1e-12)
 
 
 def test_powers_of_jammers_add_up() -> None:
     one, two = Emitter(power_dbm=20.0, position=(3.0, 0.0, 0.0)), Emitter(power_dbm=-7.0, position=(0.0, 90.0, 5.0))
-    assert heard(one, two) == pytest.approx(np.add(heard(one), heard(two)), rel=1e-12)
-    assert heard() == [0.0, 0.0, 0.0]
+    assert received_mw(one, two) == pytest.approx(np.add(received_mw(one), received_mw(two)), rel=1e-12)
+    assert received_mw() == [0.0, 0.0, 0.0]
 
 
 def test_a_jammer_on_a_vehicle_is_where_the_vehicle_is() -> None:
     riding = Emitter(power_dbm=20.0, vehicle="car4")
     for place in ((1.0, 2.0, 3.0), (-40.0, 7.0, 0.0)):
-        assert heard(riding, cars={"car4": place}) == heard(Emitter(power_dbm=20.0, position=place))
+        assert received_mw(riding, cars={"car4": place}) == received_mw(Emitter(power_dbm=20.0, position=place))
     assert Jammer((riding, Emitter(power_dbm=1.0, vehicle="car2"), riding)).names() == ("car4", "car2")
 
 
@@ -66,12 +66,12 @@ def test_a_jammer_on_a_vehicle_is_where_the_vehicle_is() -> None:
 def test_a_jammer_moves_along_its_path(t_s: float, place: tuple[float, float, float]) -> None:
     path = ((10.0, 0.0, 0.0, 0.0), (15.0, 20.0, 0.0, 0.0), (20.0, 20.0, 10.0, -2.0))
     moving, standing = Emitter(power_dbm=20.0, path=path), Emitter(power_dbm=20.0, position=place)
-    assert heard(moving, at_ns=round(t_s * 1e9)) == pytest.approx(heard(standing), rel=1e-9)
+    assert received_mw(moving, at_ns=round(t_s * 1e9)) == pytest.approx(received_mw(standing), rel=1e-9)
 
 
 def test_a_pulse_has_full_power() -> None:
     source = Emitter(power_dbm=0.0, position=(0.0, 0.0, 0.0), from_s=0.005, to_s=0.025, duty=0.2, period_s=0.01)
-    assert heard(source, at_ns=6 * MS) == heard(Emitter(power_dbm=0.0, position=(0.0, 0.0, 0.0)))
+    assert received_mw(source, at_ns=6 * MS) == received_mw(Emitter(power_dbm=0.0, position=(0.0, 0.0, 0.0)))
 
 
 @given(

@@ -84,10 +84,10 @@ def test_losses_by_draws_alone_are_equal_for_many_frames_at_once() -> None:
     for number in (0, 1, 255, 256, 2):
         for loss in (Bernoulli(0.3), Bernoulli(0.9)):
             alone = loss.lost(frame, partial(draws.uniform, number, LOSS_SLOT))
-            assert np.array_equal(draws.made(number, LOSS_SLOT, loss.lost_by), alone)
+            assert np.array_equal(draws.compute(number, LOSS_SLOT, loss.lost_by), alone)
         for delay in (FixedDelay(0.05, 0.02), FixedDelay(0.05)):
             late_ns = delay.delay_ns(frame, partial(draws.uniform, number, DELAY_SLOT))
-            assert np.array_equal(draws.made(number, DELAY_SLOT, delay.delay_ns_by), late_ns)
+            assert np.array_equal(draws.compute(number, DELAY_SLOT, delay.delay_ns_by), late_ns)
 
 
 def test_a_derived_loss_overrides_losses_by_draws_alone() -> None:
@@ -128,9 +128,9 @@ def test_bursts_last_as_long_as_they_should(p: float, r: float) -> None:
     """Mean and spread of the exponential sojourns: 1/r bad, 1/p good; sampled at 50 times the fastest rate."""
     step = 0.02 / (p + r)
     states = history(GilbertElliott(p, r), np.arange(60_000) * step, 20)
-    for wanted, rate in ((True, r), (False, p)):
+    for state, rate in ((True, r), (False, p)):
         lengths = []
-        for link in (states == wanted).T:
+        for link in (states == state).T:
             changes = np.flatnonzero(np.diff(link.astype(int))) + 1
             runs, first = np.diff(changes), link[changes[0]]
             lengths += (runs[0 if first else 1 :: 2] * step).tolist()
@@ -192,9 +192,9 @@ def test_extremes_are_exact() -> None:
 def test_bursts_are_the_channel_of_gilbert_and_elliott_with_these_rates(probability: float, mean_burst_s: float) -> None:
     """1 / mean bursts end in a second; as many begin as keep the share of losses: share / (1 - share) / mean."""
     to_good = 1.0 / mean_burst_s
-    mine = Bursts(probability, mean_burst_s)
-    theirs = GilbertElliott(to_bad_per_s=to_good * probability / (1.0 - probability), to_good_per_s=to_good)
+    bursts = Bursts(probability, mean_burst_s)
+    reference = GilbertElliott(to_bad_per_s=to_good * probability / (1.0 - probability), to_good_per_s=to_good)
     uniforms = np.zeros((2000, 2))
     for time_ns in range(0, 10**10, 10**9):
         frame = many_frame(2000, time_ns)
-        assert mine.lost(frame, lambda: uniforms).tolist() == theirs.lost(frame, lambda: uniforms).tolist()
+        assert bursts.lost(frame, lambda: uniforms).tolist() == reference.lost(frame, lambda: uniforms).tolist()

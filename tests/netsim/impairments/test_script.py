@@ -30,7 +30,7 @@ def half() -> Any:
 
 def struck(script: Script, sent: Frame) -> list[str]:
     lost = script.lost(sent, half)
-    return [name for name, gone in zip(sent.receivers, lost, strict=True) if gone]
+    return [name for name, is_lost in zip(sent.receivers, lost, strict=True) if is_lost]
 
 
 @pytest.mark.parametrize(

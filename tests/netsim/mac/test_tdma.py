@@ -192,16 +192,17 @@ def test_clocks_of_a_scenario_move_its_slots(tmp_path: Path) -> None:
 )
 def test_schedules_that_cannot_be_are_refused_in_one_line(settings: list[str], words: str) -> None:
     pairs = ["radio.preset=wifi-g-6", "radio.mac.kind=tdma", *settings]
-    done = vcmvsp_command("check", "formation-circle", *(word for each in pairs for word in ("--set", each)))
-    assert done.code == 2, json.dumps(done.out)
-    assert words in done.err
-    assert done.err.count("\n") == 1
+    result = vcmvsp_command("check", "formation-circle", *(word for each in pairs for word in ("--set", each)))
+    assert result.code == 2, json.dumps(result.out)
+    assert words in result.err
+    assert result.err.count("\n") == 1
 
 
+@pytest.mark.processes
 def test_a_message_that_fits_in_no_slot_ends_the_run_in_one_line(tmp_path: Path) -> None:
     settings = ("radio.preset=wifi-g-6", "radio.mac.kind=tdma", "radio.mac.slot_s=0.0001")
     words = (word for each in settings for word in ("--set", each))
-    done = vcmvsp_command("run", "formation-circle", "--quiet", "--out", str(tmp_path / "run"), *words)
-    assert done.code == 2
-    assert "use longer slots, or shorter messages" in done.err
-    assert "Traceback" not in done.err
+    result = vcmvsp_command("run", "formation-circle", "--quiet", "--out", str(tmp_path / "run"), *words)
+    assert result.code == 2
+    assert "use longer slots, or shorter messages" in result.err
+    assert "Traceback" not in result.err

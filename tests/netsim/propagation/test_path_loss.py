@@ -98,9 +98,9 @@ def line(*distances: float, tx_z: float = 0.0, rx_z: float = 0.0) -> Paths:
 
 @pytest.mark.parametrize("kind", [Friis, TwoRayGround, ItuWalls])
 def test_a_frequency_in_gigahertz_is_refused(kind: type) -> None:
-    given = {"sightline": None} if kind is ItuWalls else {}
+    arguments = {"sightline": None} if kind is ItuWalls else {}
     with pytest.raises(ScenarioError, match=r"frequency_hz: must be a number >= 1e\+06 and <= 1e\+12, not 2\.4"):
-        binding.call(kind, {"frequency_hz": 2.4}, arguments=given)
+        binding.call(kind, {"frequency_hz": 2.4}, arguments=arguments)
 
 
 @pytest.mark.parametrize("case", NS3_TWO_RAY)

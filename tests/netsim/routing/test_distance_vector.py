@@ -54,11 +54,11 @@ class Neighbourhood:
                 self.router.take(to, by, update.content, arrival_ns)
             else:
                 self.now_ns = at_ns
-                told = self.router.update(row, at_ns)
-                self._due[row] = told.next_ns, row
+                own_update = self.router.update(row, at_ns)
+                self._due[row] = own_update.next_ns, row
                 for other in np.flatnonzero(graph[row]).tolist():
                     if not lost(row, other):
-                        self._coming.append((at_ns + delay(), other, row, told))
+                        self._coming.append((at_ns + delay(), other, row, own_update))
             check()
 
     def hops(self) -> NDArray[np.float64]:
@@ -80,11 +80,11 @@ class Neighbourhood:
         for to in range(n):
             after = {row: self.router.next_hop(row, to, self.now_ns) for row in range(n) if row != to}
             for row in after:
-                seen: set[int | None] = set()
+                visited: set[int | None] = set()
                 at: int | None = row
                 while at is not None and at != to:
-                    assert at not in seen, f"a circle on the way from {row} to {to}"
-                    seen.add(at)
+                    assert at not in visited, f"a circle on the way from {row} to {to}"
+                    visited.add(at)
                     at = after[at]
 
 
@@ -164,8 +164,8 @@ def test_no_route_is_longer_than_the_hop_limit(graph: Graph, seed: int, limit: i
 
 
 def test_a_message_that_would_end_on_its_way_is_not_sent() -> None:
-    said = [message_at("car1", 9_000_000_000, to=to) for to in ("car4", "car5")]
-    outcome = run(DistanceVector(hop_limit=3), line(5), *said, seconds=10.0)
+    messages = [message_at("car1", 9_000_000_000, to=to) for to in ("car4", "car5")]
+    outcome = run(DistanceVector(hop_limit=3), line(5), *messages, seconds=10.0)
     assert [each.receivers for each in sorted(outcome.messages, key=lambda each: each.number)] == [("car2", "car3", "car4"), ()]
     assert sorted(len(each.frames) for each in outcome.messages) == [0, 3]
 
@@ -190,19 +190,19 @@ def test_a_silent_neighbour_is_dropped_after_the_missed_updates() -> None:
 
 
 def test_messages_go_over_the_hops_that_were_found_and_not_before() -> None:
-    said = [
+    messages = [
         message_at("car1", 10_000_000, to="car5"),
         message_at("car1", 9_000_000_000, to="car5"),
         message_at("car5", 9_500_000_000, to="car2"),
     ]
-    outcome = run(DistanceVector(), line(5), *said, seconds=10.0)
+    outcome = run(DistanceVector(), line(5), *messages, seconds=10.0)
     assert [each.receivers for each in outcome.messages] == [(), ("car2", "car3", "car4", "car5"), ("car4", "car3", "car2")]
-    assert [each.received_ns - each.sent_ns for each in outcome.heard] == [4 * HOP_NS, 3 * HOP_NS]
+    assert [each.received_ns - each.sent_ns for each in outcome.routed_receptions] == [4 * HOP_NS, 3 * HOP_NS]
 
 
 def test_broadcasts_are_flooded() -> None:
     outcome = run(DistanceVector(), line(4), message_at("car2", 0))
-    assert sorted(each.receiver for each in outcome.heard) == ["car1", "car3", "car4"]
+    assert sorted(each.receiver for each in outcome.routed_receptions) == ["car1", "car3", "car4"]
 
 
 @pytest.mark.parametrize("period_s", [0.5, 2.0])
@@ -223,7 +223,7 @@ def test_when_a_relay_is_cut_off_another_way_is_found() -> None:
     """A diamond: car1 reaches car4 over car2 until that falls silent, then over car3."""
     diamond = [(0.0, 0.0), (60.0, 30.0), (60.0, -30.0), (120.0, 0.0)]
     silent = {"from_s": 10.0, "links": ["car2/*", "*/car2"], "loss": 1.0}
-    said = [message_at("car1", seconds * 1_000_000_000, to="car4") for seconds in (9, 11, 17)]
-    outcome = run(DistanceVector(), diamond, *said, seconds=18.0, script={"kind": "script", "changes": [silent]})
+    messages = [message_at("car1", seconds * 1_000_000_000, to="car4") for seconds in (9, 11, 17)]
+    outcome = run(DistanceVector(), diamond, *messages, seconds=18.0, script={"kind": "script", "changes": [silent]})
     assert [each.receivers for each in outcome.messages] == [("car2", "car4"), (), ("car3", "car4")]
     assert [len(each.frames) for each in outcome.messages] == [2, 1, 2]

@@ -24,7 +24,7 @@ def often(count: int, sender: str = "car1", to: str | None = None) -> list[Any]:
 
 
 def share(outcome: Run, receiver: str, count: int) -> float:
-    return sum(each.receiver == receiver for each in outcome.heard) / count
+    return sum(each.receiver == receiver for each in outcome.routed_receptions) / count
 
 
 def spread(share: float, count: int) -> float:
@@ -35,10 +35,10 @@ def spread(share: float, count: int) -> float:
 @pytest.mark.parametrize("delay_s", [0.0, 0.02])
 def test_over_a_chain_of_perfect_links_a_message_takes_hops_times_air_and_delay(delay_s: float) -> None:
     router = Static(chain=names(6))
-    said = [message_at("car1", 5 * MS, to="car6"), message_at("car3", 300 * MS, to="car1")]
+    messages = [message_at("car1", 5 * MS, to="car6"), message_at("car3", 300 * MS, to="car1")]
     hop_ns = max(HOP_NS, round(delay_s * 1e9))
-    outcome = run(router, line(6), *said, delay={"seconds": delay_s})
-    assert [(each.receiver, each.received_ns - each.sent_ns) for each in outcome.heard] == [
+    outcome = run(router, line(6), *messages, delay={"seconds": delay_s})
+    assert [(each.receiver, each.received_ns - each.sent_ns) for each in outcome.routed_receptions] == [
         ("car6", 5 * hop_ns),
         ("car1", 2 * hop_ns),
     ]
@@ -52,7 +52,7 @@ def test_over_a_chain_of_perfect_links_a_message_takes_hops_times_air_and_delay(
 def test_a_flooded_message_takes_air_time_per_hop_plus_waits() -> None:
     jitter_ns = 8 * MS
     outcome = run(Flooding(jitter_s=jitter_ns / 1e9), line(5), *often(20), seconds=3.0)
-    assert len(outcome.heard) == 80
+    assert len(outcome.routed_receptions) == 80
     sent_ns = {frame.frame: frame.sent_ns for frame in outcome.frames}
     waits = []
     for message in outcome.messages:
@@ -67,12 +67,12 @@ def test_a_flooded_message_takes_air_time_per_hop_plus_waits() -> None:
 
 @pytest.mark.parametrize("contends", ["ideal", "dcf"])
 def test_a_reception_is_of_the_original_message(contends: str) -> None:
-    said = [message_at("car1", 7 * MS), message_at("car1", 400 * MS, to="car4")]
-    outcome = run(Flooding(), line(4), *said, mac={"kind": contends})
+    messages = [message_at("car1", 7 * MS), message_at("car1", 400 * MS, to="car4")]
+    outcome = run(Flooding(), line(4), *messages, mac={"kind": contends})
     assert Counter(each.message.to for each in outcome.receptions) == {None: 3, "car4": 1}
     for each in outcome.receptions:
-        assert each.message == said[each.message.to is not None].value
-        assert each.sent_ns == said[each.message.to is not None].time_ns
+        assert each.message == messages[each.message.to is not None].value
+        assert each.sent_ns == messages[each.message.to is not None].time_ns
     levels = {
         (frame.sender, name): rssi
         for frame in outcome.frames
@@ -107,30 +107,34 @@ def test_each_vehicle_hears_a_flooded_message_once() -> None:
     outcome = run(
         Flooding(), LADDER, *often(30), *often(30, "car8"), seconds=4.0, delivery={"duplicate": 0.5, "duplicate_delay_s": 0.004}
     )
-    assert len(outcome.heard) == len({(each.receiver, each.sender, each.sent_ns) for each in outcome.heard}) == 2 * 30 * 7
-    assert not [each for each in outcome.heard if each.receiver == each.sender]
+    assert (
+        len(outcome.routed_receptions)
+        == len({(each.receiver, each.sender, each.sent_ns) for each in outcome.routed_receptions})
+        == 2 * 30 * 7
+    )
+    assert not [each for each in outcome.routed_receptions if each.receiver == each.sender]
     assert all(len(message.frames) == len(LADDER) for message in outcome.messages)  # each vehicle sent each once
 
 
 @pytest.mark.parametrize("limit", [1, 2, 5])
 def test_a_message_goes_no_further_than_its_hop_limit(limit: int) -> None:
     outcome = run(Flooding(hop_limit=limit), line(7), message_at("car1", 0))
-    assert [each.receiver for each in outcome.heard] == [f"car{i + 2}" for i in range(limit)]
+    assert [each.receiver for each in outcome.routed_receptions] == [f"car{i + 2}" for i in range(limit)]
     assert len(outcome.frames) == limit
 
 
 def test_routing_works_with_contention() -> None:
     outcome = run(Flooding(jitter_s=0.02), LADDER, *often(50), seconds=6.0, mac={"kind": "dcf"})
-    assert len(outcome.heard) > 0.98 * 50 * 7
+    assert len(outcome.routed_receptions) > 0.98 * 50 * 7
     assert {word for frame in outcome.frames for word in frame.outcome} >= {"received", "below sensitivity"}
     chain = run(Static(chain=names(5)), line(5), *often(50, to="car5"), seconds=6.0, mac={"kind": "dcf"})
-    assert len(chain.heard) == 50
-    assert all(each.received_ns - each.sent_ns >= 4 * HOP_NS for each in chain.heard)
+    assert len(chain.routed_receptions) == 50
+    assert all(each.received_ns - each.sent_ns >= 4 * HOP_NS for each in chain.routed_receptions)
 
 
 def test_without_routing_nothing_is_passed_on() -> None:
     outcome = run(None, line(3), message_at("car1", 0))
-    assert [(each.receiver, each.received_ns) for each in outcome.heard] == [("car2", AIR_NS)]
+    assert [(each.receiver, each.received_ns) for each in outcome.routed_receptions] == [("car2", AIR_NS)]
     assert not outcome.routed
 
 
@@ -139,15 +143,19 @@ def test_messages_under_way_at_the_end_are_reported_with_their_progress() -> Non
     (message,) = outcome.routed
     assert (message.receivers, message.hops) == (("car2", "car3"), (1, 2))
     assert message.under_way
-    assert not outcome.heard
+    assert not outcome.routed_receptions
 
 
 @pytest.mark.parametrize("mac", ["ideal", "dcf"])
 def test_arrived_lost_and_unfinished_messages_are_distinguished(mac: str) -> None:
     """An arrived message, a lost one, and one on the air at the end of the run, or between two of its frames."""
-    said = [message_at("car1", 0, to="car3"), message_at("car1", 500 * MS, to="car3"), message_at("car2", 999 * MS, to="car1")]
+    messages = [
+        message_at("car1", 0, to="car3"),
+        message_at("car1", 500 * MS, to="car3"),
+        message_at("car2", 999 * MS, to="car1"),
+    ]
     deaf = {"from_s": 0.4, "to_s": 0.9, "links": ["car1/car2"], "loss": 1.0}
-    outcome = run(Static(chain=names(3)), line(3), *said, mac={"kind": mac}, script={"kind": "script", "changes": [deaf]})
+    outcome = run(Static(chain=names(3)), line(3), *messages, mac={"kind": mac}, script={"kind": "script", "changes": [deaf]})
     assert [each.under_way for each in outcome.messages] == [False, False, True]
     waiting = run(Flooding(jitter_s=5.0), line(3), message_at("car1", 0), mac={"kind": mac})
     assert [(each.receivers, each.under_way) for each in waiting.messages] == [(("car2",), True)]
@@ -174,12 +182,12 @@ def test_flooding_reaches_at_most_the_graph_of_perfect_links(
     reached = np.arange(len(position)) == 0
     for _ in range(limit):
         reached = reached | (np.maximum(apart, 1.0) <= 85.6)[reached].any(axis=0)
-    heard = [each.receiver for each in outcome.heard]
+    receivers = [each.receiver for each in outcome.routed_receptions]
     within = [f"car{i + 1}" for i in np.flatnonzero(reached).tolist() if i]
-    assert len(heard) == len(set(heard))
-    assert set(heard) <= set(within)
+    assert len(receivers) == len(set(receivers))
+    assert set(receivers) <= set(within)
     if limit >= len(position) - 1 or jitter_s == 0.0:
-        assert sorted(heard) == within
+        assert sorted(receivers) == within
 
 
 def test_a_first_copy_that_came_the_longer_way_may_end_at_the_limit() -> None:

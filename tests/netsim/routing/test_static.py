@@ -31,13 +31,13 @@ def test_a_table_wins_over_a_chain() -> None:
 def test_a_broadcast_is_passed_on_along_the_routes_alone() -> None:
     position = [*line(3), (60.0, 20.0)]  # car4 is beside car2, on no route
     outcome = run(Static(chain=names(3)), position, message_at("car1", 0))
-    assert sorted(each.receiver for each in outcome.heard) == ["car2", "car3", "car4"]
+    assert sorted(each.receiver for each in outcome.routed_receptions) == ["car2", "car3", "car4"]
     assert [frame.sender for frame in outcome.frames] == ["car1", "car2"]  # car3 has no vehicle behind it
 
 
 def test_the_middle_of_a_chain_reaches_both_ends() -> None:
     outcome = run(Static(chain=names(5)), line(5), message_at("car3", 0))
-    assert sorted(each.receiver for each in outcome.heard) == ["car1", "car2", "car4", "car5"]
+    assert sorted(each.receiver for each in outcome.routed_receptions) == ["car1", "car2", "car4", "car5"]
     assert sorted(frame.sender for frame in outcome.frames) == ["car2", "car3", "car4"]
 
 

@@ -40,15 +40,15 @@ class Handing:
 @pytest.mark.parametrize("via", [2, np.int64(2), BROADCAST])
 def test_a_router_without_updates_needs_two_methods(via: Any) -> None:
     outcome = run(Mine(via), line(3, 20.0), message_at("car1", 0, to="car3"))
-    assert [each.receiver for each in outcome.heard] == ["car3"]
+    assert [each.receiver for each in outcome.routed_receptions] == ["car3"]
 
 
 @pytest.mark.parametrize("via", [3, 99, -2, 0, "car2", 1.0])
 def test_an_answer_that_makes_no_sense_is_an_error_with_the_name_of_the_kind(via: Any) -> None:
     with pytest.raises(FederateError) as caught:
         run(Mine(via), line(3), message_at("car1", 0, to="car3"))
-    wanted = "allowed: the row of another vehicle (of 3), -1 (a broadcast) or None"
-    assert str(caught.value) == f"routing Mine: returned {via!r} as the next hop of car1; {wanted}"
+    allowed = "allowed: the row of another vehicle (of 3), -1 (a broadcast) or None"
+    assert str(caught.value) == f"routing Mine: returned {via!r} as the next hop of car1; {allowed}"
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ pytestmark = [pytest.mark.processes, pytest.mark.sockets]
 
 
 def test_without_all_programs_the_run_does_not_begin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    content, told = scenario(tmp_path, "a", "b", "c"), list[str]()
+    content, lines = scenario(tmp_path, "a", "b", "c"), list[str]()
     came = threading.Event()
     clock = SimpleNamespace(monotonic=lambda: time.monotonic() + came.is_set() * PATIENCE_S)
     monkeypatch.setattr("vcmvsp.netsim.sockets.admission.time", clock)  # the wait ends as soon as one is connected
@@ -38,10 +38,10 @@ def test_without_all_programs_the_run_does_not_begin(tmp_path: Path, monkeypatch
     def come() -> None:
         with pytest.raises(ConnectionError, match="the connection to the run is lost"):
             connect("a", content["sockets"]["listen"])
-        told.append("let down")
+        lines.append("let down")
 
     def tell(text: str) -> None:
-        told.append(text)
+        lines.append(text)
         if text.startswith("the program of a connected"):
             came.set()
 
@@ -50,12 +50,12 @@ def test_without_all_programs_the_run_does_not_begin(tmp_path: Path, monkeypatch
     with pytest.raises(FederateError, match=r"no program connected for b, c within 60 s \(sockets.join_timeout_s\).*connect\("):
         vcmvsp.run(content, mcap=False, tell=tell)
     thread.join(PATIENCE_S)
-    assert told[1:] == ["the program of a connected; still waiting for: b, c", "let down"]
+    assert lines[1:] == ["the program of a connected; still waiting for: b, c", "let down"]
     assert not (tmp_path / "s").exists()
 
 
 def test_a_refused_program_gets_the_reason(tmp_path: Path) -> None:
-    content, told, words = scenario(tmp_path, "a", "b"), list[str](), list[str]()
+    content, lines, reasons = scenario(tmp_path, "a", "b"), list[str](), list[str]()
 
     def others() -> None:
         with connect("a", content["sockets"]["listen"]):
@@ -65,16 +65,16 @@ def test_a_refused_program_gets_the_reason(tmp_path: Path) -> None:
         for vehicle in ("x" * 40, "a"):
             with pytest.raises(ConnectionRefusedError) as caught:
                 connect(vehicle, content["sockets"]["listen"])
-            words.append(str(caught.value))
+            reasons.append(str(caught.value))
         with open_connection(tmp_path) as end:
             end.sendall(framed(Hello(99, "b")))
-            words.append(str(end.recv(1000)))
+            reasons.append(str(end.recv(1000)))
         connect("b", content["sockets"]["listen"]).close()
 
     threads = [threading.Thread(target=others, daemon=True), threading.Thread(target=strangers, daemon=True)]
 
     def tell(text: str) -> None:
-        told.append(text)
+        lines.append(text)
         if text.startswith("the program of a connected"):
             threads[1].start()
 
@@ -82,13 +82,13 @@ def test_a_refused_program_gets_the_reason(tmp_path: Path) -> None:
     vcmvsp.run(content, mcap=False, tell=tell)
     for thread in threads:
         thread.join(PATIENCE_S)
-    assert "there is no vehicle 'xxx" in words[0] or "unknown vehicle 'xxx" in words[0]
-    assert "a already has a program" in words[1]
-    assert "install one vcmvsp version for both" in words[2]
+    assert "there is no vehicle 'xxx" in reasons[0] or "unknown vehicle 'xxx" in reasons[0]
+    assert "a already has a program" in reasons[1]
+    assert "install one vcmvsp version for both" in reasons[2]
 
 
 def test_a_program_that_leaves_before_the_run_begins_may_be_replaced(tmp_path: Path) -> None:
-    content, told = scenario(tmp_path, "a", "b"), list[str]()
+    content, lines = scenario(tmp_path, "a", "b"), list[str]()
 
     def early() -> None:
         with open_connection(tmp_path) as end:
@@ -100,14 +100,14 @@ def test_a_program_that_leaves_before_the_run_begins_may_be_replaced(tmp_path: P
             idle(end)
 
     def tell(text: str) -> None:
-        told.append(text)
+        lines.append(text)
         if "disconnected" in text:
             for vehicle in "ab":
                 threading.Thread(target=come, args=[vehicle], daemon=True).start()
 
     threading.Thread(target=early, daemon=True).start()
     result = vcmvsp.run(content, mcap=False, tell=tell)
-    assert told[2] == "the program of a disconnected; waiting for another"
+    assert lines[2] == "the program of a disconnected; waiting for another"
     assert result.about["simulated_s"] == 1.0
 
 
@@ -199,12 +199,12 @@ def test_a_taken_endpoint_is_one_error_line_and_a_stale_one_is_reused(tmp_path: 
 
 
 def test_over_tcp_on_any_port(tmp_path: Path) -> None:
-    ends, heard = list[threading.Thread](), list[Any]()
+    ends, received = list[threading.Thread](), list[Any]()
 
     def tell(text: str) -> None:
         if text.startswith("waiting"):
             endpoint = text.partition(" at ")[2].partition(": ")[0]
-            for name, play in (("a", chat), ("b", heard.extend)):
+            for name, play in (("a", chat), ("b", received.extend)):
                 ends.append(threading.Thread(target=enter, args=(name, endpoint, play), daemon=True))
                 ends[-1].start()
 
@@ -215,7 +215,7 @@ def test_over_tcp_on_any_port(tmp_path: Path) -> None:
     vcmvsp.run(scenario(tmp_path, "a", "b", sockets={"listen": "tcp/127.0.0.1:0"}), mcap=False, tell=tell)
     for thread in ends:
         thread.join(PATIENCE_S)
-    assert heard == 10 * [(b"here", "a")]
+    assert received == 10 * [(b"here", "a")]
 
 
 @pytest.mark.parametrize("hangs", [False, True])
@@ -244,9 +244,9 @@ def test_ctrl_c_ends_a_run_that_waits_for_a_program(tmp_path: Path, hangs: bool)
                 time.sleep(0.02)
         time.sleep(0.2)
         run.send_signal(signal.SIGINT)
-        _, said = run.communicate(timeout=500)
+        _, error_text = run.communicate(timeout=500)
     finally:
         run.kill()
-    assert run.returncode == 130, said
-    assert "Traceback" not in said
+    assert run.returncode == 130, error_text
+    assert "Traceback" not in error_text
     assert not (tmp_path / "s").exists()

@@ -26,7 +26,7 @@ def notes_of(events: list[Any]) -> list[tuple[str, int, dict[str, Any]]]:
 
 
 def test_a_program_that_ends_leaves_its_vehicle_silent_and_the_run_goes_on(tmp_path: Path) -> None:
-    heard, events, told = list[int](), list[Any](), list[str]()
+    tenths, events, lines = list[int](), list[Any](), list[str]()
 
     def brief(end: Socket) -> None:
         end.sleep(0.25)
@@ -35,14 +35,14 @@ def test_a_program_that_ends_leaves_its_vehicle_silent_and_the_run_goes_on(tmp_p
     def listen(end: Socket) -> None:
         for data, _ in end:
             assert data in (b"farewell", b"here")
-            heard.append(end.time_ns() // 10**8)
+            tenths.append(end.time_ns() // 10**8)
 
     content, plays = scenario(tmp_path, "a", "b", "c"), {"a": listen, "b": brief, "c": chat}
-    result = run_programs(content, plays, mcap=False, observe=events.append, tell=told.append)
+    result = run_programs(content, plays, mcap=False, observe=events.append, tell=lines.append)
     assert result.about["simulated_s"] == 1.0
-    assert heard == [0, 1, 2, 2, 3, 4, 5, 6, 7, 8, 9]
+    assert tenths == [0, 1, 2, 2, 3, 4, 5, 6, 7, 8, 9]
     assert notes_of(events) == [("b/note", 250_000_000, {"program": "left: it has ended"})]
-    assert told[-1] == "the program of b disconnected at 0.250 s (it has ended)"
+    assert lines[-1] == "the program of b disconnected at 0.250 s (it has ended)"
 
 
 @pytest.mark.parametrize("waits", [True, False])
@@ -101,7 +101,7 @@ NONSENSE = {
 
 @pytest.mark.parametrize("nonsense", NONSENSE.values(), ids=NONSENSE)
 def test_invalid_data_count_as_leaving(tmp_path: Path, nonsense: bytes) -> None:
-    told, heard = list[str](), list[Any]()
+    lines, received = list[str](), list[Any]()
 
     def liar() -> None:
         with by_hand(tmp_path, "b") as end:
@@ -111,12 +111,12 @@ def test_invalid_data_count_as_leaving(tmp_path: Path, nonsense: bytes) -> None:
 
     thread = threading.Thread(target=liar, daemon=True)
     thread.start()
-    result = run_programs(scenario(tmp_path, "a", "b"), {"a": heard.extend}, mcap=False, tell=told.append)
+    result = run_programs(scenario(tmp_path, "a", "b"), {"a": received.extend}, mcap=False, tell=lines.append)
     thread.join(PATIENCE_S)
     assert result.about["simulated_s"] == 1.0
-    assert [data for data, _ in heard] in ([b"sense"], [])  # earlier lines may arrive after those that separate them
-    assert told[-1].startswith("the program of b disconnected at 0.000 s (it s")
-    assert told[-1].isprintable()
+    assert [data for data, _ in received] in ([b"sense"], [])  # earlier lines may arrive after those that separate them
+    assert lines[-1].startswith("the program of b disconnected at 0.000 s (it s")
+    assert lines[-1].isprintable()
 
 
 @settings(max_examples=20)
@@ -139,56 +139,56 @@ def test_no_bytes_disturb_the_run(tmp_path_factory: pytest.TempPathFactory, piec
 
 
 def test_a_program_that_speaks_while_it_should_wait_leaves(tmp_path: Path) -> None:
-    told, ask, asked = list[str](), threading.Event(), threading.Event()
+    lines, request, request_sent = list[str](), threading.Event(), threading.Event()
 
     def eager() -> None:
         with by_hand(tmp_path, "b") as end:
             end.sendall(framed(Wait(None, hears=False, held=0)))
-            ask.wait(PATIENCE_S)
+            request.wait(PATIENCE_S)
             end.sendall(framed(Send(None, b"!")))
-            asked.set()
+            request_sent.set()
             while end.recv(1 << 16):
                 pass
 
     def play(end: Socket) -> None:
         end.sleep(0.5)
-        ask.set()
-        asked.wait(PATIENCE_S)
+        request.set()
+        request_sent.wait(PATIENCE_S)
         end.sleep(0.01)
         chat(end)
 
     threading.Thread(target=eager, daemon=True).start()
-    result = run_programs(scenario(tmp_path, "a", "b"), {"a": play}, mcap=False, tell=told.append)
-    assert told[-1] == "the program of b disconnected at 0.510 s (it sent out of turn)"
+    result = run_programs(scenario(tmp_path, "a", "b"), {"a": play}, mcap=False, tell=lines.append)
+    assert lines[-1] == "the program of b disconnected at 0.510 s (it sent out of turn)"
     assert result.metrics["radio"]["frames"] == 5
 
 
 def test_a_program_that_sends_without_end_leaves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vcmvsp.netsim.sockets.federate.MOST_CALLS", 50)
-    told = list[str]()
+    lines = list[str]()
 
     def endless(end: Socket) -> None:
         with contextlib.suppress(ConnectionError):
             while True:
                 end.sendto(b"me me me", "a")
 
-    result = run_programs(scenario(tmp_path, "a", "b"), {"a": idle, "b": endless}, mcap=False, tell=told.append)
-    assert "without waiting" in told[-1]
+    result = run_programs(scenario(tmp_path, "a", "b"), {"a": idle, "b": endless}, mcap=False, tell=lines.append)
+    assert "without waiting" in lines[-1]
     assert result.metrics["radio"]["frames"] == 51
 
 
 def test_unread_data_are_lost_beyond_four_mebibytes(tmp_path: Path) -> None:
-    heard, events, told = list[int](), list[Any](), list[str]()
+    numbers, events, lines = list[int](), list[Any](), list[str]()
 
     def late(end: Socket) -> None:
         end.sleep(0.5)
         end.sleep(0.1)
         while True:
             try:
-                heard.append(end.recvfrom(0)[0][0])
+                numbers.append(end.recvfrom(0)[0][0])
             except TimeoutError:
                 break
-        heard.append(end.recvfrom()[0][0])
+        numbers.append(end.recvfrom()[0][0])
 
     def flood(end: Socket) -> None:
         for number in range(100):
@@ -198,13 +198,13 @@ def test_unread_data_are_lost_beyond_four_mebibytes(tmp_path: Path) -> None:
         end.sendto(b"\xff", "a")
 
     content = scenario(tmp_path, "a", "b")
-    run_programs(content, {"a": late, "b": flood}, mcap=False, observe=events.append, tell=told.append)
+    run_programs(content, {"a": late, "b": flood}, mcap=False, observe=events.append, tell=lines.append)
     room = (4 << 20) // (65_535 + 512)
-    assert heard == [*range(room), 255]
+    assert numbers == [*range(room), 255]
     missed = [(time_ns, values["program_missed"]) for _, time_ns, values in notes_of(events) if "program_missed" in values]
     assert [count for _, count in missed] == [float(each) for each in range(1, 101 - room)]
     assert all(room * 1_000_000 < time_ns < 102_000_000 for time_ns, _ in missed)  # on arrival, not on wake-up
-    assert sum("reads too slowly" in line for line in told) == 1
+    assert sum("reads too slowly" in line for line in lines) == 1
 
 
 def test_a_program_that_hangs_ends_the_run_with_its_name(tmp_path: Path) -> None:
@@ -236,14 +236,14 @@ class Speaker(Agent):
 
 def test_agents_and_programs_hear_the_bytes_of_one_another(tmp_path: Path) -> None:
     (tmp_path / "speaker.py").write_text(SPEAKER)
-    content, heard, events = scenario(tmp_path, "a", "b"), list[Any](), list[Any]()
+    content, received, events = scenario(tmp_path, "a", "b"), list[Any](), list[Any]()
     content["vehicle"][1]["agent"] = {"kind": f"{tmp_path}/speaker.py:Speaker"}
     content["sockets"]["vehicles"] = ["a"]
 
     def play(end: Socket) -> None:
         end.sendto(b"hello", "b")
-        heard.extend((*each, end.time_ns() // 10**8) for each in end)
+        received.extend((*each, end.time_ns() // 10**8) for each in end)
 
     run_programs(content, {"a": play}, mcap=False, observe=events.append)
-    assert heard == [(b"bytes", "b", tenth) for tenth in (1, 3, 5, 7, 9)]
+    assert received == [(b"bytes", "b", tenth) for tenth in (1, 3, 5, 7, 9)]
     assert notes_of(events) == [("b/note", 100_000_000, {"heard": "b'hello'"})]

@@ -23,7 +23,7 @@ def blocks(language: str) -> list[str]:
 
 @pytest.mark.parametrize("order", [("run", "ping", "pong"), ("pong", "ping", "run")])
 def test_the_worked_example(tmp_path: Path, order: tuple[str, ...]) -> None:
-    (said,), (scenario,), (ping, pong) = blocks("text"), blocks("toml"), blocks("python")
+    (output,), (scenario,), (ping, pong) = blocks("text"), blocks("toml"), blocks("python")
     (tmp_path / "sockets.toml").write_text(scenario)
     (tmp_path / "ping.py").write_text(ping)
     (tmp_path / "pong.py").write_text(pong)
@@ -42,5 +42,5 @@ def test_the_worked_example(tmp_path: Path, order: tuple[str, ...]) -> None:
         for process in started.values():
             process.kill()
     assert [process.returncode for process in started.values()] == [0, 0, 0]
-    assert outputs["ping"] == said
+    assert outputs["ping"] == output
     assert outputs["pong"] == ""

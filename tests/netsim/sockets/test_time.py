@@ -63,21 +63,21 @@ def test_the_same_traffic_however_long_programs_take_and_at_any_pace(tmp_path: P
 
 
 def test_time_advances_exactly_as_a_program_requests(tmp_path: Path) -> None:
-    seen = list[int]()
+    times_ns = list[int]()
 
     def play(end: Socket) -> None:
         for seconds in (0.1, 0.1, 0.1, 1e-9, 0.0, 1 / 3):
             end.sleep(seconds)
-            seen.append(end.time_ns())
+            times_ns.append(end.time_ns())
         for timeout in (0.05, 0.0, 1e-9):
             with pytest.raises(TimeoutError):
                 end.recvfrom(timeout=timeout)
-            seen.append(end.time_ns())
-        assert end.time() == seen[-1] / 1e9
+            times_ns.append(end.time_ns())
+        assert end.time() == times_ns[-1] / 1e9
 
     run_programs(scenario(tmp_path, "a"), {"a": play}, mcap=False)
     third = 300 * MS + 1 + 333_333_333
-    assert seen == [
+    assert times_ns == [
         100 * MS,
         200 * MS,
         300 * MS,
@@ -92,21 +92,21 @@ def test_time_advances_exactly_as_a_program_requests(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("timeout", "hears"), [(0.02, True), (0.019999999, False), (0.020000001, True), (None, True)])
 def test_an_arrival_at_the_nanosecond_of_the_timeout_is_in_time(tmp_path: Path, timeout: float | None, hears: bool) -> None:
-    seen: list[Any] = []
+    results: list[Any] = []
 
     def listen(end: Socket) -> None:
         try:
-            seen.append(end.recvfrom(timeout))
+            results.append(end.recvfrom(timeout))
         except TimeoutError:
-            seen.append("nothing")
-        seen.append(end.time_ns())
+            results.append("nothing")
+        results.append(end.time_ns())
 
     def tell(end: Socket) -> None:
         assert end.sendto(bytearray(b"now"), "a") == 3
 
     radio = {"delay": {"seconds": 0.02}}
     result = run_programs(scenario(tmp_path, "a", "b", radio=radio), {"a": listen, "b": tell}, mcap=False)
-    assert seen == ([(b"now", "b"), 20 * MS] if hears else ["nothing", 20 * MS - 1])
+    assert results == ([(b"now", "b"), 20 * MS] if hears else ["nothing", 20 * MS - 1])
     assert result.metrics["radio"]["frames"] == 1
 
 
@@ -116,17 +116,17 @@ def test_a_message_enters_the_channel_at_the_instant_of_its_program(tmp_path: Pa
             end.sleep(0.123456789)
             end.sendto(memoryview(data))
 
-    heard: list[Any] = []
+    received: list[Any] = []
 
     def listen(end: Socket) -> None:
         for data, sender in end:
-            heard.append((len(data), sender))
+            received.append((len(data), sender))
 
     events = list[Any]()
     run_programs(scenario(tmp_path, "a", "b"), {"a": play, "b": listen}, mcap=False, observe=events.append)
     sent = [(each.time_ns, each.value.size_bytes) for each in events if each.key == "a/send"]
     assert sent == [(123_456_789, 0), (246_913_578, 1), (370_370_367, 65_535)]
-    assert heard == [(0, "a"), (1, "a"), (65_535, "a")]
+    assert received == [(0, "a"), (1, "a"), (65_535, "a")]
 
 
 def test_at_one_instant_programs_go_on_one_after_another_in_the_order_of_their_names(tmp_path: Path) -> None:
@@ -140,15 +140,15 @@ def test_at_one_instant_programs_go_on_one_after_another_in_the_order_of_their_n
             end.sleep(0.1)
 
     run_programs(scenario(tmp_path, "c", "a", "b"), dict.fromkeys("cba", play), mcap=False)
-    assert log == 5 * [f"{name} {what}" for name in "abc" for what in ("begins", "ends")]
+    assert log == 5 * [f"{name} {verb}" for name in "abc" for verb in ("begins", "ends")]
 
 
 def test_arrivals_during_a_programs_sleep_wait_in_order(tmp_path: Path) -> None:
-    heard: list[Any] = []
+    received: list[Any] = []
 
     def late(end: Socket) -> None:
         end.sleep(0.5)
-        heard.extend(end.recvfrom(0) for _ in range(6))
+        received.extend(end.recvfrom(0) for _ in range(6))
         with pytest.raises(TimeoutError, match="no message was received for 0 s"):
             end.recvfrom(0)
         assert end.time() == 0.5
@@ -159,7 +159,7 @@ def test_arrivals_during_a_programs_sleep_wait_in_order(tmp_path: Path) -> None:
             end.sendto(b"%d" % number)
 
     run_programs(scenario(tmp_path, "a", "b", "c"), {"a": late, "b": tell, "c": tell}, mcap=False)
-    assert [(data, sender) for data, sender in heard] == [(b"%d" % n, sender) for n in range(3) for sender in "bc"]
+    assert [(data, sender) for data, sender in received] == [(b"%d" % n, sender) for n in range(3) for sender in "bc"]
 
 
 def test_all_calls_end_with_the_run(tmp_path: Path) -> None:
@@ -185,10 +185,10 @@ def test_all_calls_end_with_the_run(tmp_path: Path) -> None:
 
 
 def test_a_program_gets_the_run_and_its_vehicles_estimate(tmp_path: Path) -> None:
-    seen: list[Any] = []
+    results: list[Any] = []
 
     def play(end: Socket) -> None:
-        seen.append((end.run, end.vehicles, end.position()))
+        results.append((end.run, end.vehicles, end.position()))
         for to in ("a", "c", ""):
             with pytest.raises(ValueError, match=r"not another vehicle of this run \(b\)"):
                 end.sendto(b"", to)
@@ -200,12 +200,12 @@ def test_a_program_gets_the_run_and_its_vehicles_estimate(tmp_path: Path) -> Non
             with pytest.raises(ValueError, match="timeout = "):
                 end.recvfrom(bad)
         end.sleep(0.55)
-        seen.append(end.position())
+        results.append(end.position())
 
     content = scenario(tmp_path, "a", "b")
     content["vehicle"][0]["agent"] = {"kind": "trajectory", "path": "straight", "speed": 1.0}
     run_programs(content, {"a": play, "b": idle}, mcap=False)
-    (start, (x, y, z)) = seen
+    (start, (x, y, z)) = results
     assert start == ("programs", ("a", "b"), (0.0, 0.0, 0.0))
     assert 0.3 < x < 0.51
     assert (y, z) == (0.0, 0.0)

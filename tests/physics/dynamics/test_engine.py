@@ -66,9 +66,9 @@ def test_a_custom_engine_shares_a_run_with_another() -> None:
         Event("c/command", 0, Waypoint(position=(7.0, 7.0, 7.0))),
         Event("b/command", 0, Velocity(linear=(0.5, 0.0, 0.0))),
     ]
-    told: dict[str, Any] = {event.key: event.value for event in physics.step(SECOND_NS, commands).events}
-    assert told["world/states"].position == pytest.approx(np.array([[0, 1, 1], [2.5, 0, 0], [7, 7, 7]]))
-    assert (told["world/contact"].vehicle, told["world/contact"].other) == ("a", "c")  # rows 0, 1 of the engine
+    values: dict[str, Any] = {event.key: event.value for event in physics.step(SECOND_NS, commands).events}
+    assert values["world/states"].position == pytest.approx(np.array([[0, 1, 1], [2.5, 0, 0], [7, 7, 7]]))
+    assert (values["world/contact"].vehicle, values["world/contact"].other) == ("a", "c")  # rows 0, 1 of the engine
     physics.close()
     assert physics.jumper.closed
 
@@ -82,15 +82,15 @@ def engines() -> list[Engine]:
 @pytest.mark.parametrize("which", [0, 1, 2], ids=["ground", "air", "bullet"])
 def test_reading_has_no_effect_and_readings_stay(which: int) -> None:
     read, unread = engines()[which], engines()[which]
-    kept = []
+    readings = []
     for tick in range(1, 11):
         for moved in (read, unread):
             moved.command(0, (0.3, 0.0, 0.0), 0.2)
             moved.command(1, (0.2, 0.1, 0.0), 0.2)
             moved.advance(tick * SECOND_NS // 10)
-        kept.append((read.read(), [array.copy() for array in read.read()]))
+        readings.append((read.read(), [array.copy() for array in read.read()]))
         read.movables()
-    for motion, copies in kept:
+    for motion, copies in readings:
         for array, copy in zip(motion, copies, strict=True):
             assert np.array_equal(array, copy, equal_nan=True)
     for array, other in zip(read.read(), unread.read(), strict=True):

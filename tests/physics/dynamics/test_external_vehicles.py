@@ -49,26 +49,26 @@ def test_rows_equal_the_source_at_one_request_per_instant(kind: type[Physics]) -
     vehicles = [spec("car"), spec("real", 5.0), spec("late", 0.0, 3.0, sensors=sensors), spec("other", -3.0)]
     events = run(kind(world=World(), vehicles=vehicles, outside=courses), [(0.25, "car", 0.3, 0.1), (0.55, "late", 0.1, 0.0)])
     states = [event for event in events if event.key == "world/states"]
-    assert courses.asked == sorted({event.time_ns for event in events})
-    assert {event.time_ns for event in states} < set(courses.asked)  # also at sensor instants
+    assert courses.call_times_ns == sorted({event.time_ns for event in events})
+    assert {event.time_ns for event in states} < set(courses.call_times_ns)  # also at sensor instants
     for event in states:
         value: Any = event.value
         assert value.names == ("car", "real", "late", "other")
-        said = [circle_course(event.time_ns / 1e9), straight(-3.0, 0.2)(event.time_ns / 1e9)]
+        expected = [circle_course(event.time_ns / 1e9), straight(-3.0, 0.2)(event.time_ns / 1e9)]
         for name in ("position", "velocity", "attitude", "angular_velocity"):
-            assert getattr(value, name)[[1, 3]].tolist() == [list(getattr(each, name)) for each in said]
+            assert getattr(value, name)[[1, 3]].tolist() == [list(getattr(each, name)) for each in expected]
 
 
 @KINDS
 def test_nothing_is_published_and_commands_are_ignored(kind: type[Physics]) -> None:
     real = spec("real", 3.0, positioning=Positioning(), pose_source="positioning")
     physics = kind(world=World(), vehicles=[spec("car"), real], outside=Courses(real=straight(3.0)))
-    told = [
+    commands = [
         Event("real/command", 0, Velocity(linear=(math.nan, 0.0, 0.0))),
         Event("real/command", 10**8, Waypoint(position=(0.0, 0.0, 1.0))),
         Event("real/command", 2 * 10**8, Velocity(linear=(1.0, 0.0, 0.0))),
     ]
-    events = run(physics, told, 1.0)
+    events = run(physics, commands, 1.0)
     assert {event.key for event in events} == {"world/states", "car/estimate", "car/odometry"}
     assert values(events, "world/states")[-1].position[1].tolist() == [3.0, 0.0, 0.0]
 

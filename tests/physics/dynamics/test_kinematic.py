@@ -105,13 +105,13 @@ def test_agrees_with_a_plain_integration(model: Lag, sequence: list[tuple[float,
 )
 def test_accelerations_are_changes_of_speed(model: GroundVehicle, in_between: tuple[float, float]) -> None:
     moved = engine(model)
-    for wanted, at_ns, least_or_most in ((0.6, 0, in_between[0]), (0.1, SECOND_NS, in_between[1])):
-        moved.command(0, (wanted, 0.0, 0.0), 0.0)
+    for speed, at_ns, least_or_most in ((0.6, 0, in_between[0]), (0.1, SECOND_NS, in_between[1])):
+        moved.command(0, (speed, 0.0, 0.0), 0.0)
         moved.advance(at_ns + SECOND_NS // 2)
-        seen, before = float(moved.read().acceleration[0, 0]), row(moved)[3]
+        acceleration, before = float(moved.read().acceleration[0, 0]), row(moved)[3]
         moved.advance(at_ns + SECOND_NS // 2 + 1000)
-        assert seen == pytest.approx((row(moved)[3] - before) / 1e-6, abs=1e-3)
-        assert abs(seen) <= abs(least_or_most) + 1e-9
+        assert acceleration == pytest.approx((row(moved)[3] - before) / 1e-6, abs=1e-3)
+        assert abs(acceleration) <= abs(least_or_most) + 1e-9
         moved.advance(at_ns + SECOND_NS)
 
 
@@ -119,8 +119,8 @@ def test_a_fleet_moves_as_single_vehicles() -> None:
     models = [Kinematic(), Lag(), Inertial(), P2DX(), Lag(tau_v_s=1.0, tau_w_s=0.0)]
     fleet, alone = engine(*models), [engine(model) for model in models]
     draws = np.random.default_rng(3).uniform(-1.0, 1.0, (20, len(models), 2))
-    for k, wanted in enumerate(draws, 1):
-        for number, (v, w) in enumerate(wanted.tolist()):
+    for k, velocities in enumerate(draws, 1):
+        for number, (v, w) in enumerate(velocities.tolist()):
             fleet.command(number, (v, 0.0, 0.0), w)
             alone[number].command(0, (v, 0.0, 0.0), w)
         for moved in (fleet, *alone):
@@ -262,8 +262,8 @@ def test_an_aerial_fleet_moves_as_single_vehicles() -> None:
     models: list[Point | Quadrotor] = [Point(), Point(tau_s=0.4), Point(tau_s=1.0, max_speed=1.0), Quadrotor()]
     fleet, alone = airborne(*models), [airborne(model) for model in models]
     draws = np.random.default_rng(3).uniform(-3.0, 3.0, (20, len(models), 4))
-    for k, wanted in enumerate(draws, 1):
-        for number, (x, y, z, w) in enumerate(wanted.tolist()):
+    for k, velocities in enumerate(draws, 1):
+        for number, (x, y, z, w) in enumerate(velocities.tolist()):
             for moved, row in ((fleet, number), (alone[number], 0)):
                 if (k + number) % 3:
                     moved.command(row, (x, y, z), w)

@@ -63,10 +63,10 @@ def test_mujoco_is_the_default_where_only_it_is_installed(
 
 def test_a_run_reports_mujoco_by_default(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vcmvsp.cosim.assembly.run.find_spec", lambda name: None if name == "pybullet" else name)
-    told: list[str] = []
+    lines: list[str] = []
     raw = {"name": "alone", "duration_s": 0.2, "vehicle": [{"name": "car", "kind": "p2dx", "agent": {"kind": "trajectory"}}]}
-    vcmvsp.run(raw, agents="inprocess", mcap=False, tell=told.append)
-    assert told == ['PyBullet is not installed: physics.kind is "mujoco"']
+    vcmvsp.run(raw, agents="inprocess", mcap=False, tell=lines.append)
+    assert lines == ['PyBullet is not installed: physics.kind is "mujoco"']
 
 
 @pytest.mark.processes

@@ -23,12 +23,12 @@ both_rates = pytest.mark.parametrize("hz", [120.0, 240.0])
 def fly(fleet: QuadrotorFleet, seconds: float, hz: float, wind: Any = ORIGIN, push: Any = ORIGIN) -> SimpleNamespace:
     """States after every step: t (steps,), others (steps, n) or (steps, n, 3)."""
     air = np.broadcast_to(np.asarray(wind, float), fleet.position.shape)
-    seen = []
+    samples = []
     for _ in range(round(seconds * hz)):
         force, torque = fleet.wrench(1.0 / hz, air)
         fleet.integrate(force + push, torque, 1.0 / hz)
-        seen.append((fleet.position.copy(), fleet.velocity.copy(), fleet.attitude.copy(), fleet.rate.copy()))
-    position, velocity, attitude, rate = map(np.array, zip(*seen, strict=True))
+        samples.append((fleet.position.copy(), fleet.velocity.copy(), fleet.attitude.copy(), fleet.rate.copy()))
+    position, velocity, attitude, rate = map(np.array, zip(*samples, strict=True))
     w, x, y, z = np.moveaxis(attitude, -1, 0)
     return SimpleNamespace(
         t=np.arange(1, len(position) + 1) / hz,
@@ -59,39 +59,44 @@ def test_steps_of_velocity(hz: float) -> None:
     fleet = fleet_of(4)
     for row, velocity in enumerate([(2.0, 0.0, 0.0), (5.0, 0.0, 0.0), (0.0, -2.0, 0.0), (0.0, 0.0, 1.5)]):
         fleet.set_velocity(row, velocity, 0.0)
-    seen = fly(fleet, 6.0, hz)
-    slow, fast, right, up = seen.velocity[:, 0, 0], seen.velocity[:, 1, 0], -seen.velocity[:, 2, 1], seen.velocity[:, 3, 2]
-    assert seen.t[np.argmax(slow > 0.95 * 2.0)] <= 0.80
-    assert seen.t[np.argmax(fast > 0.90 * 5.0)] <= 1.42
+    flight = fly(fleet, 6.0, hz)
+    slow, fast, right, up = (
+        flight.velocity[:, 0, 0],
+        flight.velocity[:, 1, 0],
+        -flight.velocity[:, 2, 1],
+        flight.velocity[:, 3, 2],
+    )
+    assert flight.t[np.argmax(slow > 0.95 * 2.0)] <= 0.80
+    assert flight.t[np.argmax(fast > 0.90 * 5.0)] <= 1.42
     assert slow.max() <= 1.04 * 2.0
     assert fast.max() <= 1.04 * 5.0
     assert up.max() <= 1.04 * 1.5
     assert right == pytest.approx(slow, abs=1e-6)  # equal inertia about both axes
-    after = seen.t > 3.0
+    after = flight.t > 3.0
     assert np.abs(slow[after] - 2.0).max() <= 0.01 * 2.0
     assert np.abs(fast[after] - 5.0).max() <= 0.022 * 5.0
     assert np.abs(up[after] - 1.5).max() <= 0.02 * 1.5
-    assert math.degrees(seen.tilt.max()) <= 25.1
-    assert np.abs(seen.position[:, 0, 2] - 10.0).max() <= 0.02
-    assert np.abs(seen.position[:, 1, 2] - 10.0).max() <= 0.05
+    assert math.degrees(flight.tilt.max()) <= 25.1
+    assert np.abs(flight.position[:, 0, 2] - 10.0).max() <= 0.02
+    assert np.abs(flight.position[:, 1, 2] - 10.0).max() <= 0.05
 
 
 @both_rates
 def test_tilt_in_steady_flight_balances_drag(hz: float) -> None:
     fleet = fleet_of(1, Quadrotor(drag=(0.3, 0.3, 0.3)))
     fleet.set_velocity(0, (4.0, 0.0, 0.0), 0.0)
-    seen = fly(fleet, 15.0, hz)
-    assert seen.velocity[-1, 0] == pytest.approx((4.0, 0.0, 0.0), abs=1e-3)
-    assert math.tan(seen.tilt[-1, 0]) == pytest.approx(0.3 * 4.0 / (MODEL.mass_kg * 9.81), rel=1e-3)
+    flight = fly(fleet, 15.0, hz)
+    assert flight.velocity[-1, 0] == pytest.approx((4.0, 0.0, 0.0), abs=1e-3)
+    assert math.tan(flight.tilt[-1, 0]) == pytest.approx(0.3 * 4.0 / (MODEL.mass_kg * 9.81), rel=1e-3)
 
 
 @both_rates
 def test_a_side_gust_pushes_it_and_is_compensated(hz: float) -> None:
-    seen = fly(fleet_of(1), 6.0, hz, wind=(0.0, 6.0, 0.0))
-    sideways = seen.velocity[:, 0, 1]
+    flight = fly(fleet_of(1), 6.0, hz, wind=(0.0, 6.0, 0.0))
+    sideways = flight.velocity[:, 0, 1]
     assert 0.3 <= sideways.max() <= 0.71
     assert sideways[-1] == pytest.approx(0.0, abs=0.02)
-    assert math.sin(seen.tilt[-1, 0]) * MODEL.mass_kg * 9.81 == pytest.approx(0.25 * 6.0, rel=0.1)  # tilt balances the drag
+    assert math.sin(flight.tilt[-1, 0]) * MODEL.mass_kg * 9.81 == pytest.approx(0.25 * 6.0, rel=0.1)  # tilt balances the drag
 
 
 @both_rates
@@ -99,24 +104,24 @@ def test_it_turns_at_the_set_rate(hz: float) -> None:
     fleet = fleet_of(2)
     fleet.set_velocity(0, (2.0, 0.0, 0.0), 1.0)
     fleet.set_velocity(1, (0.0, 0.0, 0.0), -100.0)
-    seen = fly(fleet, 8.0, hz)
-    settled = seen.t > 3.5
-    rates = np.diff(seen.yaw[settled], axis=0) * hz
+    flight = fly(fleet, 8.0, hz)
+    settled = flight.t > 3.5
+    rates = np.diff(flight.yaw[settled], axis=0) * hz
     assert rates[:, 0] == pytest.approx(1.0, abs=0.05)  # uneven while tilted
     assert rates[:, 0].mean() == pytest.approx(1.0, abs=0.01)
     assert rates[:, 1] == pytest.approx(-MODEL.max_yaw_rate, abs=0.01)
-    assert np.abs(seen.rate[:, 1, 2]).max() <= 1.04 * MODEL.max_yaw_rate
-    assert seen.velocity[settled][:, 0] == pytest.approx(np.tile((2.0, 0.0, 0.0), (settled.sum(), 1)), abs=0.03)
-    assert seen.position[-1, 1] == pytest.approx((3.0, 0.0, 10.0), abs=0.01)
+    assert np.abs(flight.rate[:, 1, 2]).max() <= 1.04 * MODEL.max_yaw_rate
+    assert flight.velocity[settled][:, 0] == pytest.approx(np.tile((2.0, 0.0, 0.0), (settled.sum(), 1)), abs=0.03)
+    assert flight.position[-1, 1] == pytest.approx((3.0, 0.0, 10.0), abs=0.01)
 
 
 def test_limits_of_speed() -> None:
     fleet = fleet_of(2, Quadrotor(max_speed=4.0, max_climb=1.0))
     fleet.set_velocity(0, (30.0, 40.0, 9.0), 0.0)
     fleet.set_velocity(1, (0.0, 0.0, -9.0), 0.0)
-    seen = fly(fleet, 12.0, 120.0)
-    assert seen.velocity[-1, 0] == pytest.approx((2.4, 3.2, 1.0), abs=0.01)
-    assert seen.velocity[-1, 1] == pytest.approx((0.0, 0.0, -1.0), abs=0.01)
+    flight = fly(fleet, 12.0, 120.0)
+    assert flight.velocity[-1, 0] == pytest.approx((2.4, 3.2, 1.0), abs=0.01)
+    assert flight.velocity[-1, 1] == pytest.approx((0.0, 0.0, -1.0), abs=0.01)
 
 
 @both_rates
@@ -126,36 +131,36 @@ def test_way_points_are_reached_without_passing_them(hz: float) -> None:
     start = fleet.position.copy()
     for row, way in enumerate(places):
         fleet.set_waypoint(row, start[row] + way, yaw=2.5, speed=None)
-    seen = fly(fleet, 16.0, hz)
+    flight = fly(fleet, 16.0, hz)
     for row, way in enumerate(places):
         distance = np.linalg.norm(way)
-        along = (seen.position[:, row] - start[row]) @ np.array(way) / distance
+        along = (flight.position[:, row] - start[row]) @ np.array(way) / distance
         assert along.max() <= 1.05 * distance
         assert along.max() <= distance + 0.08
-        assert seen.position[-1, row] == pytest.approx(start[row] + way, abs=0.02)
-    assert seen.yaw[-1] == pytest.approx(2.5, abs=1e-3)
-    assert seen.yaw.max() <= 1.05 * 2.5
+        assert flight.position[-1, row] == pytest.approx(start[row] + way, abs=0.02)
+    assert flight.yaw[-1] == pytest.approx(2.5, abs=1e-3)
+    assert flight.yaw.max() <= 1.05 * 2.5
 
 
 def test_way_points_are_approached_at_the_given_speed() -> None:
     fleet = fleet_of(1)
     fleet.set_waypoint(0, (20.0, 0.0, 10.0), speed=1.5)
-    seen = fly(fleet, 20.0, 120.0)
-    speed = seen.velocity[:, 0, 0]
+    flight = fly(fleet, 20.0, 120.0)
+    speed = flight.velocity[:, 0, 0]
     assert speed.max() <= 1.04 * 1.5
-    assert speed[(seen.t > 3.0) & (seen.t < 11.0)] == pytest.approx(1.5, rel=0.01)
-    assert seen.position[-1, 0] == pytest.approx((20.0, 0.0, 10.0), abs=0.02)
-    assert seen.yaw == pytest.approx(0.0, abs=0.01)  # no yaw commanded: the present one is held
+    assert speed[(flight.t > 3.0) & (flight.t < 11.0)] == pytest.approx(1.5, rel=0.01)
+    assert flight.position[-1, 0] == pytest.approx((20.0, 0.0, 10.0), abs=0.02)
+    assert flight.yaw == pytest.approx(0.0, abs=0.01)  # no yaw commanded: the present one is held
 
 
 def test_the_climb_to_way_points_is_limited() -> None:
     fleet = fleet_of(2, Quadrotor(max_climb=1.5))
     fleet.set_waypoint(0, (0.0, 0.0, 20.0))
     fleet.set_waypoint(1, (13.0, 0.0, 0.0))
-    seen = fly(fleet, 20.0, 120.0)
-    assert np.abs(seen.velocity[:, :, 2]).max() <= 1.04 * 1.5
-    assert seen.position[-1] == pytest.approx(np.array([(0.0, 0.0, 20.0), (13.0, 0.0, 0.0)]), abs=0.02)
-    halfway = seen.position[np.argmax(seen.position[:, 1, 2] < 5.0), 1]
+    flight = fly(fleet, 20.0, 120.0)
+    assert np.abs(flight.velocity[:, :, 2]).max() <= 1.04 * 1.5
+    assert flight.position[-1] == pytest.approx(np.array([(0.0, 0.0, 20.0), (13.0, 0.0, 0.0)]), abs=0.02)
+    halfway = flight.position[np.argmax(flight.position[:, 1, 2] < 5.0), 1]
     assert halfway[0] == pytest.approx(8.0, abs=0.3)  # straight path
 
 
@@ -166,15 +171,15 @@ def test_a_blocked_turn_is_not_compensated_later() -> None:
         fleet.integrate(*fleet.wrench(1 / 120, np.zeros((1, 3))), 1 / 120)
         fleet.attitude[0], fleet.rate[0] = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     fleet.set_velocity(0, (0.0, 0.0, 0.0), 0.0)
-    seen = fly(fleet, 5.0, 120.0)
-    assert 0.0 < seen.yaw.max() < 1.0
+    flight = fly(fleet, 5.0, 120.0)
+    assert 0.0 < flight.yaw.max() < 1.0
 
 
 def test_the_shorter_way_round_is_turned() -> None:
     fleet = QuadrotorFleet([MODEL], [(0.0, 0.0, 5.0)], [3.0])
     fleet.set_waypoint(0, (0.0, 0.0, 5.0), yaw=-3.0)
-    seen = fly(fleet, 5.0, 120.0)
-    assert seen.yaw[-1, 0] - 3.0 == pytest.approx(math.tau - 6.0, abs=1e-3)
+    flight = fly(fleet, 5.0, 120.0)
+    assert flight.yaw[-1, 0] - 3.0 == pytest.approx(math.tau - 6.0, abs=1e-3)
 
 
 @both_rates
@@ -191,13 +196,13 @@ def test_it_recovers_from_any_attitude_and_comes_home(hz: float, monkeypatch: py
     fleet.velocity[3:] = rng.normal(0.0, 3.0, (n - 3, 3))
     for row in range(n):
         fleet.set_waypoint(row, (0.0, 0.0, 100.0), yaw=1.0)
-    seen = fly(fleet, 25.0, hz)
-    late = np.max(np.where(seen.tilt > math.radians(45.0), seen.t[:, None], 0.0), axis=0)
+    flight = fly(fleet, 25.0, hz)
+    late = np.max(np.where(flight.tilt > math.radians(45.0), flight.t[:, None], 0.0), axis=0)
     assert late[:3].max() <= 1.0
     assert late.max() <= 3.0
-    assert seen.position[:, :3, 2].min() >= 98.0
-    assert seen.position[-1] == pytest.approx(np.tile((0.0, 0.0, 100.0), (n, 1)), abs=0.05)
-    assert np.cos(seen.yaw[-1] - 1.0) == pytest.approx(1.0, abs=1e-6)
+    assert flight.position[:, :3, 2].min() >= 98.0
+    assert flight.position[-1] == pytest.approx(np.tile((0.0, 0.0, 100.0), (n, 1)), abs=0.05)
+    assert np.cos(flight.yaw[-1] - 1.0) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_rotors_as_an_x_fly_like_rotors_as_a_plus() -> None:
@@ -252,11 +257,11 @@ def test_a_vehicle_that_is_released_holds_its_place() -> None:
 def test_it_catches_itself_from_a_fall_straight_down() -> None:
     fleet = fleet_of(1, height=100.0)
     fleet.velocity[0, 2] = -30.0  # full lift, no sideways motion
-    seen = fly(fleet, 5.0, 120.0)
+    flight = fly(fleet, 5.0, 120.0)
     weight, lift = MODEL.mass_kg * 9.81, MODEL.max_thrust * 4 * MODEL.max_rotor_thrust
     shortest = 30.0**2 / (2 * (lift + 0.35 * 30.0 - weight) / MODEL.mass_kg)
-    assert 100.0 - shortest > seen.position[-1, 0, 2] > 100.0 - 1.5 * shortest
-    assert seen.velocity[-1, 0] == pytest.approx((0.0, 0.0, 0.0), abs=0.05)
+    assert 100.0 - shortest > flight.position[-1, 0, 2] > 100.0 - 1.5 * shortest
+    assert flight.velocity[-1, 0] == pytest.approx((0.0, 0.0, 0.0), abs=0.05)
 
 
 @pytest.mark.parametrize("way", [(0.0, 0.0, -1.0), (1.0, 0.0, 0.0)], ids=["on the floor", "at a wall"])
@@ -269,10 +274,10 @@ def test_pushing_against_an_obstacle_causes_no_windup(way: tuple[float, float, f
         fleet.position[0], fleet.velocity[0] = (0.0, 0.0, 10.0), (0.0, 0.0, 0.0)
     back = -np.array(way)
     fleet.set_velocity(0, back.tolist(), 0.0)
-    seen = fly(fleet, 4.0, 120.0)
-    assert (seen.velocity[:, 0] @ back).max() <= 1.5
-    assert seen.position[seen.t <= 1.5, 0][-1] @ back - (0.0, 0.0, 10.0) @ back >= 0.0
-    assert seen.velocity[-1, 0] == pytest.approx(back, abs=0.2)
+    flight = fly(fleet, 4.0, 120.0)
+    assert (flight.velocity[:, 0] @ back).max() <= 1.5
+    assert flight.position[flight.t <= 1.5, 0][-1] @ back - (0.0, 0.0, 10.0) @ back >= 0.0
+    assert flight.velocity[-1, 0] == pytest.approx(back, abs=0.2)
 
 
 def test_rotors_lag() -> None:
@@ -371,8 +376,8 @@ def test_the_mixer_gives_roll_and_pitch_first(roll: float, pitch: float, yaw: fl
     assert kept_for_it - 1e-9 <= turning * math.copysign(1.0, yaw) <= abs(yaw) + 1e-9
 
     reach = max(abs(got[0]), abs(got[1])) / (2 * MODEL.arm_m)
-    kept = min(abs(yaw) / (4 * kappa), 0.1 * most)
-    assert lifts.sum() / 4 == pytest.approx(min(max(thrust / 4, reach + kept), most - reach - kept), abs=1e-9)
+    yaw_share = min(abs(yaw) / (4 * kappa), 0.1 * most)
+    assert lifts.sum() / 4 == pytest.approx(min(max(thrust / 4, reach + yaw_share), most - reach - yaw_share), abs=1e-9)
 
 
 # With the gains, body and limits below, the controller is the cascade of proportional laws of A. Toh's thesis 2012, 3.2, in
@@ -396,32 +401,32 @@ CASCADE = Quadrotor(
 def test_the_plain_cascade_goes_one_metre() -> None:
     fleet = hovering(CASCADE)
     fleet.set_waypoint(0, (1.0, 0.0, 10.0), speed=1.5)
-    seen = fly(fleet, 6.0, 500.0)
-    x, _, z = seen.position[:, 0].T
+    flight = fly(fleet, 6.0, 500.0)
+    x, _, z = flight.position[:, 0].T
     assert x.max() - 1.0 == pytest.approx(0.045, rel=0.05)
-    assert seen.t[np.flatnonzero(np.abs(x - 1.0) > 0.05)[-1]] == pytest.approx(1.54, rel=0.02)
+    assert flight.t[np.flatnonzero(np.abs(x - 1.0) > 0.05)[-1]] == pytest.approx(1.54, rel=0.02)
     assert np.abs(z - 10.0).max() < 1e-3
 
 
 def test_the_plain_cascade_follows_a_velocity() -> None:
     fleet = hovering(CASCADE)
     fleet.set_velocity(0, (1.0, 0.0, 0.0), 0.0)
-    seen = fly(fleet, 2.0, 500.0)
-    assert seen.t[np.argmax(seen.velocity[:, 0, 0] > 1.0 - math.exp(-1.0))] == pytest.approx(0.44, rel=0.02)
+    flight = fly(fleet, 2.0, 500.0)
+    assert flight.t[np.argmax(flight.velocity[:, 0, 0] > 1.0 - math.exp(-1.0))] == pytest.approx(0.44, rel=0.02)
 
 
 def test_without_an_integral_a_constant_push_leaves_an_offset() -> None:
     fleet = hovering(CASCADE)
     fleet.set_waypoint(0, (0.0, 0.0, 10.0))
-    seen = fly(fleet, 15.0, 240.0, push=(0.5, 0.0, 0.0))  # N on 1 kg
-    assert seen.position[-1, 0, 0] == pytest.approx(0.5 / (1.2 * 2.4), abs=1e-4)
+    flight = fly(fleet, 15.0, 240.0, push=(0.5, 0.0, 0.0))  # N on 1 kg
+    assert flight.position[-1, 0, 0] == pytest.approx(0.5 / (1.2 * 2.4), abs=1e-4)
 
 
 def test_an_integral_removes_the_offset() -> None:
     fleet = hovering()
     fleet.set_waypoint(0, (0.0, 0.0, 10.0))
-    seen = fly(fleet, 25.0, 240.0, push=(0.5, 0.0, -0.5))
-    assert seen.position[-1, 0] == pytest.approx((0.0, 0.0, 10.0), abs=1e-4)
+    flight = fly(fleet, 25.0, 240.0, push=(0.5, 0.0, -0.5))
+    assert flight.position[-1, 0] == pytest.approx((0.0, 0.0, 10.0), abs=1e-4)
 
 
 @pytest.mark.parametrize("gravity", [0.0, 1e-12])

@@ -56,9 +56,9 @@ def test_gusts_do_not_depend_on_step_sizes() -> None:
     instants = [0, 1, 16_666_667, 16_666_668, 400_000_000, 7 * SECOND_NS, 7 * SECOND_NS + 5]
     often, seldom = Gusts(WINDY, rows(3), seed=3), Gusts(WINDY, rows(3), seed=3)
     between = sorted({*instants, *range(0, 7 * SECOND_NS, 3_333_333)})
-    seen = {to_ns: often.advance(to_ns) for to_ns in between}
+    winds = {to_ns: often.advance(to_ns) for to_ns in between}
     for to_ns in instants:
-        assert (seldom.advance(to_ns) == seen[to_ns]).all()
+        assert (seldom.advance(to_ns) == winds[to_ns]).all()
 
 
 def test_the_wind_is_steady_between_its_ticks() -> None:
@@ -96,9 +96,9 @@ def test_seeds_and_vehicles_differ() -> None:
 def test_returned_arrays_never_change() -> None:
     gusts = Gusts(WINDY, rows(2), seed=7)
     first = gusts.advance(0)
-    kept = first.copy()
+    copy = first.copy()
     gusts.advance(SECOND_NS)
-    assert (first == kept).all()
+    assert (first == copy).all()
     assert not first.flags.writeable
 
 

@@ -47,9 +47,9 @@ def test_sionna_finds_equal_paths(tmp_path: Path) -> None:
     found = rt.PathSolver()(scene, max_depth=2, diffuse_reflection=False, refraction=False)
     real, imag = (np.array(part).ravel() for part in found.a)
     size, delay = np.hypot(real, imag), np.array(found.tau).ravel()
-    theirs = sorted(zip(delay[size > 0.0] * 1e9, 20.0 * np.log10(size[size > 0.0]), strict=True))
+    reference = sorted(zip(delay[size > 0.0] * 1e9, 20.0 * np.log10(size[size > 0.0]), strict=True))
     table = trace_paths(rays_among(HOUSE, ground="concrete", diffraction=False), a, b).table
     ours = sorted(zip(table.length_m / 0.299792458, 20.0 * np.log10(np.abs(table.gain)), strict=True))
-    assert len(ours) == len(theirs)
-    for mine, other in zip(ours, theirs, strict=True):
-        assert math.dist(mine, other) < 0.05
+    assert len(ours) == len(reference)
+    for own, other in zip(ours, reference, strict=True):
+        assert math.dist(own, other) < 0.05

@@ -10,7 +10,7 @@ from tests.support.physics import ray_renderer as oracle
 from vcmvsp.cosim.types import Array
 from vcmvsp.physics.render import renderer
 from vcmvsp.physics.render.renderer import render
-from vcmvsp.physics.render.triangles import View, pieces_of, shown
+from vcmvsp.physics.render.triangles import View, pieces_of, visible_pieces
 from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Hull, Mesh, Prism
 from vcmvsp.physics.world.world import Scene, World, rotations
 
@@ -97,10 +97,10 @@ def mismatches(
     found, colors, depths = oracle.things(world, scene, without), 0, 0
     for _ in range(number):
         row, column = int(rng.integers(view.height)), int(rng.integers(view.width))
-        seen = oracle.look(world, found, view, row, column)
-        colors += bool(np.abs(picture.pixels[row, column] - seen.color).max() > 2.0)
+        hit = oracle.look(world, found, view, row, column)
+        colors += bool(np.abs(picture.pixels[row, column] - hit.color).max() > 2.0)
         got = picture.depth_m[row, column]
-        depths += bool(not math.isclose(got, seen.depth if seen.depth < view.reach_m else math.inf, rel_tol=1e-5))
+        depths += bool(not math.isclose(got, hit.depth if hit.depth < view.reach_m else math.inf, rel_tol=1e-5))
     return colors, depths
 
 
@@ -205,12 +205,12 @@ def test_hidden_solids_change_no_picture(pitch: float, monkeypatch: pytest.Monke
         view = View(eye, towards(eye, aim, float(rng.uniform(-0.2, 0.2))), 320, 240, 160.0)
         quick = render(world, view, depth=True)
         with monkeypatch.context() as patch:
-            patch.setattr(renderer, "shown", lambda pieces, near, view: near)
+            patch.setattr(renderer, "visible_pieces", lambda pieces, near, view: near)
             whole = render(world, view, depth=True)
         np.testing.assert_array_equal(quick.pixels, whole.pixels)
         np.testing.assert_array_equal(quick.depth_m, whole.depth_m)
         every = np.arange(len(world.solids))
-        left_out += len(every) - len(shown(pieces_of(world), every, view))
+        left_out += len(every) - len(visible_pieces(pieces_of(world), every, view))
     assert left_out > 25 * 20
 
 
@@ -220,7 +220,7 @@ def test_only_a_lower_solid_behind_a_higher_one_is_hidden() -> None:
     lower, higher = Box(center=(10, 0, 1), size=(1, 1, 2)), Box(center=(10, 3, 10), size=(1, 1, 20))
     pieces = pieces_of(World(solids=(wall, lower, higher, *rest)))
     view = View(np.array([0.0, 0.0, 1.5]), towards(np.array([0.0, 0.0, 1.5]), np.array([5.0, 0.0, 1.5])), 160, 120, 100.0)
-    assert shown(pieces, np.arange(63), view).tolist() == [0, 2]
+    assert visible_pieces(pieces, np.arange(63), view).tolist() == [0, 2]
     above = view._replace(eye=np.array([0.0, 0.0, 30.0]))
-    assert len(shown(pieces, np.arange(63), above)) == 63
+    assert len(visible_pieces(pieces, np.arange(63), above)) == 63
     assert math.isclose(pieces.high[2, 2], 20.0)

@@ -70,9 +70,9 @@ def test_bodies_are_drawn_where_they_are() -> None:
 def test_all_of_a_world_is_in_the_oblique_picture() -> None:
     towers = tuple(Box(center=(x, y, z), size=(0.4, 0.4, 0.4), color=RED) for x in (-6, 6) for y in (-4, 4) for z in (0.2, 4.8))
     oblique = draw_world(World(solids=towers, bounds=(-6.2, -4.2, 6.2, 4.2)), width=600, height=400).oblique
-    seen = red(oblique)
-    assert cv2.connectedComponents(seen.astype(np.uint8))[0] - 1 == 8
-    assert not np.concatenate([seen[0], seen[-1], seen[:, 0], seen[:, -1]]).any()
+    mask = red(oblique)
+    assert cv2.connectedComponents(mask.astype(np.uint8))[0] - 1 == 8
+    assert not np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]]).any()
 
 
 def test_extent_is_that_of_solids_bounds_and_ground() -> None:

@@ -87,9 +87,9 @@ def test_known_points_project_within_half_a_pixel(seed: int) -> None:
     box = Box(center=tuple(target.tolist()), size=(1.0, 1.0, 1.0), color=RED)
     scene = scene_of(place.tolist(), attitude=attitude, world=World(solids=(box,)))
     corners = target + 0.5 * np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    seen = (corners - eye) @ turn
-    columns = 160 + camera.focal_px * seen[:, 0] / seen[:, 2]
-    rows = 120 + camera.focal_px * seen[:, 1] / seen[:, 2]
+    points = (corners - eye) @ turn
+    columns = 160 + camera.focal_px * points[:, 0] / points[:, 2]
+    rows = 120 + camera.focal_px * points[:, 1] / points[:, 2]
     image = picture(camera, scene)
     mask = red_mask(image)
     across, down = np.nonzero(mask.any(axis=0))[0], np.nonzero(mask.any(axis=1))[0]
@@ -100,19 +100,19 @@ def test_known_points_project_within_half_a_pixel(seed: int) -> None:
     assert found[0] + 0.5 >= expected[0] - 1e-6
     assert found[1] - 0.5 <= expected[1] + 1e-6
     assert image.depth_m is not None
-    assert seen[:, 2].min() - 1e-3 <= image.depth_m[mask].min()
-    assert image.depth_m[mask].max() <= seen[:, 2].max() + 1e-3
+    assert points[:, 2].min() - 1e-3 <= image.depth_m[mask].min()
+    assert image.depth_m[mask].max() <= points[:, 2].max() + 1e-3
 
 
 def test_other_vehicles_have_their_place_and_size_the_own_one_is_omitted() -> None:
     body = Hull((0.4, 0.6, 0.2), (0.0, 0.0, 0.1), "box", RED)
     camera = Camera(mount=(0, 0, 0.1), width=320, height=240)
     image = picture(camera, scene_of((0, 0, 0), (5.2, 0.5, 0.0), hull=body))
-    seen = red_mask(image)
+    mask = red_mask(image)
     scale = camera.focal_px / 5.0  # its rear is 5 m away
-    assert middle_of(seen) == pytest.approx((160 - 0.5 * scale, 120), abs=1.0)
-    assert abs(seen.any(axis=0).sum() - 0.6 * scale) <= 1.5
-    assert abs(seen.any(axis=1).sum() - 0.2 * scale) <= 1.5
+    assert middle_of(mask) == pytest.approx((160 - 0.5 * scale, 120), abs=1.0)
+    assert abs(mask.any(axis=0).sum() - 0.6 * scale) <= 1.5
+    assert abs(mask.any(axis=1).sum() - 0.2 * scale) <= 1.5
     alone = picture(Camera(mount=(-1.0, 0.0, 0.1)), scene_of((0, 0, 0), hull=body))
     assert not red_mask(alone).any()
 

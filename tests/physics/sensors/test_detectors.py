@@ -76,18 +76,18 @@ PLACES = [(0.0, 0.0, 0.0), (3.0, 4.0, 0.0), (0.0, 0.0, 12.0), (30.0, 0.0, 0.0)]
 
 def test_without_noise_it_is_the_distance_to_each_within_reach() -> None:
     scene = scene_of(*PLACES)
-    said = [readings(NeighbourRange(sigma_m=0.0), [scene], row=row)[0].values for row in range(4)]
-    assert said[0] == {"car1": 5.0, "car2": 12.0}
-    assert said[1] == {"car0": 5.0, "car2": 13.0}
-    assert said[3] == {}
+    ranges = [readings(NeighbourRange(sigma_m=0.0), [scene], row=row)[0].values for row in range(4)]
+    assert ranges[0] == {"car1": 5.0, "car2": 12.0}
+    assert ranges[1] == {"car0": 5.0, "car2": 13.0}
+    assert ranges[3] == {}
     far = readings(NeighbourRange(sigma_m=0.0, reach_m=30.0), [scene])[0].values
     assert far == {"car1": 5.0, "car2": 12.0, "car3": 30.0}
 
 
 def test_noise_is_white_of_the_stated_size_and_independent_from_pair_to_pair() -> None:
     n = 4000
-    said = readings(NeighbourRange(sigma_m=0.2, bias_m=0.5), still(n, *PLACES[:3]))
-    e = np.array([(reading.values["car1"] - 5.0, reading.values["car2"] - 12.0) for reading in said])
+    samples = readings(NeighbourRange(sigma_m=0.2, bias_m=0.5), still(n, *PLACES[:3]))
+    e = np.array([(reading.values["car1"] - 5.0, reading.values["car2"] - 12.0) for reading in samples])
     assert e.mean(axis=0) == pytest.approx(0.5, abs=4 * 0.2 / n**0.5)
     assert e.std(axis=0) == pytest.approx(0.2, rel=4 / (2 * n) ** 0.5)
     assert abs(np.corrcoef(e.T)[0, 1]) < 4 / n**0.5
@@ -103,8 +103,8 @@ def test_another_vehicle_changes_no_draw() -> None:
 
 
 def test_ranges_are_never_negative() -> None:
-    said = readings(NeighbourRange(sigma_m=1.0), still(50, (0.0, 0.0, 0.0), (0.1, 0.0, 0.0)))
-    assert min(reading.values["car1"] for reading in said) == 0.0
+    samples = readings(NeighbourRange(sigma_m=1.0), still(50, (0.0, 0.0, 0.0), (0.1, 0.0, 0.0)))
+    assert min(reading.values["car1"] for reading in samples) == 0.0
 
 
 def test_walls_block_ranges_that_need_sight() -> None:
@@ -196,7 +196,7 @@ def test_answers_are_independent_draws_with_p_and_q() -> None:
 @pytest.mark.parametrize("kind", ["kinematic", "bullet"])
 def test_runs_depend_on_the_seed_only(kind: str) -> None:
     def run(seed: int) -> list[Looks]:
-        seen: list[Looks] = []
+        received: list[Looks] = []
 
         class Hover(vcmvsp.Agent):
             period = 0.5
@@ -204,7 +204,7 @@ def test_runs_depend_on_the_seed_only(kind: str) -> None:
             def act(self, obs: vcmvsp.Observation, radio: vcmvsp.Radio) -> vcmvsp.Velocity:
                 looks = obs.readings["detector"]
                 assert isinstance(looks, Looks)
-                seen.extend([looks] if looks.time_ns == obs.time_ns else [])
+                received.extend([looks] if looks.time_ns == obs.time_ns else [])
                 return vcmvsp.Velocity(linear=(1.0, 0.0, 0.0))
 
         scenario = {
@@ -218,7 +218,7 @@ def test_runs_depend_on_the_seed_only(kind: str) -> None:
             ],
         }
         vcmvsp.run(scenario, agents={"uav": Hover()})
-        return seen
+        return received
 
     once, again, other = run(1), run(1), run(2)
     assert [each.time_ns for each in once] == [0, 10**9, 2 * 10**9, 3 * 10**9]

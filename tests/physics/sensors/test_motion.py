@@ -104,8 +104,8 @@ def odometer(**errors: float) -> WheelOdometry:
 @given(st.lists(st.tuples(st.floats(-1.0, 1.0), st.floats(-2.0, 2.0)), min_size=1, max_size=30))
 def test_without_slip_and_errors_it_is_the_truth(speeds: list[tuple[float, float]]) -> None:
     scenes, poses = driven(speeds)
-    said = readings(odometer(), scenes)
-    for reading, pose, (v, w) in zip(said, poses, [(0.0, 0.0), *speeds], strict=True):
+    samples = readings(odometer(), scenes)
+    for reading, pose, (v, w) in zip(samples, poses, [(0.0, 0.0), *speeds], strict=True):
         assert reading.pose == pytest.approx(pose, abs=1e-9)
         assert (reading.v, reading.w) == pytest.approx((v, w), abs=1e-9)
 
@@ -140,9 +140,9 @@ def test_a_walk_grows_with_root_distance() -> None:
 
 def test_encoder_ticks_are_never_lost() -> None:
     scenes, poses = driven([(0.0333, 0.0)] * 300, start=(0.0, 0.0, 0.0))
-    said = np.array([reading.pose[0] for reading in readings(odometer(ticks_per_turn=64), scenes)])
-    assert np.abs(said - [pose[0] for pose in poses]).max() <= math.tau * R / 64
-    assert np.unique(said.round(9)).size < 250
+    distances = np.array([reading.pose[0] for reading in readings(odometer(ticks_per_turn=64), scenes)])
+    assert np.abs(distances - [pose[0] for pose in poses]).max() <= math.tau * R / 64
+    assert np.unique(distances.round(9)).size < 250
 
 
 def test_slip_is_not_seen() -> None:

@@ -144,8 +144,8 @@ def test_errors_match_the_stated_dilution(place: tuple[float, float, float]) -> 
     n, sensor = 2000, Uwb(anchors=SQUARE)
     e = uwb_errors(sensor, n, place)
     (fix,) = readings(sensor, [scene_of(place)])
-    told = (fix.sigma_m, fix.sigma_z_m)
-    assert (np.mean(e[:, :2] ** 2) ** 0.5, e[:, 2].std()) == pytest.approx(told, rel=4 / (2 * n) ** 0.5)
+    sigmas = (fix.sigma_m, fix.sigma_z_m)
+    assert (np.mean(e[:, :2] ** 2) ** 0.5, e[:, 2].std()) == pytest.approx(sigmas, rel=4 / (2 * n) ** 0.5)
     outside = max(abs(place[0]), abs(place[1])) > 10.0
     assert (fix.sigma_m > 0.2) == outside
 
@@ -154,9 +154,9 @@ def test_errors_equal_those_of_the_ranges() -> None:
     """Against an iterated least-squares solution of the ranges."""
     place, sensor = np.array([3.0, -2.0, 0.4]), Uwb(anchors=SQUARE, sigma_m=0.001, sigma_z_m=0.002)
     anchors = np.array(SQUARE)
-    said = uwb_errors(sensor, 20, (3.0, -2.0, 0.4))
+    fix_errors = uwb_errors(sensor, 20, (3.0, -2.0, 0.4))
     rng = stream(1, "car0/sensor")
-    for each in said:
+    for each in fix_errors:
         draws, _ = rng.standard_normal(7), rng.random(2)
         ranges = np.linalg.norm(anchors - place, axis=1) + 0.001 * draws[3:]
         height = 0.4 + 0.002 * draws[2]

@@ -158,8 +158,8 @@ def test_outliers_are_anywhere_within_reach() -> None:
     assert far.mean() == pytest.approx(5.0, abs=4 * 10.0 / math.sqrt(12.0 * len(far)))
     assert far.std() == pytest.approx(10.0 / math.sqrt(12.0), rel=0.03)
     among_nothing = RangeScanner(beams=BEAMS, field_of_view=1e-4, range_max=10.0, yaw=math.pi, outlier_probability=0.2)
-    seen = np.isfinite(among_nothing.measure(WALL, 0, stream(1, "car/scan")).ranges)
-    assert np.array_equal(seen, found != 4.0)  # outliers also occur without an obstacle
+    hits = np.isfinite(among_nothing.measure(WALL, 0, stream(1, "car/scan")).ranges)
+    assert np.array_equal(hits, found != 4.0)  # outliers also occur without an obstacle
 
 
 def test_outliers_and_missing_returns_are_different_beams() -> None:

@@ -148,16 +148,18 @@ def test_default_rates_fall_on_steps_of_120_and_240_hz(kind: type[Sensor]) -> No
 def test_an_altimeter_reads_height_plus_weather_drift() -> None:
     (exact,) = readings(Altimeter(noise=Noise()), [scene_of((1.0, 2.0, 3.5))])
     assert exact.values == {"height_m": 3.5}
-    said = np.array([reading.values["height_m"] for reading in readings(Altimeter(), still(2000, (0.0, 0.0, 50.0), hz=20.0))])
-    assert np.diff(said).std() == pytest.approx(0.1 * 2**0.5, rel=0.06)  # white noise; drift within 50 ms is negligible
+    heights = np.array(
+        [reading.values["height_m"] for reading in readings(Altimeter(), still(2000, (0.0, 0.0, 50.0), hz=20.0))]
+    )
+    assert np.diff(heights).std() == pytest.approx(0.1 * 2**0.5, rel=0.06)  # white noise; drift within 50 ms is negligible
 
 
 def test_a_compass_reads_the_wrapped_yaw() -> None:
     (exact,) = readings(Compass(noise=Noise()), [scene_of(yaw=-2.0)])
     assert exact.values == {"yaw_rad": pytest.approx(-2.0)}
-    said = [reading.values["yaw_rad"] for reading in readings(Compass(noise=Noise(sigma=0.3)), still(300, yaw=3.1))]
-    assert -np.pi <= min(said) < -3.0
-    assert 3.0 < max(said) < np.pi
+    yaws = [reading.values["yaw_rad"] for reading in readings(Compass(noise=Noise(sigma=0.3)), still(300, yaw=3.1))]
+    assert -np.pi <= min(yaws) < -3.0
+    assert 3.0 < max(yaws) < np.pi
 
 
 def test_a_magnetometer_reads_the_field_in_its_axes() -> None:
@@ -166,8 +168,8 @@ def test_a_magnetometer_reads_the_field_in_its_axes() -> None:
     (north,) = readings(sensor, [scene_of(yaw=0.5 * np.pi)])
     assert east.values == {"x_ut": pytest.approx(1.0), "y_ut": pytest.approx(20.0), "z_ut": pytest.approx(-40.0)}
     assert north.values == {"x_ut": pytest.approx(20.0), "y_ut": pytest.approx(-1.0), "z_ut": pytest.approx(-40.0)}
-    said = np.array([[*reading.values.values()] for reading in readings(Magnetometer(), still(2000))])
-    assert said.std(axis=0) == pytest.approx([0.3] * 3, rel=0.06)
+    fields = np.array([[*reading.values.values()] for reading in readings(Magnetometer(), still(2000))])
+    assert fields.std(axis=0) == pytest.approx([0.3] * 3, rel=0.06)
 
 
 MODEL = P2DX()
@@ -191,21 +193,21 @@ def values_of(kind: type[Physics], sensors: dict[str, Sensor], **rest: Any) -> d
 
 def poses(values: dict[str, dict[int, Any]]) -> tuple[Any, Any]:
     """Odometry and true poses, (n, 3) x m, y m, yaw rad."""
-    said = np.array([reading.pose for reading in values["car/odo"].values()])
+    odometry = np.array([reading.pose for reading in values["car/odo"].values()])
     true = np.array([(*state.position[:2], state.yaw) for state in values["car/estimate"].values()])
-    return said, true
+    return odometry, true
 
 
 def test_odometry_of_wheels_that_do_not_slip_is_the_truth() -> None:
-    said, true = poses(values_of(KinematicPhysics, {"odo": odometer()}))
-    assert len(said) == 101
-    assert np.abs(said - true).max() < 1e-9
+    odometry, true = poses(values_of(KinematicPhysics, {"odo": odometer()}))
+    assert len(odometry) == 101
+    assert np.abs(odometry - true).max() < 1e-9
 
 
 def test_odometry_of_a_body_on_a_good_floor_is_nearly_the_truth() -> None:
-    said, true = poses(values_of(BulletPhysics, {"odo": odometer()}))
-    assert np.hypot(*(said - true)[:, :2].T).max() < 0.01
-    assert np.abs(said - true)[:, 2].max() < 0.005
+    odometry, true = poses(values_of(BulletPhysics, {"odo": odometer()}))
+    assert np.hypot(*(odometry - true)[:, :2].T).max() < 0.01
+    assert np.abs(odometry - true)[:, 2].max() < 0.005
     wrong, _ = poses(values_of(BulletPhysics, {"odo": odometer(track_error=0.02)}))
     assert np.abs(wrong - true)[:, 2].max() > 0.02
 

@@ -103,7 +103,7 @@ def test_equal_parameters_give_equal_worlds(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", [Empty, Boxes, Laboratory, RecreationCentre, Urban, Corridor, Gates, GatesOffset, Pillar])
 def test_every_kind_takes_the_surroundings(kind: Any) -> None:
-    given = {
+    surroundings = {
         "boxes": [{"center": [1000, 0, 0.5], "size": [1, 1, 1], "material": "brick"}],
         "cylinders": [{"center": [1010, 0, 0.5], "radius": 0.2, "height": 1}],
         "prisms": [{"outline": [[1020, 0], [1022, 0], [1020, 2]], "height": 3}],
@@ -123,11 +123,11 @@ def test_every_kind_takes_the_surroundings(kind: Any) -> None:
         "wind": {"velocity": [3, 0, 0], "gust": 1},
         "light": {"direction": [0, 0, 1], "ambient": 0.4},
     }
-    world = binding.call(kind, given).build()
+    world = binding.call(kind, surroundings).build()
     assert [type(solid) for solid in world.solids[-3:]] == [Box, Cylinder, Prism]
     assert (world.movables[0].name, world.moving[0].name, world.floor_friction) == ("ball", "cart", 0.5)
     assert (world.wind, world.light.ambient) == (Wind(velocity=(3.0, 0.0, 0.0), gust=1.0), 0.4)
-    plain = binding.complete(kind, given)
+    plain = binding.complete(kind, surroundings)
     assert binding.call(kind, plain).build() == world  # the resolved scenario gives an equal world
     picture = world.ground.image
     x, y = world.ground.center
@@ -315,9 +315,9 @@ def test_a_run_its_drawing_and_its_radio_share_a_town(tmp_path: Path) -> None:
         assert [each.place(0.0) for each in assembled.world.targets] == [each.place(0.0) for each in world.targets]
     vcmvsp.run(scenario, out=tmp_path / "run")
     assert {"alpha.png", "bravo.png"} <= {path.name for path in (tmp_path / "run").iterdir()}
-    kept, _ = worlds.world_of(str(tmp_path / "run" / "scenario.toml"), {})
-    assert kept.solids == world.solids
-    assert [each.picture for each in kept.targets] == [str(tmp_path / "run" / f"{each['name']}.png") for each in listed]
+    run_world, _ = worlds.world_of(str(tmp_path / "run" / "scenario.toml"), {})
+    assert run_world.solids == world.solids
+    assert [each.picture for each in run_world.targets] == [str(tmp_path / "run" / f"{each['name']}.png") for each in listed]
     assert len({worlds.world_of(str(tmp_path / "run" / "scenario.toml"), {"seed": k})[0].solids for k in range(4)}) == 4
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from tests.support.agents.agent_loop import T, Uav, info, reception_of
-from vcmvsp.agents.formation.aerial import told
+from vcmvsp.agents.formation.aerial import report_keys
 from vcmvsp.cosim.agent import Agent, Body, Observation, Radio
 from vcmvsp.cosim.types import Reception, Vec3, Velocity
 
@@ -23,7 +23,15 @@ class Drifter(Agent):
         (x, y, _), (vx, vy, _) = obs.state.position, self.velocity
         v = vx * math.cos(obs.state.yaw) + vy * math.sin(obs.state.yaw)
         radio.send(
-            {**told(obs, self.velocity), "t_ns": obs.time_ns, "x": x, "y": y, "th": obs.state.yaw, "v": v, "w": self.yaw_rate}
+            {
+                **report_keys(obs, self.velocity),
+                "t_ns": obs.time_ns,
+                "x": x,
+                "y": y,
+                "th": obs.state.yaw,
+                "v": v,
+                "w": self.yaw_rate,
+            }
         )
         return Velocity(linear=self.velocity, yaw_rate=self.yaw_rate)
 
@@ -52,24 +60,24 @@ def fly(
     uavs = dict(zip(names, starts, strict=True))
     for name, agent in agents.items():
         agent.start(info(name, names, body=BODY, sensors=("scan",)))
-    seen = Flight(*({name: [] for name in names} for _ in range(5)))  # type: ignore[arg-type]
+    flight = Flight(*({name: [] for name in names} for _ in range(5)))  # type: ignore[arg-type]
     air: list[Reception] = []
     for tick in range(ticks):
         sent: list[Reception] = []
         for name, agent in agents.items():
-            heard = [each for each in air if each.message.sender != name]
-            command = agent.act(uavs[name].see(round(tick * T * 1e9), heard), radios[name])
+            received = [each for each in air if each.message.sender != name]
+            command = agent.act(uavs[name].see(round(tick * T * 1e9), received), radios[name])
             assert isinstance(command, Velocity)
-            seen.position[name].append(uavs[name].position)
-            seen.yaw[name].append(uavs[name].yaw)
-            seen.commands[name].append(command)
-            seen.notes[name].append(agent.drain_notes())
+            flight.position[name].append(uavs[name].position)
+            flight.yaw[name].append(uavs[name].yaw)
+            flight.commands[name].append(command)
+            flight.notes[name].append(agent.drain_notes())
             for message in radios[name].drain():
                 assert isinstance(message.body, dict)
-                seen.messages[name].append(message.body)
+                flight.messages[name].append(message.body)
                 if not lost(tick, name):
                     sent.append(reception_of(message))
-        for name, commands in seen.commands.items():
+        for name, commands in flight.commands.items():
             uavs[name].move(commands[-1])
         air = sent
-    return seen
+    return flight

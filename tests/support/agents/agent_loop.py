@@ -55,7 +55,7 @@ class Uav:
     velocity: Vec3 = (0.0, 0.0, 0.0)
     yaw_rate: float = 0.0
 
-    def see(self, time_ns: int, heard: Sequence[Reception] = (), **readings: Any) -> Observation:
+    def see(self, time_ns: int, received: Sequence[Reception] = (), **readings: Any) -> Observation:
         """Observation of a vehicle with exact sensors; None: no such reading."""
         state = VehicleState(
             position=self.position,
@@ -64,7 +64,7 @@ class Uav:
             angular_velocity=(0.0, 0.0, self.yaw_rate),
         )
         there = {name: reading for name, reading in readings.items() if reading is not None}
-        messages = ReceivedMessages.of(heard, time_ns)
+        messages = ReceivedMessages.of(received, time_ns)
         return Observation(vehicle="me", time_ns=time_ns, state=state, readings=there, heard=messages)
 
     def move(self, command: Velocity) -> None:
@@ -74,11 +74,11 @@ class Uav:
 
 
 def observe(
-    pose: Pose, time_ns: int, heard: Sequence[Reception] = (), *, v: float = 0.0, w: float = 0.0, **readings: Any
+    pose: Pose, time_ns: int, received: Sequence[Reception] = (), *, v: float = 0.0, w: float = 0.0, **readings: Any
 ) -> Observation:
     """Observation of a wheeled vehicle."""
     x, y, yaw = pose
-    return Uav((x, y, 0.0), yaw, (v * math.cos(yaw), v * math.sin(yaw), 0.0), w).see(time_ns, heard, **readings)
+    return Uav((x, y, 0.0), yaw, (v * math.cos(yaw), v * math.sin(yaw), 0.0), w).see(time_ns, received, **readings)
 
 
 def reception_of(message: Message) -> Reception:
@@ -164,8 +164,8 @@ def drive(
         sent = tick - delay_ticks
         orders = []
         for i, (agent, car, radio) in enumerate(zip(followers, cars, radios, strict=True)):
-            heard = () if sent < 0 or lost(sent, i) else on_air[sent]
-            orders.append(agent.act(observe(car.pose, now_ns, heard, v=car.v, w=car.w), radio))
+            received = () if sent < 0 or lost(sent, i) else on_air[sent]
+            orders.append(agent.act(observe(car.pose, now_ns, received, v=car.v, w=car.w), radio))
             for message in radio.drain():
                 if message.to is None:
                     on_air[tick].append(reception_of(message))

@@ -53,9 +53,9 @@ class FakeWatch:
                 continue
             if self.region is not None and math.dist(place, self.region.place) > self.region.reach_m:
                 continue
-            seen = nadir.ground_point(pixel)
-            assert seen is not None
-            found.append(Sighting(target=name, place=seen, centre_px=pixel, angle=0.0, side_px=20.0, score=0.9))
+            point = nadir.ground_point(pixel)
+            assert point is not None
+            found.append(Sighting(target=name, place=point, centre_px=pixel, angle=0.0, side_px=20.0, score=0.9))
         return WatchFrame(obs.time_ns, nadir, tuple(found), image, (0, 0, 640, 480), self.region is None)
 
 

@@ -25,10 +25,10 @@ class MemberRunner:
     def __init__(self, name: str, formation: dict[str, Any] | None = None, **params: Any) -> None:
         self.follower, self.radio, self.tick = member(name, formation, **params), Radio(name, CARS), -1
 
-    def act(self, *heard: Reception, v: float = 0.0, x: float = -1.0) -> tuple[Velocity, dict[str, Any], list[Message]]:
+    def act(self, *received: Reception, v: float = 0.0, x: float = -1.0) -> tuple[Velocity, dict[str, Any], list[Message]]:
         """Next tick: command, notes, and sent messages."""
         self.tick += 1
-        command = self.follower.act(observe((x, 0.0, 0.0), self.tick * TICK_NS, heard, v=v), self.radio)
+        command = self.follower.act(observe((x, 0.0, 0.0), self.tick * TICK_NS, received, v=v), self.radio)
         return command, self.follower.drain_notes(), self.radio.drain()
 
 

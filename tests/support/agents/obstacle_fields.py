@@ -87,8 +87,8 @@ def fly(
     while len(decisions) < seconds / T and not until(place):
         wish = task(place)
         now = (decisions[-1].velocity[0], decisions[-1].yaw_rate) if decisions else (0.0, 0.0)
-        asked = wish._replace(velocity=rotate2(*wish.velocity, -yaw), now=now)
-        decisions.append(method.decide(look((*place, yaw), [PILLAR]), asked))
+        body_task = wish._replace(velocity=rotate2(*wish.velocity, -yaw), now=now)
+        decisions.append(method.decide(look((*place, yaw), [PILLAR]), body_task))
         ux, uy = rotate2(*decisions[-1].velocity, yaw)
         place = place[0] + ux * T, place[1] + uy * T
         poses.append((*place, yaw))

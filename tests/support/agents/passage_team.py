@@ -34,8 +34,8 @@ def formation(**passage: Any) -> Formation:
     return Formation(spacing=1.0, passage=Passage(**{"spacing": 0.8, **passage}))
 
 
-def lookout(name: str = "car1", given: Formation | None = None) -> Lookout:
-    of = given or formation()
+def lookout(name: str = "car1", team_formation: Formation | None = None) -> Lookout:
+    of = team_formation or formation()
     assert of.passage is not None
     return Lookout(of.passage, Team(of, CARS, name), info(name))
 
@@ -48,14 +48,14 @@ def scan(*points: tuple[float, float], time_ns: int = 0) -> Scan:
     return scan_of(ranges, time_ns=time_ns)
 
 
-def observation(reading: Any, tick: int = 0, *heard: Reception) -> Observation:
-    return observe((0.03 * tick, 0.0, 0.0), tick * TICK_NS, heard, v=0.3, scan=reading)
+def observation(reading: Any, tick: int = 0, *received: Reception) -> Observation:
+    return observe((0.03 * tick, 0.0, 0.0), tick * TICK_NS, received, v=0.3, scan=reading)
 
 
 def free(
-    reading: Any, *, ahead_m: float = 2.0, heard: ReportReceiver | None = None, tick: int = 0, of: Lookout | None = None
+    reading: Any, *, ahead_m: float = 2.0, receiver: ReportReceiver | None = None, tick: int = 0, of: Lookout | None = None
 ) -> bool:
-    return (of or lookout()).is_free(observation(reading, tick), heard or ReportReceiver((), 0.0), DeadReckoning(), ahead_m)
+    return (of or lookout()).is_free(observation(reading, tick), receiver or ReportReceiver((), 0.0), DeadReckoning(), ahead_m)
 
 
 def receptions_of(*receptions: Reception) -> ReportReceiver:
@@ -81,11 +81,11 @@ class ScriptedLeader:
         self.radio, self.tick = Radio("car1", CARS), -1
         self.agent.start(info(**sees_and_is))
 
-    def act(self, reading: Any, *heard: Reception) -> tuple[dict[str, Any], Mapping[str, Any]]:
+    def act(self, reading: Any, *received: Reception) -> tuple[dict[str, Any], Mapping[str, Any]]:
         """Next tick: notes, and the sent report."""
         self.tick += 1
         reading = msgspec.structs.replace(reading, time_ns=self.tick * TICK_NS) if isinstance(reading, Scan) else reading
-        assert isinstance(self.agent.act(observation(reading, self.tick, *heard), self.radio), Velocity)
+        assert isinstance(self.agent.act(observation(reading, self.tick, *received), self.radio), Velocity)
         (message,) = self.radio.drain()
         assert isinstance(message.body, dict)
         return self.agent.drain_notes(), message.body

@@ -39,8 +39,8 @@ def looks(x: float, y: float, time_ns: int, rng: np.random.Generator | None = No
     return Looks(time_ns=time_ns, cell_m=2.0, cells=np.column_stack([columns, rows]).astype(np.int32), hits=hits)
 
 
-def observation(position: Vec3, time_ns: int, *heard: Reception, yaw: float = 0.0, **readings: Any) -> Observation:
-    return Uav(position, yaw).see(time_ns, heard, **readings)
+def observation(position: Vec3, time_ns: int, *received: Reception, yaw: float = 0.0, **readings: Any) -> Observation:
+    return Uav(position, yaw).see(time_ns, received, **readings)
 
 
 @dataclass
@@ -76,8 +76,8 @@ class Team:
             x, y, z = self.places[name]
             if self.tick % 10 == 0:
                 self.readings[name] = looks(x, y, now_ns, self.rngs[name] if self.errs else None)
-            heard = [each for each in air if each.sender != name and not self.lost(self.tick, each.sender, name)]
-            obs = observation((x, y, z), now_ns, *map(reception_of, heard), looks=self.readings[name])
+            received = [each for each in air if each.sender != name and not self.lost(self.tick, each.sender, name)]
+            obs = observation((x, y, z), now_ns, *map(reception_of, received), looks=self.readings[name])
             if name in standing_by:
                 agent.stand_by(obs, self.radios[name])
                 self.commands[name] = Velocity()

@@ -98,11 +98,11 @@ def merge(older: PageUpdate | None, newer: PageUpdate) -> PageUpdate:
     if older is None:
         return newer
     fields = {name: getattr(older, name) for name in PageUpdate.__struct_fields__}
-    kept = {name: before | getattr(newer, name) for name, before in fields.items() if isinstance(before, dict)}
-    kept |= {name: fields[name] for name in ("states", "sent", "received") if getattr(newer, name) is None}
+    merged = {name: before | getattr(newer, name) for name, before in fields.items() if isinstance(before, dict)}
+    merged |= {name: fields[name] for name in ("states", "sent", "received") if getattr(newer, name) is None}
     links = {link.sender: link for link in (*older.links, *newer.links)}
     lines = (*older.lines, *newer.lines)
-    return msgspec.structs.replace(newer, **kept, links=tuple(links.values()), lines=lines)
+    return msgspec.structs.replace(newer, **merged, links=tuple(links.values()), lines=lines)
 
 
 def at(x: float) -> Any:

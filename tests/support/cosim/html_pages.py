@@ -12,7 +12,7 @@ class Reader(HTMLParser):
     def __init__(self, text: str) -> None:
         super().__init__()
         self.open: list[str] = []
-        self.asked: list[str] = []
+        self.resources: list[str] = []
         self.ids: list[str] = []
         self.words = ""
         self.tables: list[list[list[str]]] = []  # their rows, of cells
@@ -34,10 +34,10 @@ class Reader(HTMLParser):
                 self.tables[-1][-1].append("")
         for name, value in attrs:
             if name in {"src", "href", "xlink:href", "srcset", "data", "action", "poster"}:
-                self.asked.append(value or "")
+                self.resources.append(value or "")
             if name == "id":
                 self.ids.append(value or "")
-            self.asked += re.findall(r"url\(([^)]*)\)", value or "")
+            self.resources += re.findall(r"url\(([^)]*)\)", value or "")
 
     def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.handle_starttag(tag, attrs)

@@ -53,22 +53,22 @@ def assert_answered(answer: CommandCost) -> None:
 def measure_commands(commands: Sequence[str]) -> list[CommandCost]:
     """Run each command; the system ends those that take more than `CPU_S`."""
     line = [sys.executable, "-m", "tests.support.cosim.measured_commands", *commands]
-    done = subprocess.run(line, stdout=subprocess.PIPE, check=True, text=True)
-    return [CommandCost(*each) for each in json.loads(done.stdout)]
+    result = subprocess.run(line, stdout=subprocess.PIPE, check=True, text=True)
+    return [CommandCost(*each) for each in json.loads(result.stdout)]
 
 
 def _run(command: str) -> CommandCost:
-    with tempfile.TemporaryFile() as said:
+    with tempfile.TemporaryFile() as error_output:
         child = os.fork()
         if child == 0:
             resource.setrlimit(resource.RLIMIT_CPU, (CPU_S + 1, CPU_S + 1))
             os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-            os.dup2(said.fileno(), 2)
+            os.dup2(error_output.fileno(), 2)
             sys.modules["vcmvsp.cosim.cli.app"].main(shlex.split(command))
             sys.exit(0)
         _, status, used = os.wait4(child, 0)
-        said.seek(0)
-        err = said.read().decode()
+        error_output.seek(0)
+        err = error_output.read().decode()
     return CommandCost(os.waitstatus_to_exitcode(status), err, used.ru_utime + used.ru_stime, 1024 * used.ru_maxrss)
 
 

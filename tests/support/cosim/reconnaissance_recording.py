@@ -67,23 +67,23 @@ def events(names: Sequence[str], seconds: float, looks: float = 1.0) -> Iterator
                 continue
             away = np.hypot(middles[:, None] - y, middles - x)
             counts[i][away < REACH_M] -= 1.0
-            seen = [each for each in TARGETS if math.dist(each.place(time_s), (x, y)) < REACH_M]
-            for each in seen:
+            targets = [each for each in TARGETS if math.dist(each.place(time_s), (x, y)) < REACH_M]
+            for each in targets:
                 column, row = (int(at // CELL_M) for at in each.place(time_s))
                 counts[i, row, column] += 3.0
             sightings = tuple(
                 Sighting(
                     target=each.name, place=each.place(time_s), centre_px=(160.0, 120.0), angle=0.3, side_px=40.0, score=0.93
                 )
-                for each in seen
+                for each in targets
             )
-            shown = jpeg(seen[0].name if seen else "", k % 7)
+            shown = jpeg(targets[0].name if targets else "", k % 7)
             yield Event(
                 f"{name}/sightings",
                 now,
                 Sightings(sensor="camera", time_ns=now, width=WIDTH, height=HEIGHT, found=sightings, jpeg=shown),
             )
-            yield from _noted(name, now, seen, found)
+            yield from _noted(name, now, targets, found)
             if k % 10 == 0:
                 yield from _mapped(name, now, counts[i])
             cells = np.argwhere(away < REACH_M)[:, ::-1]
@@ -94,14 +94,14 @@ def events(names: Sequence[str], seconds: float, looks: float = 1.0) -> Iterator
             )
 
 
-def _noted(name: str, now: int, seen: Sequence[PlacedTarget], found: set[tuple[str, str]]) -> Iterator[Event]:
+def _noted(name: str, now: int, targets: Sequence[PlacedTarget], found: set[tuple[str, str]]) -> Iterator[Event]:
     """A target is found at first sight; later detections only track it."""
-    for each in seen:
+    for each in targets:
         if (name, each.name) not in found:
             found.add((name, each.name))
             x, y = each.place(now / SECOND_NS)
             yield note(name, now, found=each.name, found_x=x, found_y=y, commander="track", task="track", target=each.name)
-    if not seen and any(who == name for who, _ in found):
+    if not targets and any(finder == name for finder, _ in found):
         yield note(name, now, commander="search", task="search", target="")
 
 

@@ -60,23 +60,23 @@ class Stage:
 
 def exit_of(process: subprocess.Popen[str]) -> tuple[int, str]:
     """Exit code and output of a process."""
-    _, said = process.communicate(timeout=500)
-    assert "Traceback" not in said
-    return process.returncode, said
+    _, output = process.communicate(timeout=500)
+    assert "Traceback" not in output
+    return process.returncode, output
 
 
 def output_at_exit(code: int, process: subprocess.Popen[str]) -> str:
     """Output of a process that ended with this exit code."""
-    found, said = exit_of(process)
-    assert found == code, said
-    return said
+    found, output = exit_of(process)
+    assert found == code, output
+    return output
 
 
-def read_until(process: subprocess.Popen[str], what: str) -> str:
+def read_until(process: subprocess.Popen[str], text: str) -> str:
     """Read the output up to this text; returns the line that contains it."""
     assert process.stderr is not None
-    found = next((line for line in process.stderr if what in line), None)
-    assert found is not None, what
+    found = next((line for line in process.stderr if text in line), None)
+    assert found is not None, text
     return found
 
 

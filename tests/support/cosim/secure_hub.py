@@ -60,9 +60,9 @@ def answer_queries(host: zenoh.Session, key: str, answer: Callable[[bytes], byte
     threading.Thread(target=work, daemon=True).start()
 
 
-def reply(query: zenoh.Query, what: bytes = b"ok") -> None:
+def reply(query: zenoh.Query, payload: bytes = b"ok") -> None:
     with query:
-        query.reply(str(query.key_expr), what)
+        query.reply(str(query.key_expr), payload)
 
 
 def until(condition: Callable[[], object]) -> None:
@@ -76,7 +76,7 @@ class Hub:
     """A router with the rules, which answers greetings and counts everything that passes."""
 
     def __init__(self, rules: dict[str, Any], endpoints: tuple[str, ...] = ("tls/127.0.0.1:0",)) -> None:
-        self.seen: Counter[str] = Counter()
+        self.counts: Counter[str] = Counter()
         own = {"mode": "router", "listen": {"endpoints": list(endpoints)}, "adminspace": {"enabled": True}}
         self.session = start(merge(QUIET, own, rules))
         self.endpoints = self._locators()
@@ -84,11 +84,11 @@ class Hub:
         self._links: list[zenoh.LinkEvent] = []
         self.session.info.declare_link_events_listener(direct(self._links.append))
         for key in (key_names.JOIN, key_names.ABOUT, key_names.PAGE_SCENERY):
-            self.session.declare_queryable(key, direct(self._greeted))
+            self.session.declare_queryable(key, direct(self._on_greeting))
         self._token = self.session.liveliness().declare_token(key_names.HUB_ALIVE)
-        watch = direct(lambda sample: self.seen.update([f"token {sample.key_expr}"]))
+        watch = direct(lambda sample: self.counts.update([f"token {sample.key_expr}"]))
         self.session.liveliness().declare_subscriber("vcmvsp/**", watch)
-        self.session.declare_subscriber("**", direct(self._heard))
+        self.session.declare_subscriber("**", direct(self._on_sample))
 
     def __enter__(self) -> Self:
         return self
@@ -114,14 +114,14 @@ class Hub:
         """Links of this name: True for each that opened, False for each that closed."""
         return [each.kind == zenoh.SampleKind.PUT for each in self._links if each.link.auth_identifier == name]
 
-    def _heard(self, sample: zenoh.Sample) -> None:
-        said = sample.payload.to_bytes()
-        if not said.isdigit() and not said.startswith(EXCHANGED):
-            self.seen.update([f"sample {sample.payload.to_string()}"])
+    def _on_sample(self, sample: zenoh.Sample) -> None:
+        payload = sample.payload.to_bytes()
+        if not payload.isdigit() and not payload.startswith(EXCHANGED):
+            self.counts.update([f"sample {sample.payload.to_string()}"])
 
-    def _greeted(self, query: zenoh.Query) -> None:
-        said = query.payload.to_bytes() if query.payload else b""
-        self.seen.update([f"greeting {query.key_expr} {said[:5].decode()}"])
+    def _on_greeting(self, query: zenoh.Query) -> None:
+        greeting = query.payload.to_bytes() if query.payload else b""
+        self.counts.update([f"greeting {query.key_expr} {greeting[:5].decode()}"])
         reply(query, b"welcome")
 
     def _locators(self) -> list[str]:

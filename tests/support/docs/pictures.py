@@ -38,7 +38,7 @@ def main(names: Sequence[str]) -> None:
         for path in sorted(FOLDER.glob("*.png")):
             if names and path.stem not in names:
                 continue
-            scenario, _, what = path.stem.rpartition("-")
+            scenario, _, picture = path.stem.rpartition("-")
             if path.stem == "demo":
                 command(folder, "demo", "--out", "demo")
                 shutil.copy(Path(folder, "demo", "comparison.png"), path)
@@ -50,15 +50,15 @@ def main(names: Sequence[str]) -> None:
                 command(folder, "demo", "--out", "demo")
                 command(folder, "export", "demo/hold", "--mp4")
                 film_still(Path(folder, "demo", "hold", "run.mp4"), path)
-            elif what in FIGURES or what == "station":
+            elif picture in FIGURES or picture == "station":
                 if scenario not in made:
                     name, options = CHANGED.get(scenario, (scenario, []))
                     command(folder, "run", name, *options, "--out", scenario)
                     made[scenario] = Path(folder, scenario)
-                if what == "station":
+                if picture == "station":
                     station(made[scenario], STATIONS[scenario], path)
                 else:
-                    shutil.copy(made[scenario] / f"{what}.png", path)
+                    shutil.copy(made[scenario] / f"{picture}.png", path)
             else:
                 continue
             with Image.open(path) as drawn:

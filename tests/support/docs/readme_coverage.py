@@ -34,10 +34,10 @@ def _in_the_gallery() -> dict[str, str]:
     """Runs and studies of the built-in scenarios, which the gallery's tests cover."""
     found: dict[str, str] = {}
     for each in COMMANDS:
-        words = re.fullmatch(r"vcmvsp (run|study) (\S+)( --(set|out) \S+)*", each.text)
-        if words and each.page == "scenarios/README.md" and (name := words[2]) in loader.names():
+        match = re.fullmatch(r"vcmvsp (run|study) (\S+)( --(set|out) \S+)*", each.text)
+        if match and each.page == "scenarios/README.md" and (name := match[2]) in loader.names():
             run = SEARCHES if name.startswith("recon-") else GALLERY
-            found[each.text] = CORNERS if words[1] == "study" else run
+            found[each.text] = CORNERS if match[1] == "study" else run
     return found
 
 

@@ -232,6 +232,6 @@ def _names(command: Any, words: list[str]) -> None:
         _one_of("scenario" if command.name != "figure" else "figure", words[0], about[command.name])
 
 
-def _one_of(what: str, name: str, known: Collection[str]) -> None:
+def _one_of(kind: str, name: str, known: Collection[str]) -> None:
     if name not in known:
-        raise ValueError(f"there is no {what} {name}; there are {', '.join(known)}")
+        raise ValueError(f"there is no {kind} {name}; there are {', '.join(known)}")

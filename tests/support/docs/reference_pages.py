@@ -94,8 +94,10 @@ def parts_of(target: object) -> tuple[str, str]:
     """The paragraphs of a docstring before its sections, and the sections."""
     text = inspect.getdoc(target) or ""
     head = re.split(r"^(?:Args|Attributes|Returns|Raises):\n", text, maxsplit=1, flags=re.MULTILINE)[0]
-    kept = [markdown(each) for each in head.split("\n\n") if each.strip() and "::" not in each and not each.startswith("    ")]
-    return "\n\n".join(kept), text[len(head) :]
+    paragraphs = [
+        markdown(each) for each in head.split("\n\n") if each.strip() and "::" not in each and not each.startswith("    ")
+    ]
+    return "\n\n".join(paragraphs), text[len(head) :]
 
 
 def node_of(target: Any) -> Any:
@@ -127,9 +129,9 @@ def fields(target: Any) -> str:
             value = "none" if "msgspec.field" in value else value
             rows.append([f"`{name}`", f"`{ast.unparse(each.annotation)}`".replace("|", "\\|"), value, known.get(name, "")])
     listed = re.search(r"^Attributes:\n((?: .*\n?)*)", inspect.getdoc(target) or "", re.MULTILINE)
-    said = re.findall(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", listed[1] if listed else "", re.MULTILINE)
+    explanations = re.findall(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", listed[1] if listed else "", re.MULTILINE)
     named = {row[0] for row in rows}
-    rows += [[f"`{name}`", "", "", markdown(words)] for name, words in said if f"`{name}`" not in named]
+    rows += [[f"`{name}`", "", "", markdown(words)] for name, words in explanations if f"`{name}`" not in named]
     table = [[name, kind, value, markdown(words).replace("|", "\\|")] for name, kind, value, words in rows]
     return grid(["attribute", "type", "default", "meaning"], table) if table else ""
 
@@ -143,7 +145,9 @@ def methods(target: Any) -> list[str]:
             words = markdown((ast.get_docstring(each) or "").partition("\n\nArgs:")[0].partition("\n\nRaises:")[0])
             shown = each.name if is_property else signature(each.name, each)
             lines.append(f"- `{shown}`: {words}")
-            explained += [f"- `{each.name}({name}=)`: {said}" for name, said in arguments(ast.get_docstring(each) or "")]
+            explained += [
+                f"- `{each.name}({name}=)`: {explanation}" for name, explanation in arguments(ast.get_docstring(each) or "")
+            ]
     return [*lines, "", *explained] if explained else lines
 
 

@@ -45,10 +45,10 @@ def fly(driver: Driver, seconds: float, *linear: float, yaw_rate: float = 0.0) -
     return samples
 
 
-def eventually(what: Callable[[], object], seconds: float = PATIENCE_S) -> None:
+def eventually(condition: Callable[[], object], seconds: float = PATIENCE_S) -> None:
     """Wait until a condition holds."""
     end = time.monotonic() + seconds
-    while not what():
+    while not condition():
         assert time.monotonic() < end, "it did not happen"
         time.sleep(0.01)
 

@@ -210,15 +210,15 @@ def main(port: int) -> None:
     """The calls, and the end of the run."""
     caller, paused = Caller(port), queue.SimpleQueue[Any]()
     caller.await_service("SetSimulationState")
-    asked = {"state": caller.make(f"{OWN}msg/SimulationState", state=2)}
-    caller.clients["SetSimulationState"].call_async(paused.put, **asked)
+    request = {"state": caller.make(f"{OWN}msg/SimulationState", state=2)}
+    caller.clients["SetSimulationState"].call_async(paused.put, **request)
     driver = Driver(port, "car1", 2.0, 1.0)  # the run begins with a call that waits
-    said = [("SetSimulationState", plain(paused.get(timeout=PATIENCE_S)))]
+    replies = [("SetSimulationState", plain(paused.get(timeout=PATIENCE_S)))]
     call: Callable[..., Any]
     for kind, fields in script(caller):
         call = caller.clients[kind].call
-        said.append((kind, plain(call(**fields))))
-    sys.stdout.write(json.dumps(said) + "\n")
+        replies.append((kind, plain(call(**fields))))
+    sys.stdout.write(json.dumps(replies) + "\n")
     sys.stdout.flush()
     sys.stdin.read()
     del driver

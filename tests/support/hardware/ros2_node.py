@@ -60,19 +60,19 @@ class Driver:
         self._send = ROS2Publisher(f"/{vehicle}/radio/send", send, **definition(send), **at)
         self._twist = ROS2Publisher(f"/{vehicle}/cmd_vel", kind, **definition(kind), **at)  # last: lock-step begins with it
 
-    def on_scan(self, said: Any) -> None:
-        self.nearest_m = float(min(each for each in said.ranges if each >= said.range_min))
+    def on_scan(self, scan: Any) -> None:
+        self.nearest_m = float(min(each for each in scan.ranges if each >= scan.range_min))
 
-    def on_radio(self, said: Any) -> None:
-        age_s = said.age.sec + 1e-9 * said.age.nanosec
-        sys.stdout.write(f"{said.sender} {said.data.tobytes().hex()} {said.rssi_dbm:.6f} {age_s:.9f}\n")
+    def on_radio(self, message: Any) -> None:
+        age_s = message.age.sec + 1e-9 * message.age.nanosec
+        sys.stdout.write(f"{message.sender} {message.data.tobytes().hex()} {message.rssi_dbm:.6f} {age_s:.9f}\n")
         sys.stdout.flush()
 
-    def on_odometry(self, said: Any) -> None:
+    def on_odometry(self, odometry: Any) -> None:
         self.left -= 1
         if self.left < 0:
             return
-        place, turn, types = said.pose.pose.position, said.pose.pose.orientation, self._twist.session_mgr.store.types
+        place, turn, types = odometry.pose.pose.position, odometry.pose.pose.orientation, self._twist.session_mgr.store.types
         yaw = math.atan2(2.0 * (turn.w * turn.z + turn.x * turn.y), 1.0 - 2.0 * (turn.y**2 + turn.z**2))
         dx, dy = self.goal[0] - place.x, self.goal[1] - place.y
         off = math.remainder(math.atan2(dy, dx) - yaw, math.tau)
@@ -82,13 +82,13 @@ class Driver:
         self.count += 1
         content = self.count.to_bytes(4, "big")
         if self.reports:
-            t_ns = said.header.stamp.sec * 10**9 + said.header.stamp.nanosec
+            t_ns = odometry.header.stamp.sec * 10**9 + odometry.header.stamp.nanosec
             w = command["angular"].z
             report = {"seq": self.count, "t_ns": t_ns, "x": place.x, "y": place.y, "th": yaw, "v": v, "w": w}
             content = msgspec.msgpack.encode(report)
         self._send.publish(to="", msgpack=self.reports, data=np.frombuffer(content, np.uint8))
         if self.stamped:
-            self._twist.publish(header=said.header, twist=twist(**command))
+            self._twist.publish(header=odometry.header, twist=twist(**command))
         else:
             self._twist.publish(**command)
 
@@ -102,7 +102,7 @@ if __name__ == "__main__":
     parser.add_argument("--stamped", action="store_true")
     parser.add_argument("--silent-after", type=int, default=10**9)
     parser.add_argument("--report", action="store_true")
-    asked = parser.parse_args()
-    driver = Driver(**vars(asked))
+    options = parser.parse_args()
+    driver = Driver(**vars(options))
     sys.stdin.read()
     os._exit(0)  # the SDK's session does not end

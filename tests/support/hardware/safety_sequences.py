@@ -86,7 +86,7 @@ class Rehearsal:
         gaps = self.gaps(rows)
         self.rows = rows[gaps > 0.0]
         self.now = self.real = 10 * SECOND  # by the clock of the steps, and true
-        self.heard: dict[str, int | None] = dict.fromkeys(SOURCES, self.now)
+        self.received_ns: dict[str, int | None] = dict.fromkeys(SOURCES, self.now)
         self.last = Velocity()
         self._begin()
         self.trusted, self.apart, self.worst = True, True, 0.0  # worst distance beyond the fence at which it was placed
@@ -146,15 +146,15 @@ class Rehearsal:
         self.elapsed = PERIOD_NS
 
     def _told_pose(self, stretch: Stretch) -> Any:
-        told = list(self.truth)
+        pose = list(self.truth)
         if stretch.fault == "no pose":
             return None
         if stretch.fault == "pose nan":
-            told[round(abs(stretch.where[0])) % 2] = math.nan
+            pose[round(abs(stretch.where[0])) % 2] = math.nan
         if stretch.fault == "pose false":
-            told[:3] = [a + b for a, b in zip(told[:3], stretch.where, strict=True)]
+            pose[:3] = [a + b for a, b in zip(pose[:3], stretch.where, strict=True)]
             self.trusted = False
-        return tuple(told) if self.flies else (told[0], told[1], told[3])
+        return tuple(pose) if self.flies else (pose[0], pose[1], pose[3])
 
     def _command(self, numbers: tuple[float, float, float, float]) -> Velocity:
         x, y, z, w = numbers
@@ -163,10 +163,10 @@ class Rehearsal:
     def _ears(self, fault: str) -> dict[str, int | None]:
         for name in SOURCES:
             if fault == f"{name} never":
-                self.heard[name] = None
+                self.received_ns[name] = None
             elif fault != f"{name} silent":
-                self.heard[name] = self.now + (1 if fault == "future" and name == "federation" else 0)
-        return dict(self.heard)
+                self.received_ns[name] = self.now + (1 if fault == "future" and name == "federation" else 0)
+        return dict(self.received_ns)
 
     def _others(self, fault: str) -> Others | None:
         if not len(self.rows) and fault != "others nan":
@@ -218,8 +218,8 @@ class Rehearsal:
         x, y, z, yaw = self.truth
         pieces: Any
         if self.flies:
-            told = (*command.linear, command.yaw_rate)
-            pieces = flight_of((x, y, z, yaw), self.speeds, told, 0.1, self.keep, ideal=self.exact)
+            target_speeds = (*command.linear, command.yaw_rate)
+            pieces = flight_of((x, y, z, yaw), self.speeds, target_speeds, 0.1, self.keep, ideal=self.exact)
         else:
             robot = ideal if self.exact else ramping
             pieces = robot((x, y, yaw), self.speeds, (command.linear[0], command.yaw_rate), 0.1, self.keep)

@@ -58,23 +58,23 @@ class FakeStation:
 
     def __init__(self) -> None:
         self.saying: list[StationReport] = []
-        self.heard: list[StationOrder] = []
+        self.orders: list[StationOrder] = []
         self.failing: StationError | None = None
 
     def order(self, order: StationOrder) -> bool:
-        self.heard.append(order)
+        self.orders.append(order)
         return True
 
     def reports(self) -> list[StationReport]:
         if self.failing is not None and not self.saying:
             raise self.failing
-        said, self.saying = self.saying, []
-        return said
+        pending, self.saying = self.saying, []
+        return pending
 
 
 def real_vehicle(**changes: Any) -> RealVehicle:
     """A software robot on the ground, at the origin."""
-    given: dict[str, Any] = {
+    defaults: dict[str, Any] = {
         "name": "car1",
         "folder": ".",
         "driver": "bench",
@@ -89,14 +89,14 @@ def real_vehicle(**changes: Any) -> RealVehicle:
         "fusion": {},
         **dict.fromkeys(("localisation", "positioning")),
     }
-    return RealVehicle(**{**given, **changes})
+    return RealVehicle(**{**defaults, **changes})
 
 
 class Run:
     """Gives orders to a station and stores its reports."""
 
     def __init__(self, station: Station) -> None:
-        self.station, self.said, self._number = station, list[StationReport](), 0
+        self.station, self.reports, self._number = station, list[StationReport](), 0
 
     def order(self, v: float = 0.0, *, stop: str = "", others: Array | None = None) -> None:
         self._number += 1
@@ -106,32 +106,34 @@ class Run:
             StationOrder(number=self._number, sent_ns=now_ns, command=command, command_ns=now_ns, stop=stop, others=others)
         )
 
-    def until(self, what: Callable[[StationReport], object], v: float | None = None, seconds: float = 30.0) -> StationReport:
+    def until(
+        self, condition: Callable[[StationReport], object], v: float | None = None, seconds: float = 30.0
+    ) -> StationReport:
         """Drive with this command (None: send none) until a report meets a condition."""
         end = time.monotonic() + seconds
         while True:
             if v is not None:
                 self.order(v)
             fresh = self.station.reports()
-            self.said += fresh
+            self.reports += fresh
             for each in fresh:
-                if what(each):
+                if condition(each):
                     return each
-            assert time.monotonic() < end, f"it did not happen; last: {self.said[-1:]}"
+            assert time.monotonic() < end, f"it did not happen; last: {self.reports[-1:]}"
             time.sleep(0.02)
 
     @property
     def notices(self) -> list[tuple[str, str]]:
         """Notices without the one that a station gives on a machine that delays it."""
-        told = [(each.what, each.cause) for report in self.said for each in report.notices]
-        late = max(each.late_s for each in self.said) > 0.4
-        return [each for each in told if each != HELD_UP or not late]
+        notices = [(each.what, each.cause) for report in self.reports for each in report.notices]
+        late = max(each.late_s for each in self.reports) > 0.4
+        return [each for each in notices if each != HELD_UP or not late]
 
 
 @contextmanager
-def ready_station(told: StationMission) -> Iterator[Run]:
+def ready_station(station_mission: StationMission) -> Iterator[Run]:
     """A station that is ready; closed at the end."""
-    station = Station.start(told)
+    station = Station.start(station_mission)
     try:
         station.wait_ready()
         yield Run(station)

@@ -22,7 +22,7 @@ def safety_of(limits: Limits, **others: Any) -> Safety:
 
 
 def flight_of(
-    place: Flight, speeds: Flight, told: Flight, dt: float, limits: Limits, *, ideal: bool
+    place: Flight, speeds: Flight, target_speeds: Flight, dt: float, limits: Limits, *, ideal: bool
 ) -> Iterator[tuple[Flight, Flight]]:
     """Positions and speeds after parts of a period.
 
@@ -31,9 +31,9 @@ def flight_of(
     """
     if ideal:
         for part in range(1, 5):
-            yield tuple(each + speed * dt * part / 4 for each, speed in zip(place, told, strict=True)), told  # type: ignore[misc]
+            yield tuple(each + speed * dt * part / 4 for each, speed in zip(place, target_speeds, strict=True)), target_speeds  # type: ignore[misc]
         return
-    change = [b - a for a, b in zip(speeds, told, strict=True)]
+    change = [b - a for a, b in zip(speeds, target_speeds, strict=True)]
     across = math.hypot(change[0], change[1])
     ready = [across / limits.decel] * 2 + [abs(change[2]) / limits.decel, abs(change[3]) / limits.yaw_decel]
 

@@ -74,7 +74,7 @@ class BridgeRun:
         self.first_port = free_ports(100 * len(vehicles)) if gateways is None else 0
         params = {"first_port": self.first_port, **(udp or {})}
         gateways = [GatewaySpec(name="udp", kind="udp", params=params)] if gateways is None else gateways
-        self.told: list[str] = []
+        self.lines: list[str] = []
         self.logged: list[tuple[str, int, Any]] = []
         self.sent: list[tuple[int, Datagrams]] = []
         self.reports: list[FrameReport] = []
@@ -92,7 +92,7 @@ class BridgeRun:
             agents=hear,
             levels_dbm=air.levels_dbm,
             clock=clock,  # type: ignore[arg-type]  # one that has these times
-            tell=self.told.append,
+            tell=self.lines.append,
             log=self.log,
             connect=connect,
         )
@@ -173,27 +173,27 @@ def background_run(run: BridgeRun) -> Iterator[BridgeRun]:
         raise run.error
 
 
-def receive_all(heard: socket.socket, count: int) -> list[bytes]:
+def receive_all(receiver: socket.socket, count: int) -> list[bytes]:
     """Receive a number of datagrams."""
-    return [heard.recv(65536) for _ in range(count)]
+    return [receiver.recv(65536) for _ in range(count)]
 
 
-def receive_each_of(heard: socket.socket, wanted: Iterable[bytes]) -> list[bytes]:
+def receive_each_of(receiver: socket.socket, expected: Iterable[bytes]) -> list[bytes]:
     """Receive datagrams until each expected one is among them."""
-    missing, found = set(wanted), list[bytes]()
+    missing, found = set(expected), list[bytes]()
     while missing:
-        found.append(heard.recv(65536))
+        found.append(receiver.recv(65536))
         missing.discard(found[-1])
     return found
 
 
-def receive_available(heard: socket.socket) -> list[bytes]:
+def receive_available(receiver: socket.socket) -> list[bytes]:
     """Datagrams that have arrived."""
-    heard.setblocking(False)
+    receiver.setblocking(False)
     found = []
     with contextlib.suppress(BlockingIOError):
         while True:
-            found.append(heard.recv(65536))
+            found.append(receiver.recv(65536))
     return found
 
 

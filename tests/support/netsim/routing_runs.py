@@ -29,7 +29,7 @@ class Run(NamedTuple):
     """Results of a run."""
 
     frames: list[FrameReport]
-    heard: list[RoutedReception]
+    routed_receptions: list[RoutedReception]
     routed: list[Routed]
     traffic: list[Traffic]
     traffic_ns: list[int]  # when it was reported
@@ -48,8 +48,8 @@ class World:
     latest: tuple[str, ...] = ()
     wakes: tuple[str, ...] = ()
 
-    def __init__(self, position: Sequence[Sequence[float]], said: Sequence[Event]) -> None:
-        self._position, self._said = position, said
+    def __init__(self, position: Sequence[Sequence[float]], events: Sequence[Event]) -> None:
+        self._position, self._events = position, events
 
     def start(self, run: RunInfo) -> int | None:
         self._names = run.vehicles
@@ -57,7 +57,7 @@ class World:
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
         states = at_rest(self._names, [(*place, 0.0)[:3] for place in self._position])
-        return Step([Event("world/states", 0, states), *self._said])
+        return Step([Event("world/states", 0, states), *self._events])
 
     def close(self) -> None:
         pass
@@ -81,31 +81,31 @@ def names(count: int) -> tuple[str, ...]:
 def run(
     router: Routing | None,
     position: Sequence[Sequence[float]],
-    *said: Event,
+    *events: Event,
     seconds: float = 1.0,
     seed: int = 1,
     preset: str = "wifi-b-1",
     **layers: Any,
 ) -> Run:
     """A run with these messages."""
-    events: list[Event] = []
+    published: list[Event] = []
     info = RunInfo(scenario="test", seed=seed, duration_ns=round(seconds * 1e9), vehicles=names(len(position)))
     channel = make_channel(preset, vehicles=info.vehicles, **layers)
-    kernel = Kernel(info, [World(position, said), RadioFederate(channel, router=router)])
+    kernel = Kernel(info, [World(position, events), RadioFederate(channel, router=router)])
     kernel.start()
-    kernel.run(events.append)
+    kernel.run(published.append)
     kernel.close()
-    receptions = list(receptions_in(events))
-    values: list[Any] = [event.value for event in events]
-    told_ns = [event.time_ns for event in events if isinstance(event.value, Receptions) for _ in event.value.receiver]
+    receptions = list(receptions_in(published))
+    values: list[Any] = [event.value for event in published]
+    published_ns = [event.time_ns for event in published if isinstance(event.value, Receptions) for _ in event.value.receiver]
     arrival_ns = [each.received_ns for _, each in receptions]
-    assert all(told <= arrived for told, arrived in zip(told_ns, arrival_ns, strict=True))
-    assert router is None or told_ns == arrival_ns
+    assert all(at_ns <= arrived_ns for at_ns, arrived_ns in zip(published_ns, arrival_ns, strict=True))
+    assert router is None or published_ns == arrival_ns
     return Run(
         [each for each in values if isinstance(each, FrameReport)],
         [RoutedReception(name, each.message.sender, each.sent_ns, each.received_ns) for name, each in receptions],
         [each for each in values if isinstance(each, Routed)],
         [each for each in values if isinstance(each, Traffic)],
-        [event.time_ns for event in events if isinstance(event.value, Traffic)],
+        [event.time_ns for event in published if isinstance(event.value, Traffic)],
         [each for _, each in receptions],
     )

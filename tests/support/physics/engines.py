@@ -25,9 +25,9 @@ def engine(
     for row, (model, position) in enumerate(vehicles):
         heading = headings[row] if headings else 0.0
         specs.append(VehicleSpec(name=str(row), model=model, position=position, heading=heading))
-    given: dict[str, Any] = {"world": world or World(), "vehicles": specs, "rate_hz": hz, "gravity": 9.81}
+    settings: dict[str, Any] = {"world": world or World(), "vehicles": specs, "rate_hz": hz, "gravity": 9.81}
     if kind is MujocoPhysics:
-        return MujocoEngine(**given)
+        return MujocoEngine(**settings)
     from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
 
-    return BulletEngine(**given, iterations=50)
+    return BulletEngine(**settings, iterations=50)

@@ -18,10 +18,10 @@ class Courses:
 
     def __init__(self, **courses: Course) -> None:
         self.names, self._courses = tuple(courses), courses
-        self.asked: list[int] = []
+        self.call_times_ns: list[int] = []
 
     def states(self, now_ns: int) -> list[VehicleState]:
-        self.asked.append(now_ns)
+        self.call_times_ns.append(now_ns)
         return [course(now_ns / SECOND_NS) for course in self._courses.values()]
 
 

@@ -13,12 +13,12 @@ Command = tuple[float, str, float, float] | tuple[float, str, Velocity | Waypoin
 """From when, s; vehicle; v m/s and w rad/s of a vehicle on the ground, or any command."""
 
 
-def event_of(told: Event | Command) -> Event:
-    if isinstance(told, Event):
-        return told
-    at_s, name, *numbers = told
+def event_of(order: Event | Command) -> Event:
+    if isinstance(order, Event):
+        return order
+    at_s, name, *numbers = order
     first: Any = numbers[0]
-    command = first if len(numbers) == 1 else Velocity(linear=(first, 0.0, 0.0), yaw_rate=told[-1])  # type: ignore[arg-type]
+    command = first if len(numbers) == 1 else Velocity(linear=(first, 0.0, 0.0), yaw_rate=order[-1])  # type: ignore[arg-type]
     return Event(f"{name}/command", seconds_to_ns(at_s), command)
 
 
@@ -31,7 +31,7 @@ def run_info(physics: Physics, seconds: float, instants: Iterable[Instants] = TE
 
 def steps_of(
     physics: Physics,
-    told: Iterable[Event | Command] = (),
+    orders: Iterable[Event | Command] = (),
     seconds: float = 2.0,
     instants: Iterable[Instants] = TENTH,
     **rest: Any,
@@ -40,7 +40,7 @@ def steps_of(
 
     ``rest``: of the `RunInfo`.
     """
-    waiting = sorted(map(event_of, told), key=lambda each: each.time_ns)
+    waiting = sorted(map(event_of, orders), key=lambda each: each.time_ns)
     next_ns: int | None = physics.start(run_info(physics, seconds, instants, **rest))
     try:
         while next_ns is not None:

@@ -155,7 +155,7 @@ def passage_policies(runner: Runner) -> Figure:
             nearest = max(error.max(axis=1).min(initial=math.inf) for error in wide)
             rows.append(absolute(f"{case}: least |z| once wide again, m", 0.0, nearest, NEAR))
         else:
-            rows.append(absolute(f"{case}: largest |z| at the end, m", 0.0, _left(runs), NEAR))
+            rows.append(absolute(f"{case}: largest |z| at the end, m", 0.0, _final_error(runs), NEAR))
     cases_shown = [(world, policy) for policy in ("immediate", "all-clear") for world in EXPECTED]
     return Figure("Passages 0.9 m wide", [_map(*case, trials[case][0]) for case in cases_shown], rows, columns=3)
 
@@ -202,7 +202,7 @@ def _rows(world: str, policy: str, runs: Sequence[TeamRun]) -> list[Row]:
         rows.append(at_least(f"{case}: least clearance, m", clearance_m - 0.02, nearest))
     if not math.isnan(expected_s):
         rows.append(relative(f"{case}: formed again after, s", expected_s, _mean(formed_s(each, world) for each in runs), 0.05))
-    return [*rows, absolute(f"{case}: largest |z| at the end, m", 0.0, _left(runs), NEAR)]
+    return [*rows, absolute(f"{case}: largest |z| at the end, m", 0.0, _final_error(runs), NEAR)]
 
 
 def _map(world: str, policy: str, trial: TeamRun) -> Panel:
@@ -223,7 +223,7 @@ def _count(runs: Sequence[TeamRun], name: str) -> float:
     return _mean(each.metrics["formation"][name] for each in runs)
 
 
-def _left(runs: Sequence[TeamRun]) -> float:
+def _final_error(runs: Sequence[TeamRun]) -> float:
     return float(max(each.error[-1].max() for each in runs))
 
 

@@ -83,9 +83,9 @@ def fig_28(runner: Runner) -> Figure:
     printed, strong, resolved = _split(
         runner(
             [
-                *(_alone(y0) for y0 in offsets),
-                _alone(0.2, gain=0.3),
-                *(_alone(0.2, goal=(4.0, 0.2), beams=each) for each in BEAMS),
+                *(_single_robot(y0) for y0 in offsets),
+                _single_robot(0.2, gain=0.3),
+                *(_single_robot(0.2, goal=(4.0, 0.2), beams=each) for each in BEAMS),
             ]
         ),
         (len(offsets), 1, len(BEAMS)),
@@ -166,7 +166,7 @@ def fig_29(runner: Runner) -> Figure:
 def stall(runner: Runner) -> Figure:
     """A pillar exactly on the path to the goal: the printed field stops before it, a sideways push leads around it."""
     goal = (4.0, 0.0)
-    stuck, led = runner([_alone(0.0, goal=goal), _alone(0.0, goal=goal, tang=1.0)])
+    stuck, led = runner([_single_robot(0.0, goal=goal), _single_robot(0.0, goal=goal, tang=1.0)])
     rows = [
         absolute("tang 0: stands at x, m", -1.137, stuck.x[-1, 0], CM2),
         absolute("tang 0: stands still, m in the last 5 s", 0.0, stuck.x[-1, 0] - stuck.x[-51, 0], 1e-6),
@@ -182,7 +182,7 @@ def stall(runner: Runner) -> Figure:
     )
 
 
-def _alone(y0: float, *, goal: tuple[float, float] | None = None, beams: int = 32, **field: object) -> Job:
+def _single_robot(y0: float, *, goal: tuple[float, float] | None = None, beams: int = 32, **field: object) -> Job:
     return _job(30.0 if goal is None else 40.0, (-3.0, y0), _leader(goal, **field), (), beams=beams)
 
 

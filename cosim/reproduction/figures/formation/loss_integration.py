@@ -112,12 +112,12 @@ def _predictions(lead: LeaderTrack, estimator: str, oldest: int) -> Array:
             believed = np.clip(reported + DECAY_S * (1.0 - math.exp(-points * T / DECAY_S)) * change, low, high)
             pose = _arc(start, 0.5 * (reported + believed) * points)
         elif estimator != "hold" and age > 0:  # forward by a period, at the speeds in its middle
-            pose = _arc(pose, believed * _left(estimator, age - 0.5))
-        table[:, age] = np.concatenate([pose, believed * _left(estimator, age)], axis=-1)
+            pose = _arc(pose, believed * _remaining_share(estimator, age - 0.5))
+        table[:, age] = np.concatenate([pose, believed * _remaining_share(estimator, age)], axis=-1)
     return table
 
 
-def _left(estimator: str, age: float) -> float:
+def _remaining_share(estimator: str, age: float) -> float:
     """Remaining share of the speeds that an estimator uses after ``age`` ticks."""
     ends = {"hold": math.inf, "plan": AFTER}.get(estimator, HORIZON)
     return min(1.0, max(0.0, 1.0 - (age - ends) / FADE))

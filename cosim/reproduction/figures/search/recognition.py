@@ -19,7 +19,7 @@ from vcmvsp.cosim.reproduction.figures.search.synthetic_pictures import (
     SIZE_M,
     Tally,
     box,
-    made_up,
+    synthetic_frame,
     photographed,
     tallied,
     target,
@@ -113,7 +113,7 @@ def _errors(tallies: list[Tally]) -> Panel:
 
 
 def _example(height_m: float, number: int) -> Panel:
-    frame = made_up(height_m, number)
+    frame = synthetic_frame(height_m, number)
     detector = Detector([target()])
     detections = detector.detect(frame.image, height_m, frame.seen.focal_px)
     alike = [box(u, v, 1.5 * frame.side_px, 0.0, "likeness", 6) for _, u, v in frame.likenesses]

@@ -10,7 +10,7 @@ import numpy as np
 from vcmvsp.cosim.assembly.parts.recognition import ground, inspection
 from vcmvsp.cosim.frames import wrap
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel, Photo
-from vcmvsp.cosim.reproduction.figures.search.synthetic_pictures import KINDS, SIZE_M, box, made_up, target
+from vcmvsp.cosim.reproduction.figures.search.synthetic_pictures import KINDS, SIZE_M, box, synthetic_frame, target
 from vcmvsp.cosim.reproduction.row import Row, absolute, at_least, at_most, relative
 from vcmvsp.cosim.reproduction.runner import Runner
 from vcmvsp.cosim.types import Array
@@ -52,7 +52,7 @@ def _ranks(height_m: float, numbers: Sequence[int]) -> Array:
     """Rank of the target in the list of peaks, from 1, (pictures, numbers of hues); inf if absent."""
     ranks = np.full((len(numbers), len(HUES)), np.inf)
     for row, number in enumerate(numbers):
-        frame = made_up(height_m, number)
+        frame = synthetic_frame(height_m, number)
         (truth,) = frame.seen.truths
         for column, hues in enumerate(HUES):
             peaks = inspection.colour_map(target(), frame.image, height_m, frame.seen.focal_px, most_hues=hues).peaks
@@ -63,7 +63,7 @@ def _ranks(height_m: float, numbers: Sequence[int]) -> Array:
 
 def _maps() -> list[Panel]:
     height_m, number = SHOWN
-    frame = made_up(height_m, number)
+    frame = synthetic_frame(height_m, number)
     (truth,) = frame.seen.truths
     here = box(truth.u, truth.v, 1.5 * frame.side_px, 0.0, "target", 2)
     alike = [box(u, v, 1.5 * frame.side_px, 0.0, "likeness", 6) for _, u, v in frame.likenesses]
@@ -109,7 +109,9 @@ class PlaceScores(NamedTuple):
 def fig_47(runner: Runner, frames: int = FRAMES) -> Figure:
     """Figure 47: effect of rotation on the stages; scores of targets and of their likenesses; estimated angles."""
     judgements = [one for each in _by_height(runner, _judged, frames) for one in each]
-    moved = runner([*(partial(_alone, at) for at in TURNS_DEG), *(partial(_alone, 30.0, off) for off in SHIFTS_PX)])
+    moved = runner(
+        [*(partial(_single_target, at) for at in TURNS_DEG), *(partial(_single_target, 30.0, off) for off in SHIFTS_PX)]
+    )
     turned, shifted = moved[: len(TURNS_DEG)], moved[len(TURNS_DEG) :]
     rings, match = (
         {kind: np.array([getattr(each.scores[kind], name) for each in judgements]) for kind in KINDS}
@@ -145,7 +147,7 @@ def fig_47(runner: Runner, frames: int = FRAMES) -> Figure:
 def _judged(height_m: float, numbers: Sequence[int]) -> list[PlaceScores]:
     peaks = []
     for number in numbers:
-        frame = made_up(height_m, number)
+        frame = synthetic_frame(height_m, number)
         (truth,) = frame.seen.truths
         places = {"target": (truth.u, truth.v), **{name: (u, v) for name, u, v in frame.likenesses}}
         picture = frame.image, height_m, frame.seen.focal_px
@@ -154,7 +156,7 @@ def _judged(height_m: float, numbers: Sequence[int]) -> list[PlaceScores]:
     return peaks
 
 
-def _alone(degrees: float, off_px: float = 0.0) -> inspection.Scores:
+def _single_target(degrees: float, off_px: float = 0.0) -> inspection.Scores:
     """Scores of a single target, 40 px a side, at an angle; ``off_px`` is the position error in px of the patch."""
     place = 319.5, 239.5
     frame = ground.frame(

@@ -63,7 +63,7 @@ def target() -> TargetPicture:
     return TargetPicture("glyph", ground.glyph(), SIZE_M)
 
 
-def made_up(height_m: float, number: int) -> ground.SyntheticFrame:
+def synthetic_frame(height_m: float, number: int) -> ground.SyntheticFrame:
     """A reproducible picture of the ground: ``image``, ``seen``, ``likenesses``, ``side_px``."""
     return ground.frame(np.random.default_rng([round(10 * height_m), number]), height_m)
 
@@ -73,7 +73,7 @@ def tallied(height_m: float, numbers: Sequence[int]) -> tuple[Tally, Tally, Tall
     sample, tallies = target(), (Tally(), Tally(), Tally())
     detectors = [Detector([sample], stages=stages) for stages in (1, 2, 3)]
     for number in numbers:
-        frame = made_up(height_m, number)
+        frame = synthetic_frame(height_m, number)
         for detector, tally in zip(detectors, tallies, strict=True):
             detections = detector.detect(frame.image, height_m, frame.seen.focal_px)
             tally.add(detections, frame.seen.truths, frame.side_px)

@@ -77,11 +77,11 @@ def drive(
         here, now_ns = way[-1], tick * period_ns
         bodies = [{"t_ns": now_ns, "x": x, "y": y} for x, y in here.tolist()]
         on_air.append([reception_of_body(n, b) for n, b in zip(everybody, bodies, strict=True)])
-        heard = on_air[tick - age] if tick >= age else []
+        receptions = on_air[tick - age] if tick >= age else []
         speeds = np.empty_like(here)
         for i, (agent, radio) in enumerate(zip(agents, radios, strict=True)):
-            seen = observe((here[i, 0], here[i, 1], 0.0), now_ns, () if lost(tick, i) else heard)
-            speeds[i] = agent.act(seen, radio).linear[:2]
+            obs = observe((here[i, 0], here[i, 1], 0.0), now_ns, () if lost(tick, i) else receptions)
+            speeds[i] = agent.act(obs, radio).linear[:2]
             assert [message.body for message in radio.drain()] == [bodies[i]]
         way.append(here + speeds * (period_ns / 1e9))
     return np.array(way)
@@ -207,8 +207,8 @@ def test_errors_are_measured_along_a_tree(graph: Graph) -> None:
 
 def test_on_wheels_errors_are_measured_with_a_common_heading() -> None:
     column = Formation(shape="column")
-    asked = {"formation": column, "graph": "path", "handle": 0.3, "heading": math.pi / 2}
-    standing, moving = Consensus(**asked), Consensus(**asked, velocity=(0.2, 0.0))  # type: ignore[arg-type]
+    params = {"formation": column, "graph": "path", "handle": 0.3, "heading": math.pi / 2}
+    standing, moving = Consensus(**params), Consensus(**params, velocity=(0.2, 0.0))  # type: ignore[arg-type]
     standing.start(info("m1", names(2)))
     moving.start(info("m1", names(2)))
     assert standing.follows is None
@@ -289,10 +289,10 @@ def test_the_newest_report_wins_over_late_ones_copies_and_nonsense(
 
 def test_a_clock_ahead_within_its_bound_is_accepted_with_age_zero() -> None:
     early = report("m1", 1.05, 1.0)
-    for bound_s, heard in ((0.0, 0.0), (0.005, 1.0)):
+    for bound_s, neighbours in ((0.0, 0.0), (0.005, 1.0)):
         agent = alone(clock_bound_s=bound_s)
         agent.act(observe((0.0, 0.0, 0.0), T_NS, [early]), Radio("m0", ("m0", "m1")))
-        assert agent.drain_notes()["heard"] == heard
+        assert agent.drain_notes()["heard"] == neighbours
 
 
 @given(tick=st.floats(0.0, 30.0))
@@ -300,8 +300,8 @@ def test_the_delayed_own_point_is_interpolated_between_ticks(tick: float) -> Non
     """Straight motion at constant speed beside the neighbour: no error."""
     agent, radio = alone(own="delayed", timeout_s=4.0), Radio("m0", ("m0", "m1"))
     for i in range(31):
-        heard = [report("m1", tick, 0.02 * tick, 0.01 * tick)] if i == 30 else []
-        agent.act(observe((0.02 * i, 0.01 * i, 0.0), i * T_NS, heard), radio)
+        receptions = [report("m1", tick, 0.02 * tick, 0.01 * tick)] if i == 30 else []
+        agent.act(observe((0.02 * i, 0.01 * i, 0.0), i * T_NS, receptions), radio)
     assert agent.drain_notes()["disagreement"] == pytest.approx(0.0, abs=1e-9)
 
 

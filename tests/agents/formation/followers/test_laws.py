@@ -138,7 +138,7 @@ def test_the_law_moves_the_handle_with_its_point_and_towards_it(
 
     heading = complex(math.cos(th), math.sin(th))
     z = (point(0.0) - complex(*hand_point(x, y, th, ell))) / heading
-    wanted = (point(h) - point(-h)) / (2 * h) + heading * complex(k1 * z.real, k2 * z.imag)
+    velocity = (point(h) - point(-h)) / (2 * h) + heading * complex(k1 * z.real, k2 * z.imag)
     law = formation_law((x, y, th), LeaderState(lx, ly, lth, v, w), place, k1, k2)
     assert (law.z1, law.z2) == pytest.approx((z.real, z.imag), abs=1e-12)
-    assert (law.v, law.w) == pytest.approx(axle_velocity(wanted.real, wanted.imag, th, ell), abs=1e-6)
+    assert (law.v, law.w) == pytest.approx(axle_velocity(velocity.real, velocity.imag, th, ell), abs=1e-6)

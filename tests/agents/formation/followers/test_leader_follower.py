@@ -85,10 +85,10 @@ def test_answers_to_own_reports_are_not_counted_as_refused() -> None:
 
 
 def test_followers_answer_a_report_that_requests_it() -> None:
-    asked = MemberRunner("car3")
-    *_, sent = asked.act(report_of("car2", 0, ak=1))
+    follower = MemberRunner("car3")
+    *_, sent = follower.act(report_of("car2", 0, ak=1))
     assert [(each.body, each.to) for each in sent if each.to] == [({"ack": 0}, "car2")]
-    assert not any(each.to for each in asked.act()[2])
+    assert not any(each.to for each in follower.act()[2])
     *_, sent = MemberRunner("car4").act(report_of("car2", 0, ak=1))
     assert not any(each.to for each in sent)
 
@@ -106,8 +106,8 @@ def notes_with_losses(seat: MemberRunner, last_heard: dict[str, int], ticks: int
     """Notes of a member that receives each of the others' reports up to a tick, one tick after they were sent."""
     notes = []
     for tick in range(ticks):
-        heard = [report_of(name, tick - 1) for name, last in last_heard.items() if 0 < tick <= last]
-        notes.append(seat.act(*heard)[1])
+        receptions = [report_of(name, tick - 1) for name, last in last_heard.items() if 0 < tick <= last]
+        notes.append(seat.act(*receptions)[1])
     return notes
 
 
@@ -218,12 +218,12 @@ def test_wrong_values_of_a_scenario_are_named(table: dict[str, Any], error: str)
 # --- feed-forward of speed and acceleration, and the fields relayed for it ---
 
 
-def speed(feed: Feed, *heard: Reception, **params: Any) -> float:
+def speed(feed: Feed, *receptions: Reception, **params: Any) -> float:
     """Commanded speed on a straight line without error of the place: the feed-forward alone."""
     seat = MemberRunner("car3", feed=feed, handle=0.8, max_speed=9.0, **params)
     for _ in range(2):
         seat.act()
-    command, _, _ = seat.act(*heard, x=0.03 * 2 - 0.8)
+    command, _, _ = seat.act(*receptions, x=0.03 * 2 - 0.8)
     return command.linear[0]
 
 

@@ -195,18 +195,18 @@ def test_a_silent_device_never_blocks_a_tick(pipe: tuple[int, str]) -> None:
 def test_a_table_is_followed_and_the_noted_requests_form_an_equal_table(tmp_path: Path) -> None:
     first = tmp_path / "commands.csv"
     first.write_text("t_s,v,w\n0.2,0.25,0.1\n\n0.45,0.4,-9\n0.6,-1,0\n")
-    hand, driven, asked = Hand(Teleop(str(first), speed=0.3, yaw_rate=0.5)), [], ["t_s,v,w"]
+    hand, driven, lines = Hand(Teleop(str(first), speed=0.3, yaw_rate=0.5)), [], ["t_s,v,w"]
     for _ in range(12):
         driven.append(hand())
-        asked.append(f"{(hand.tick - 1) / 10},{hand.notes['asked_v']!r},{hand.notes['asked_w']!r}")
-    wanted = [0, 0, 0.25, 0.25, 0.25, 0.3, -0.1, -0.1, -0.1, -0.1, -0.1, -0.1]  # limited
-    assert [float(row.split(",")[1]) for row in asked[1:]] == wanted
+        lines.append(f"{(hand.tick - 1) / 10},{hand.notes['asked_v']!r},{hand.notes['asked_w']!r}")
+    expected = [0, 0, 0.25, 0.25, 0.25, 0.3, -0.1, -0.1, -0.1, -0.1, -0.1, -0.1]  # limited
+    assert [float(row.split(",")[1]) for row in lines[1:]] == expected
     v = 0.0
-    for (got, _), target in zip(driven, wanted, strict=True):  # and ramped, 0.03 m/s a tick
+    for (got, _), target in zip(driven, expected, strict=True):  # and ramped, 0.03 m/s a tick
         v += max(-0.03, min(target - v, 0.03))
         assert got == pytest.approx(v, abs=1e-12)
     again = tmp_path / "again.csv"
-    again.write_text("\n".join(asked))
+    again.write_text("\n".join(lines))
     hand = Hand(Teleop(str(again), speed=0.3, yaw_rate=0.5))
     assert [hand() for _ in range(12)] == driven  # to the last bit
 

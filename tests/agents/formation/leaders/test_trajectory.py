@@ -96,19 +96,19 @@ def reports(agent: Leader, duration_s: float, period_s: float = 0.1) -> list[dic
 def test_a_plan_equals_the_next_commands_and_does_not_change_them(path: Any, period_s: float, ticks: int) -> None:
     plain = commands(Trajectory(path), 30.0, period_s)[:, 1:]
     set_to = {} if ticks == 20 else {"plan_ticks": ticks}
-    told = reports(Trajectory(path, estimator="plan", **set_to), 30.0, period_s)
-    assert [(each["v"], each["w"]) for each in told] == list(map(tuple, plain))
-    for tick in range(len(told) - ticks):
-        assert told[tick]["dt"] == pytest.approx(period_s)
-        np.testing.assert_allclose(np.reshape(told[tick]["plan"], (ticks, 2)), plain[tick + 1 : tick + 1 + ticks], atol=1e-9)
+    bodies = reports(Trajectory(path, estimator="plan", **set_to), 30.0, period_s)
+    assert [(each["v"], each["w"]) for each in bodies] == list(map(tuple, plain))
+    for tick in range(len(bodies) - ticks):
+        assert bodies[tick]["dt"] == pytest.approx(period_s)
+        np.testing.assert_allclose(np.reshape(bodies[tick]["plan"], (ticks, 2)), plain[tick + 1 : tick + 1 + ticks], atol=1e-9)
 
 
 def test_accelerations_are_differences_of_commands() -> None:
     t, v, w = commands(Trajectory("random"), 30.0).T
-    told = reports(Trajectory("random", estimator="acc"), 30.0)
-    assert (told[0]["a"], told[0]["al"]) == (0.0, 0.0)  # no previous command
-    np.testing.assert_allclose([each["a"] for each in told[1:]], np.diff(v) / np.diff(t), atol=1e-6)
-    np.testing.assert_allclose([each["al"] for each in told[1:]], np.diff(w) / np.diff(t), atol=1e-6)
+    bodies = reports(Trajectory("random", estimator="acc"), 30.0)
+    assert (bodies[0]["a"], bodies[0]["al"]) == (0.0, 0.0)  # no previous command
+    np.testing.assert_allclose([each["a"] for each in bodies[1:]], np.diff(v) / np.diff(t), atol=1e-6)
+    np.testing.assert_allclose([each["al"] for each in bodies[1:]], np.diff(w) / np.diff(t), atol=1e-6)
 
 
 class NeedsBoth(DeadReckoning):
@@ -150,47 +150,47 @@ class Waltz(Leader):
 
 
 def test_a_custom_leader_reports_its_motion_without_a_plan() -> None:
-    told = reports(call(Waltz, {"estimator": "plan", "tell": ["a"]}), 5.0)
-    assert [each["w"] for each in told] == pytest.approx([0.5 * math.sin(tick / 10) for tick in range(50)])
-    assert all(("a" in each, "plan" in each) == (True, False) for each in told)
+    bodies = reports(call(Waltz, {"estimator": "plan", "tell": ["a"]}), 5.0)
+    assert [each["w"] for each in bodies] == pytest.approx([0.5 * math.sin(tick / 10) for tick in range(50)])
+    assert all(("a" in each, "plan" in each) == (True, False) for each in bodies)
 
 
 def test_the_leader_of_the_readme_works() -> None:
     names: dict[str, Any] = {}
     exec(block("docs/reference/agents.md", "class Waltz"), names)
-    told = reports(names["Waltz"](), 1.0)
-    assert [(each["v"], each["w"]) for each in told] == [(0.3, 0.5 * math.sin(tick / 10)) for tick in range(10)]
+    bodies = reports(names["Waltz"](), 1.0)
+    assert [(each["v"], each["w"]) for each in bodies] == [(0.3, 0.5 * math.sin(tick / 10)) for tick in range(10)]
 
 
 LINE = Formation(shape="line", spacing=1.0, changes=((0.5, "column"), (1.0, "line")))
 
 
-def reported_shapes(*heard: tuple[int, dict[str, Any]], formation: Formation = LINE) -> list[tuple[Any, Any, Any]]:
-    """Shape, number and order in each report of a leader of five; ``heard``: ticks and bodies of received reports."""
+def reported_shapes(*received: tuple[int, dict[str, Any]], formation: Formation = LINE) -> list[tuple[Any, Any, Any]]:
+    """Shape, number and order in each report of a leader of five; ``received``: ticks and bodies of received reports."""
     names = tuple(f"car{number}" for number in range(1, 6))
     leader, radio = Trajectory("straight", formation=formation), Radio("car1", names)
     leader.start(info("car1", names))
     for tick in range(15):
-        came = [reception_of_body(body["from"], body) for at, body in heard if at == tick]
+        came = [reception_of_body(body["from"], body) for at, body in received if at == tick]
         leader.act(observe((1.0, 2.0, math.pi / 2), tick * 100_000_000, came), radio)
     return [(body.get("shape"), body.get("sn"), body.get("order")) for body in (each.body for each in radio.drain())]  # type: ignore[union-attr]
 
 
 def test_a_leader_changes_the_shape_at_its_times_and_reports_it() -> None:
-    told = reported_shapes()
-    assert told[:5] == [(None, None, None)] * 5
-    assert [each[:2] for each in told[5:10]] == [("column", 1)] * 5
-    assert [each[:2] for each in told[10:]] == [("line", 2)] * 5
+    shapes = reported_shapes()
+    assert shapes[:5] == [(None, None, None)] * 5
+    assert [each[:2] for each in shapes[5:10]] == [("column", 1)] * 5
+    assert [each[:2] for each in shapes[10:]] == [("line", 2)] * 5
 
 
 def test_slots_are_assigned_by_the_reported_positions() -> None:
     """Members report positions along a column in another order: each gets the slot where it is."""
     behind = {"car2": 3.0, "car3": 1.0, "car4": 4.0, "car5": 2.0}  # m; the leader is at (1, 2), heading north
-    heard = [
+    received = [
         (3, {"from": name, "t_ns": 200_000_000, "x": 1.0, "y": 2.0 - away, "th": 1.57, "v": 0.0, "w": 0.0})
         for name, away in behind.items()
     ]
-    shape, number, order = reported_shapes(*heard)[6]
+    shape, number, order = reported_shapes(*received)[6]
     assert (shape, number) == ("column", 1)
     assert order == [0, 2, 4, 1, 3]  # in order of slots: car1, car3, car5, car2, car4
 

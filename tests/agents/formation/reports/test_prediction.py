@@ -110,21 +110,21 @@ def test_a_plan_that_is_followed_is_exact_at_every_tick_and_between(
     first: tuple[float, float], speeds: list[tuple[float, float]], dt: float, data: st.DataObject
 ) -> None:
     """The plan's speeds and the present one: 20 speeds at 10 Hz suffice for ages up to 2 s, and 0.1 s more."""
-    told, estimator, pose = planning(first, speeds, dt), PlanPrediction(), (1.0, -2.0, 0.5)
+    leader_report, estimator, pose = planning(first, speeds, dt), PlanPrediction(), (1.0, -2.0, 0.5)
     for tick, (v, w) in enumerate([first, *speeds]):
-        then = estimator.predict(told, tick * dt)
+        then = estimator.predict(leader_report, tick * dt)
         assert then == pytest.approx((*pose, v, w), abs=1e-9)
         part = data.draw(st.floats(0.01, 0.99)) * dt
-        assert estimator.predict(told, tick * dt + part) == pytest.approx((*arc(pose, v, w, part), v, w), abs=1e-9)
+        assert estimator.predict(leader_report, tick * dt + part) == pytest.approx((*arc(pose, v, w, part), v, w), abs=1e-9)
         pose = arc(pose, v, w, dt)
 
 
 @given(speeds=SPEEDS, age=st.floats(0.0, 5.0))
 def test_after_the_plan_its_last_speeds_hold_for_another_horizon(speeds: list[tuple[float, float]], age: float) -> None:
-    told, estimator = planning((0.3, 0.1), speeds), PlanPrediction(1.5, 1.0)
+    leader_report, estimator = planning((0.3, 0.1), speeds), PlanPrediction(1.5, 1.0)
     ends_s = 0.1 * (len(speeds) + 1)
-    last = estimator.predict(told, ends_s)
-    assert estimator.predict(told, ends_s + age) == pytest.approx(
+    last = estimator.predict(leader_report, ends_s)
+    assert estimator.predict(leader_report, ends_s + age) == pytest.approx(
         DeadReckoning(1.5, 1.0).predict(Report(0, last, {}), age), abs=1e-9
     )
 
@@ -136,8 +136,8 @@ def test_earlier_predictions_do_not_change_a_prediction(
     """The path along a plan is cached between predictions; reports may alternate."""
     estimator, one, other = PlanPrediction(), planning((0.3, 0.1), speeds), planning((-0.1, 0.4), speeds[::-1])
     for first, age in ages:
-        told = one if first else other
-        assert estimator.predict(told, age) == PlanPrediction().predict(told, age)
+        leader_report = one if first else other
+        assert estimator.predict(leader_report, age) == PlanPrediction().predict(leader_report, age)
 
 
 NONSENSE = st.one_of(
@@ -154,9 +154,9 @@ NONSENSE = st.one_of(
 
 @given(plan=NONSENSE, dt=NONSENSE, a=NONSENSE, al=NONSENSE, age=st.floats(0.0, 10.0))
 def test_estimates_from_malformed_reports_are_finite(plan: Any, dt: Any, a: Any, al: Any, age: float) -> None:
-    told = Report(0, LeaderState(1.0, 2.0, 0.3, 0.3, 0.1), {"plan": plan, "dt": dt, "a": a, "al": al})
+    leader_report = Report(0, LeaderState(1.0, 2.0, 0.3, 0.3, 0.1), {"plan": plan, "dt": dt, "a": a, "al": al})
     for estimator in (Acceleration(), PlanPrediction()):
-        assert all(math.isfinite(each) for each in estimator.predict(told, age))
+        assert all(math.isfinite(each) for each in estimator.predict(leader_report, age))
 
 
 @pytest.mark.parametrize(
@@ -182,9 +182,13 @@ def test_estimates_from_malformed_reports_are_finite(plan: Any, dt: Any, a: Any,
 def test_a_malformed_plan_is_ignored(bad: dict[str, Any]) -> None:
     good = planning((0.3, 0.1), [(0.2, 0.2)], a=0.1, al=0.0)
     assert plan_of(good) == (0.1, [(0.3, 0.1), (0.2, 0.2)])
-    told = good._replace(body={**good.body, **bad})
-    assert plan_of(told) is None
-    assert PlanPrediction().predict(told, 0.7) == Acceleration().predict(told, 0.7) != DeadReckoning().predict(told, 0.7)
+    leader_report = good._replace(body={**good.body, **bad})
+    assert plan_of(leader_report) is None
+    assert (
+        PlanPrediction().predict(leader_report, 0.7)
+        == Acceleration().predict(leader_report, 0.7)
+        != DeadReckoning().predict(leader_report, 0.7)
+    )
 
 
 def test_malformed_accelerations_count_as_zero() -> None:

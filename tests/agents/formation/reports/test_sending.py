@@ -36,9 +36,9 @@ class Sender:
     def __call__(self, state: LeaderState, *answers: tuple[str, Any]) -> dict[str, Any] | None:
         """The report of this tick, if any; ``answers``: followers and the numbers that they confirm."""
         self.tick += 1
-        heard = [reception_of_body(name, {"ack": number}) for name, number in answers]
+        receptions = [reception_of_body(name, {"ack": number}) for name, number in answers]
         x, y, th, v, w = state
-        self.reporter.tell(self.radio, observe((x, y, th), self.tick * 100_000_000, heard), v, w)
+        self.reporter.tell(self.radio, observe((x, y, th), self.tick * 100_000_000, receptions), v, w)
         sent = self.radio.drain()
         assert len(sent) <= 1
         return sent[0].body if sent else None  # type: ignore[return-value]
@@ -140,13 +140,13 @@ def test_a_new_shape_is_reported_at_once_and_until_it_is_confirmed() -> None:
     """The leader of a column is at rest; after 0.5 s the shape changes to a line."""
     leader = Trajectory("straight", speed=0.0, sending=NEEDED, formation=Formation(shape="column", changes=((0.5, "line"),)))
     leader.start(info("leader", NAMES))
-    radio, told = Radio("leader", NAMES), []
+    radio, reports = Radio("leader", NAMES), []
     for tick in range(20):
-        heard = [reception_of_body(name, {"ack": 0}) for name in ("f0", "f1") if tick == 1]
-        leader.act(observe((0.0, 0.0, 0.0), tick * 100_000_000, heard), radio)
+        receptions = [reception_of_body(name, {"ack": 0}) for name in ("f0", "f1") if tick == 1]
+        leader.act(observe((0.0, 0.0, 0.0), tick * 100_000_000, receptions), radio)
         bodies: list[Any] = [message.body for message in radio.drain()]
-        told += [(tick, body["sn"]) for body in bodies if "sn" in body]
-    assert told == [(tick, 1) for tick in range(5, 20, 2)]  # every 0.2 s
+        reports += [(tick, body["sn"]) for body in bodies if "sn" in body]
+    assert reports == [(tick, 1) for tick in range(5, 20, 2)]  # every 0.2 s
 
 
 @given(
@@ -164,8 +164,8 @@ def test_malformed_answers_are_ignored(answers: list[Any]) -> None:
 def test_other_messages_are_no_answers() -> None:
     reporter, radio = Reporter(NEEDED), Radio("leader", NAMES)
     bodies: list[Any] = [b"ack", {}, {"seq": 0, "x": 1.0}]
-    heard = [reception_of_body("f0", body) for body in bodies]
-    reporter.tell(radio, observe((0.0, 0.0, 0.0), 0, heard), 0.0, 0.0)
+    receptions = [reception_of_body("f0", body) for body in bodies]
+    reporter.tell(radio, observe((0.0, 0.0, 0.0), 0, receptions), 0.0, 0.0)
     assert len(radio.drain()) == 1
 
 

@@ -61,16 +61,16 @@ def test_all_clear_waits_for_the_reports_of_members() -> None:
 def test_waits_for_names_at_most_three_members_and_none_in_a_narrow_lane() -> None:
     names = tuple(f"car{number}" for number in range(1, 7))
     front = ScriptedLeader(formation(), vehicles=names)
-    told = [front.act(reading)[0].get("waits_for") for reading in (scan((1.0, 0.0)), scan(), scan(), scan((1.0, 0.0)))]
-    assert told == [None, "car2, car3, car4", None, ""]
+    waits = [front.act(reading)[0].get("waits_for") for reading in (scan((1.0, 0.0)), scan(), scan(), scan((1.0, 0.0)))]
+    assert waits == [None, "car2, car3, car4", None, ""]
 
 
 def test_clocks_of_members_may_be_ahead_up_to_the_bound() -> None:
     for bound_s, shapes in ((0.0, 0), (0.2, 1)):
         front = ScriptedLeader(formation(), clock_bound_s=bound_s)
         front.act(scan((1.0, 0.0)))
-        told = [front.act(scan(), clear("car2", front.tick + 2), clear("car3", front.tick + 2))[0] for _ in range(20)]
-        assert sum("shape" in notes for notes in told) == shapes
+        history = [front.act(scan(), clear("car2", front.tick + 2), clear("car3", front.tick + 2))[0] for _ in range(20)]
+        assert sum("shape" in notes for notes in history) == shapes
 
 
 def test_a_shape_that_is_due_while_the_team_is_narrow_is_the_next_wide_one() -> None:
@@ -91,9 +91,9 @@ def test_a_new_leader_continues_from_the_shape_of_the_members() -> None:
     assert front.act(scan())[1].get("sn") is None
     notes, report = front.act(scan(), *known)
     assert (notes["shape"], report["shape"], report["sn"], report["order"]) == ("column", "column", 7, [0, 2, 1])
-    told = [front.act(scan(), clear("car2", front.tick), clear("car3", front.tick))[1] for _ in range(7)]
-    assert (told[-1]["shape"], told[-1]["sn"]) == ("wedge", 8)
-    assert member.take(told[-1])
+    reports = [front.act(scan(), clear("car2", front.tick), clear("car3", front.tick))[1] for _ in range(7)]
+    assert (reports[-1]["shape"], reports[-1]["sn"]) == ("wedge", 8)
+    assert member.take(reports[-1])
 
 
 def test_shape_numbers_are_taken_once_and_in_small_steps() -> None:
@@ -120,15 +120,15 @@ def test_narrow_members_check_the_lane_of_the_next_wide_shape() -> None:
     of = Formation(spacing=1.0, changes=((0.3, "line"),), passage=Passage(spacing=0.8))
     follower, radio = LeaderFollower(formation=of), Radio("car2", CARS)
     follower.start(info("car2"))
-    told = []
+    clear_flags = []
     for tick in range(6):
         reading = msgspec.structs.replace(scan((0.5, 0.9)), time_ns=tick * TICK_NS)
         follower.act(observation(reading, tick, report_of("car1", tick, shape="column", sn=1)), radio)
         (message,) = radio.drain()
         assert isinstance(message, Message)
         assert isinstance(message.body, dict)
-        told.append(message.body["cl"])
-    assert told == [1, 1, 1, 0, 0, 0]
+        clear_flags.append(message.body["cl"])
+    assert clear_flags == [1, 1, 1, 0, 0, 0]
 
 
 def test_a_member_does_not_reverse_into_another_hidden_from_its_avoidance() -> None:

@@ -88,12 +88,12 @@ def test_members_without_reports_are_assumed_in_their_slots() -> None:
 @given(st.lists(st.sampled_from(("column", "line", "wedge", "box")), min_size=1, max_size=6), st.data())
 def test_the_newest_shape_wins_in_any_order_and_with_copies(shapes: list[Any], data: st.DataObject) -> None:
     leader, *rest = teams(shape="diamond")
-    told = []
+    bodies = []
     for shape in shapes:
         leader.change(shape, {})
-        told.append(leader.fields())
-    heard = data.draw(st.lists(st.sampled_from(told), max_size=12))
-    for body in [*heard, told[-1], *heard]:
+        bodies.append(leader.fields())
+    received = data.draw(st.lists(st.sampled_from(bodies), max_size=12))
+    for body in [*received, bodies[-1], *received]:
         before = rest[3].changed
         assert rest[3].take(body) == (body["sn"] > before)
     assert (rest[3].shape, rest[3].changed, rest[3].fields()) == (leader.shape, leader.changed, leader.fields())
@@ -142,31 +142,31 @@ def test_living_members_follow_living_members_and_one_leads(topology: TopologyNa
     """With equal knowledge: each follows its nearest living ancestor; exactly one leads; no cycles."""
     everybody = [team for team, lives in zip(teams(topology=topology), living, strict=True) if lives]
     alive = {team.name for team in everybody}
-    whom = {team.name: team.whom(lambda name: name in alive) for team in everybody}
-    assert list(whom.values()).count(None) == min(1, len(everybody))
+    parents = {team.name: team.whom(lambda name: name in alive) for team in everybody}
+    assert list(parents.values()).count(None) == min(1, len(everybody))
     for team in everybody:
         path = [team.name]
-        while (parent := whom[path[-1]]) is not None:
+        while (parent := parents[path[-1]]) is not None:
             assert parent in alive
             assert parent not in path
             path.append(parent)
         nearest = [name for name in team.ancestors if name in alive]
         if nearest:
-            assert whom[team.name] == nearest[0]
+            assert parents[team.name] == nearest[0]
 
 
 @given(st.permutations(range(1, 6)), st.lists(st.frozensets(st.sampled_from(CARS[:6])), min_size=6, max_size=6), topologies)
 def test_there_is_no_cycle_of_parents_with_different_receptions(
-    order: list[int], heard: list[frozenset[str]], topology: TopologyName
+    order: list[int], senders: list[frozenset[str]], topology: TopologyName
 ) -> None:
     everybody = teams(CARS[:6], topology=topology)
-    whom = {}
-    for team, hears in zip(everybody, heard, strict=True):
+    parents = {}
+    for team, hears in zip(everybody, senders, strict=True):
         team.take({"shape": "column", "sn": 1, "order": [0, *order]})
-        whom[team.name] = team.whom(lambda name, hears=hears: name in hears)  # type: ignore[misc]
-    for name in whom:
+        parents[team.name] = team.whom(lambda name, hears=hears: name in hears)  # type: ignore[misc]
+    for name in parents:
         path = [name]
-        while (parent := whom[path[-1]]) is not None:
+        while (parent := parents[path[-1]]) is not None:
             assert parent not in path
             path.append(parent)
 

@@ -51,8 +51,8 @@ class Tally:
         self.places += [math.dist(one.centre_px, (truth.u, truth.v)) / made.side_px for one in right]
         for one in detections:
             if one not in right:
-                what, u, v = min(made.likenesses, key=lambda like: math.dist(like[1:], one.centre_px))
-                self.false.append(what if math.dist((u, v), one.centre_px) < made.side_px else "ground")
+                name, u, v = min(made.likenesses, key=lambda like: math.dist(like[1:], one.centre_px))
+                self.false.append(name if math.dist((u, v), one.centre_px) < made.side_px else "ground")
 
     @property
     def precision(self) -> float:
@@ -123,11 +123,11 @@ def test_the_camera_may_be_tilted(frames: list[SyntheticFrame], tilt: float) -> 
     tally = Tally()
     detector = Detector([GLYPH])
     for made in frames:
-        seen = tilted(made, tilt, rng.uniform(-math.pi, math.pi))
-        (truth,) = seen.seen.truths
-        edge = 0.8 * seen.side_px
+        tilted_frame = tilted(made, tilt, rng.uniform(-math.pi, math.pi))
+        (truth,) = tilted_frame.seen.truths
+        edge = 0.8 * tilted_frame.side_px
         if edge < truth.u < ground.WIDTH - edge and edge < truth.v < ground.HEIGHT - edge:
-            tally.add(seen, detector.detect(seen.image, seen.seen.height_m, FOCAL_PX))
+            tally.add(tilted_frame, detector.detect(tilted_frame.image, tilted_frame.seen.height_m, FOCAL_PX))
     assert tally.found + tally.missed >= 10
     assert tally.found / (tally.found + tally.missed) >= 0.85
     assert tally.precision >= 0.90

@@ -51,7 +51,7 @@ def test_reduced_pictures_have_their_edges_in_the_same_places() -> None:
     across, down = search.within(u, v)
     assert np.allclose(across, [-0.5, 29.5])
     assert np.allclose(down, [-0.5, 15.5])
-    assert np.allclose(search.whole(across, down), (u, v))
+    assert np.allclose(search.outside(across, down), (u, v))
 
 
 @pytest.mark.parametrize(("more", "less"), [(RED, BLUE), (BLUE, RED)])
@@ -86,14 +86,14 @@ def test_hues_go_round_in_a_circle() -> None:
 def test_the_score_of_a_hue_is_at_most_its_share_of_the_target() -> None:
     """Target: four sevenths red, two blue. All red scores 2/3, all blue 1/3, these shares 1 in any arrangement."""
     row = np.array([RED] * 4 + [BLUE] * 2 + [(128, 128, 128)], np.uint8)
-    wanted = colours.hues(np.tile(row, (7, 3, 1)))
+    hues = colours.hues(np.tile(row, (7, 3, 1)))
     for picture, expected in (
         (np.full((63, 63, 3), RED, np.uint8), 2 / 3),
         (np.full((63, 63, 3), BLUE, np.uint8), 1 / 3),
         (np.full((63, 63, 3), 128, np.uint8), 0.0),
         (np.tile(row[::-1][:, None], (9, 63, 1)), 1.0),
     ):
-        scores = colours.colour_scores(cv2.cvtColor(picture, cv2.COLOR_RGB2HSV), wanted, 21)
+        scores = colours.colour_scores(cv2.cvtColor(picture, cv2.COLOR_RGB2HSV), hues, 21)
         assert scores[31, 31] / 255 == pytest.approx(expected, abs=0.01)
 
 
@@ -102,9 +102,9 @@ def test_turning_changes_neither_magnitudes_nor_detections(angle: float) -> None
     picture = turned(glyph(), angle)
     cosine, spectrum = rings(picture)
     assert cosine > 0.97
-    told = rotation(spectrum, TEMPLATE.full.spectra[:, 0])
-    assert abs(wrap(told - angle)) < math.radians(2.0)
-    score, pose = match(picture, TEMPLATE, MatchedPose(71.5, 71.5, told, 48.0))
+    estimate = rotation(spectrum, TEMPLATE.full.spectra[:, 0])
+    assert abs(wrap(estimate - angle)) < math.radians(2.0)
+    score, pose = match(picture, TEMPLATE, MatchedPose(71.5, 71.5, estimate, 48.0))
     assert score > 0.95
     assert abs(wrap(pose.angle - angle)) < math.radians(0.5)
     assert math.dist((pose.u, pose.v), (71.5, 71.5)) < 0.3

@@ -64,9 +64,9 @@ def test_three_seconds_on_a_terminal_and_a_gentle_end() -> None:
     assert 0.4 <= x <= 0.62
     assert (y, yaw) == (0.0, 0.0)
     assert samples[-1].odometry.v == pytest.approx(0.2, abs=0.001)
-    told = samples[-1].number - samples[0].number
+    count = samples[-1].number - samples[0].number
     seconds = (samples[-1].measured_ns - samples[0].measured_ns) / 1e9
-    assert told / seconds == pytest.approx(10.0, rel=0.1)
+    assert count / seconds == pytest.approx(10.0, rel=0.1)
     assert all(each.motors and not each.stopped for each in samples[2:])
     assert {number for each in samples for number, _ in each.sonar} == set(range(8))
 
@@ -105,9 +105,9 @@ def test_stop_timeout_and_stop_button_stop_it_with_a_notice(cause: str) -> None:
         with served.lock:
             served.device.estop_pressed = True
         eventually(lambda: (sample := driver.read()) is not None and sample.emergency_stop and not sample.motors)
-        told: list[list[Notice]] = []
-        eventually(lambda: (new := driver.notices()) and not told.append(new))  # type: ignore[func-returns-value]
-        assert [each.cause for each in told[0]] == ["the robot has switched its motors off: its stop button is pressed"]
+        batches: list[list[Notice]] = []
+        eventually(lambda: (new := driver.notices()) and not batches.append(new))  # type: ignore[func-returns-value]
+        assert [each.cause for each in batches[0]] == ["the robot has switched its motors off: its stop button is pressed"]
 
 
 def test_unplugged_and_plugged_in_again(tmp_path: Path) -> None:

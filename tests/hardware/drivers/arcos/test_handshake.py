@@ -18,8 +18,8 @@ MS = 1_000_000
 
 
 def handshake(**options: object) -> Handshake:
-    given: dict[str, object] = {"device": "/dev/x", "kind": "", "settings": Settings(), "baud": 9600, "give_up_s": 10.0}
-    return Handshake(**(given | options))  # type: ignore[arg-type]
+    defaults: dict[str, object] = {"device": "/dev/x", "kind": "", "settings": Settings(), "baud": 9600, "give_up_s": 10.0}
+    return Handshake(**(defaults | options))  # type: ignore[arg-type]
 
 
 def shake_hands(
@@ -31,11 +31,11 @@ def shake_hands(
     sent = [(start_ns, client.start(start_ns))]
     down.push(sent[0][1], start_ns)
     now = start_ns
-    while not client.done:
+    while not client.is_done:
         now += MS
         up.push(robot.receive(down.pop(now), now), now)
-        heard = up.pop(now)
-        answer = client.receive(heard, now) if heard else client.advance(now)
+        data = up.pop(now)
+        answer = client.receive(data, now) if data else client.advance(now)
         if answer:
             sent.append((now, answer))
             down.push(answer, now)
@@ -61,10 +61,10 @@ def test_connects_and_leaves_the_robot_standing_with_motors_on() -> None:
 def test_zero_speed_comes_first_and_again_before_the_motors() -> None:
     sent = b"".join(data for _, data in shake_hands(handshake(), Device(ROBOTS["amigo"])))
     assert sent.startswith(bytes.fromhex("fafb060b3b00000b3b fafb06153b0000153b fafb03000000"))
-    asked = commands(sent)
-    enable = asked.index((Command.ENABLE, 1))
-    assert asked[enable - 3 : enable - 1] == [(Command.VEL, 0), (Command.RVEL, 0)]
-    assert all(argument == 0 for number, argument in asked if number in (Command.VEL, Command.RVEL))
+    orders = commands(sent)
+    enable = orders.index((Command.ENABLE, 1))
+    assert orders[enable - 3 : enable - 1] == [(Command.VEL, 0), (Command.RVEL, 0)]
+    assert all(argument == 0 for number, argument in orders if number in (Command.VEL, Command.RVEL))
 
 
 @pytest.mark.parametrize("turning", [0, 30])
@@ -94,10 +94,10 @@ def test_garbage_before_the_answers_has_no_effect() -> None:
     robot.receive(b"WMS2\r", 0)
     answer = client.start(0)
     now = 0
-    while not client.done:
+    while not client.is_done:
         now += MS
-        said = robot.receive(answer, now)
-        answer = client.receive(b"login: \xfa\xfa\xfb\x00" + said, now) if said else client.advance(now)
+        reply = robot.receive(answer, now)
+        answer = client.receive(b"login: \xfa\xfa\xfb\x00" + reply, now) if reply else client.advance(now)
     assert now < 1000 * MS
 
 
@@ -138,15 +138,15 @@ def test_kinds_are_compared_without_case_and_unknown_ones_are_named() -> None:
         connect(b"")
 
 
-def error_text(heard: bytes) -> str:
+def error_text(data: bytes) -> str:
     """Error text after ten seconds of repeated input."""
     client, now = handshake(), 0
     client.start(now)
     while now < 20_000 * MS:
         now += 10 * MS
         try:
-            if heard:
-                client.receive(heard, now)
+            if data:
+                client.receive(data, now)
             client.advance(now)
         except HandshakeError as error:
             assert now == 10_000 * MS
@@ -163,17 +163,17 @@ def test_causes_of_failure() -> None:
 
 
 @given(st.lists(st.one_of(st.binary(min_size=1, max_size=60), st.binary(max_size=60).map(lambda rest: b"\x32" + rest))))
-def test_any_packets_connect_or_give_an_error(said: list[bytes]) -> None:
+def test_any_packets_connect_or_give_an_error(packets: list[bytes]) -> None:
     """Packets of any content, at every stage."""
     for echoes in ([], [b"\0"], [b"\0", b"\1"], [b"\0", b"\1", b"\2x\0Pioneer\0amigo\0"]):
         client, now = handshake(), 0
         client.start(now)
         with suppress(HandshakeError):
-            for data in echoes + said:
+            for data in echoes + packets:
                 now += 100 * MS
                 client.receive(frame(data), now)
                 client.advance(now)
-            assert not client.done or client.robot is not None
+            assert not client.is_done or client.robot is not None
 
 
 def test_motors_that_stay_off_are_named() -> None:

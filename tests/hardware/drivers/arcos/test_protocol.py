@@ -196,7 +196,7 @@ def test_the_robot_decodes_the_speeds(kind: str, mode: str, v: float, w: float) 
         number, value = parse_command(data)
         assert isinstance(value, int)
         motion.take(number, value, 0.0)
-    understood = motion.wanted(0.0)
+    understood = motion.target_speeds(0.0)
     if mode == "vel":
         assert understood[0] == pytest.approx(v, abs=0.51e-3)
         assert understood[1] == pytest.approx(w, abs=math.radians(0.51))
@@ -280,8 +280,8 @@ def test_size_on_the_line(sonars: int, size: int) -> None:
 
 
 def test_stalled_wheels_are_told_from_bumpers() -> None:
-    told = {bit: Sip(stall=1 << bit).stalled for bit in range(16)}
-    assert told == {**dict.fromkeys(range(16), (False, False)), 0: (True, False), 8: (False, True)}
+    stalls = {bit: Sip(stall=1 << bit).stalled for bit in range(16)}
+    assert stalls == {**dict.fromkeys(range(16), (False, False)), 0: (True, False), 8: (False, True)}
 
 
 @given(sips())

@@ -71,9 +71,9 @@ def test_speeds_and_battery() -> None:
     assert sample.odometry.v == pytest.approx(200 * factor)
     assert sample.odometry.w == pytest.approx(100 * 0.6154 * 0.011)  # (R-L)/2 x DiffConvFactor, in rad/s
     assert sample.battery_v == pytest.approx(12.1)
-    told = track().add(Sip(left=100, right=300, battery=255, battery_x10=268, charge_state=0, rotation=-900), 0, "")
-    assert told.odometry.w == pytest.approx(-math.pi / 2)
-    assert told.battery_v == pytest.approx(26.8)
+    other = track().add(Sip(left=100, right=300, battery=255, battery_x10=268, charge_state=0, rotation=-900), 0, "")
+    assert other.odometry.w == pytest.approx(-math.pi / 2)
+    assert other.battery_v == pytest.approx(26.8)
 
 
 def test_flags() -> None:
@@ -88,7 +88,7 @@ def test_sonars_are_kept_until_read_and_the_newest_counts() -> None:
     path = track()
     path.add(Sip(sonars=((0, 1000), (1, 1500))), 0, "")
     assert path.add(Sip(sonars=((1, 1600), (7, 300))), 100 * MS, "").sonar == ((0, 1.0), (1, 1.6), (7, 0.3))
-    path.taken()
+    path.clear_sonar()
     assert path.add(Sip(), 200 * MS, "").sonar == ()
 
 

@@ -37,15 +37,15 @@ def connected(address: str, start: Vec3 = ORIGIN, **options: Any) -> AbstractCon
 
 
 def newest(driver: Driver) -> Sample:
-    kept: list[Sample] = []
-    eventually(lambda: (sample := driver.read()) is not None and not kept.append(sample))  # type: ignore[func-returns-value]
-    return kept[-1]
+    samples: list[Sample] = []
+    eventually(lambda: (sample := driver.read()) is not None and not samples.append(sample))  # type: ignore[func-returns-value]
+    return samples[-1]
 
 
 def commands(served: MavlinkServer, number: int) -> list[Any]:
     with served.lock:
-        heard = [each for _, each in served.vehicle.heard]
-    return [each for each in heard if each.get_type() == "COMMAND_LONG" and each.command == number]
+        messages = [each for _, each in served.vehicle.heard]
+    return [each for each in messages if each.get_type() == "COMMAND_LONG" and each.command == number]
 
 
 def points(served: MavlinkServer) -> list[Any]:
@@ -53,13 +53,13 @@ def points(served: MavlinkServer) -> list[Any]:
         return [each for _, each in served.vehicle.heard if each.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
 
 
-def notice(driver: Driver, what: str, word: str) -> Callable[[], bool]:
+def notice(driver: Driver, kind: str, word: str) -> Callable[[], bool]:
     """Predicate: a notice of this kind with this word has been read."""
-    seen: list[str] = []
+    causes: list[str] = []
 
     def told() -> bool:
-        seen.extend(each.cause for each in driver.notices() if each.what == what)
-        return any(word in each for each in seen)
+        causes.extend(each.cause for each in driver.notices() if each.what == kind)
+        return any(word in each for each in causes)
 
     return told
 
@@ -197,11 +197,11 @@ def test_a_returning_vehicle_gets_zero_first() -> None:
     ):
         fly(driver, 0.3, 1.0, 0.0, 0.0)
         served.mute = True
-        seen: list[str] = []
+        notices: list[str] = []
 
         def lost() -> bool:
-            seen.extend(f"{each.what} {each.cause}" for each in driver.notices())
-            return any("lost no message was received for 0.5 s" in each for each in seen)
+            notices.extend(f"{each.what} {each.cause}" for each in driver.notices())
+            return any("lost no message was received for 0.5 s" in each for each in notices)
 
         eventually(lost)
         with served.lock:

@@ -41,15 +41,15 @@ def encoded(system: int, *messages: Message) -> bytes:
     return Encoder(Sender(system=system, component=1))(*messages)
 
 
-def found_peer(*heard: tuple[str, bytes], system_id: int = 0, kind: str | None = None) -> Peer | None:
+def found_peer(*datagrams: tuple[str, bytes], system_id: int = 0, kind: str | None = None) -> Peer | None:
     search = VehicleSearch("udpin:0.0.0.0:14540", system_id, kind)  # type: ignore[arg-type]
-    search.receive(list(heard), SECOND)
+    search.receive(list(datagrams), SECOND)
     return search.decide(LATER)
 
 
-def failed(*heard: tuple[str, bytes], system_id: int = 0) -> str:
+def failed(*datagrams: tuple[str, bytes], system_id: int = 0) -> str:
     search = VehicleSearch("udpin:0.0.0.0:14540", system_id, None)
-    assert search.receive(list(heard), SECOND) is None
+    assert search.receive(list(datagrams), SECOND) is None
     assert search.decide(LATER) is None
     return str(search.failure(10.0))
 
@@ -163,8 +163,8 @@ def test_an_attitude_is_the_product_of_the_matrices(roll: float, pitch: float, y
 @given(angle, tilt, angle)
 def test_attitude_round_trip(roll: float, pitch: float, yaw: float) -> None:
     back = euler_from_attitude(attitude_from_euler(roll, pitch, yaw))
-    for told, meant in zip(back, (roll, pitch, yaw), strict=True):
-        assert abs(wrap(told - meant)) < 1e-7
+    for actual, expected in zip(back, (roll, pitch, yaw), strict=True):
+        assert abs(wrap(actual - expected)) < 1e-7
 
 
 @given(angle)

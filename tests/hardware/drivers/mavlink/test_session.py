@@ -119,10 +119,10 @@ def test_a_pilots_takeover_ends_the_take_off() -> None:
     flight.vehicle.pilot_switches("POSITION")
     flight.run(1.5)
     assert "switched it to POSITION" in flight.pilot.interrupted
-    asked = len(flight.asked(mavlink.MAV_CMD_DO_SET_MODE))
+    count = len(flight.asked(mavlink.MAV_CMD_DO_SET_MODE))
     flight.pilot.leave()
     flight.run(2.0)
-    assert len(flight.asked(mavlink.MAV_CMD_DO_SET_MODE)) == asked
+    assert len(flight.asked(mavlink.MAV_CMD_DO_SET_MODE)) == count
     assert flight.vehicle.mode == "POSITION"
 
 
@@ -133,8 +133,8 @@ def test_autopilot_errors_become_one_complete_notice() -> None:
     for text, severity in (("low battery", 2), ("low battery", 2), (long, 3), ("all is well", 6)):
         flight.vehicle.say(text, severity)
         flight.run(0.1)
-    said = [each for each in flight.causes() if "says" in each]
-    assert said == ['the autopilot says "low battery"', f'the autopilot says "{long}"']
+    causes = [each for each in flight.causes() if "says" in each]
+    assert causes == ['the autopilot says "low battery"', f'the autopilot says "{long}"']
 
 
 def test_commands_have_no_effect_while_disarmed_or_leaving() -> None:

@@ -166,7 +166,7 @@ def test_silence_is_a_loss_and_a_return_a_new_link(endpoint: str) -> None:
         assert distance_m(samples[-1]) > 0.0  # same node: the distance travelled is kept
         eventually(lambda: any(twist.linear[0] == 0.1 for _, twist in robot.heard))
         assert robot.heard[count][1].linear[0] == 0.0
-        assert [what for what, _ in notices_of(driver) if what != "stopped"] == ["connected", "lost", "connected"]
+        assert [kind for kind, _ in notices_of(driver) if kind != "stopped"] == ["connected", "lost", "connected"]
 
 
 def test_a_restarted_robot_gets_zero_first(endpoint: str) -> None:
@@ -177,7 +177,7 @@ def test_a_restarted_robot_gets_zero_first(endpoint: str) -> None:
         try:
             drive(driver, 0.4, v=0.3)
             old.__exit__()
-            eventually(lambda: any(what == "lost" for what, _ in notices_of(driver)))
+            eventually(lambda: any(kind == "lost" for kind, _ in notices_of(driver)))
             with Ros2Robot(endpoint=endpoint, name="two") as robot:
                 driver.write(Velocity(linear=(0.3, 0.0, 0.0)))
                 eventually(lambda: (sample := driver.read()) is not None and sample.link >= 2)
@@ -269,7 +269,7 @@ def test_any_end_of_its_thread_is_a_driver_error(endpoint: str, monkeypatch: pyt
 
     with Ros2Robot(endpoint=endpoint, watchdog_s=60.0) as robot, connected(endpoint, command_timeout_s=60.0) as driver:
         eventually(lambda: drive(driver, 0.05, v=0.3) is not None and is_moving(robot))
-        monkeypatch.setattr(driver, "_taken", fails)
+        monkeypatch.setattr(driver, "_decode_odometry", fails)
         eventually(lambda: failed(driver) == "the driver failed (LookupError: boom)")
         eventually(lambda: not is_moving(robot))
     monkeypatch.setattr(Node, "hear", fails)

@@ -57,11 +57,11 @@ def odometry_of(golden: dict[str, Any]) -> OdometryMessage:
 def test_bytes_are_those_of_ros_2(golden: dict[str, Any]) -> None:
     data = bytes.fromhex(golden["hex"])
     if golden["type"] == ODOMETRY:
-        told = odometry_of(golden)
-        assert encode_odometry(told) == data
-        heard = decode_odometry(data)
-        assert heard.attitude == pytest.approx(told.attitude, abs=1e-15)  # normalised again
-        assert heard._replace(attitude=told.attitude) == told
+        odometry = odometry_of(golden)
+        assert encode_odometry(odometry) == data
+        received = decode_odometry(data)
+        assert received.attitude == pytest.approx(odometry.attitude, abs=1e-15)  # normalised again
+        assert received._replace(attitude=odometry.attitude) == odometry
     else:
         stamped = golden["type"] == TWIST_STAMPED
         linear, angular = tuple(golden["linear"]), tuple(golden["angular"])
@@ -85,8 +85,8 @@ def test_hashes_are_those_of_ros_2() -> None:
 
 @given(vectors, vectors, vectors, stamps, names, names)
 def test_odometry_round_trip(position: Any, linear: Any, angular: Any, stamp_ns: int, frame: str, child_frame: str) -> None:
-    told = OdometryMessage(position, (0.6, 0.0, 0.0, 0.8), linear, angular, stamp_ns, frame, child_frame)
-    assert decode_odometry(encode_odometry(told)) == told
+    odometry = OdometryMessage(position, (0.6, 0.0, 0.0, 0.8), linear, angular, stamp_ns, frame, child_frame)
+    assert decode_odometry(encode_odometry(odometry)) == odometry
 
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf")])
@@ -151,7 +151,7 @@ def test_tokens_of_rmw_zenoh() -> None:
 def test_keys_and_tokens_of_the_bridge() -> None:
     """Format: liveliness_mgt.rs of zenoh-plugin-ros2dds."""
     keys = Ros2Dds()
-    assert keys.publishes("robot1/cmd_vel", TWIST) == keys.hears("robot1/cmd_vel") == "robot1/cmd_vel"
+    assert keys.publishes("robot1/cmd_vel", TWIST) == keys.subscription_key("robot1/cmd_vel") == "robot1/cmd_vel"
     end = Endpoint("MP", "robot1/cmd_vel", TWIST)
     token, plugin = keys.tokens("a1b2", (end,))
     assert token == "@/a1b2/@ros2_lv/MP/robot1§cmd_vel/geometry_msgs§msg§Twist/:1::0,10"

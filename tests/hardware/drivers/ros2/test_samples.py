@@ -31,12 +31,12 @@ def track(start: Vec3 = (0.0, 0.0, 0.0), pose: Pose = "odometry", origin: Vec3 =
 
 
 @given(poses, st.lists(poses, min_size=2, max_size=6))
-def test_the_pose_is_the_start_pose_composed_with_odometry(start: Vec3, told: list[Vec3]) -> None:
+def test_the_pose_is_the_start_pose_composed_with_odometry(start: Vec3, path: list[Vec3]) -> None:
     """start o first^-1 o last, in homogeneous matrices by hand."""
     made = track(start)
-    samples = [made.add(message(*each), number * S, "") for number, each in enumerate(told)]
+    samples = [made.add(message(*each), number * S, "") for number, each in enumerate(path)]
     assert samples[0].odometry.pose == start
-    (x0, y0, yaw0), (x1, y1, yaw1) = told[0], told[-1]
+    (x0, y0, yaw0), (x1, y1, yaw1) = path[0], path[-1]
     forward = cos(yaw0) * (x1 - x0) + sin(yaw0) * (y1 - y0)
     left = -sin(yaw0) * (x1 - x0) + cos(yaw0) * (y1 - y0)
     x, y, yaw = samples[-1].odometry.pose
@@ -54,8 +54,8 @@ def test_the_heading_is_continuous_at_pi() -> None:
 def test_a_leap_is_omitted_and_later_motion_counts() -> None:
     made = Ros2Sampler((0.0, 0.0, 0.0), "odometry", (0.0, 0.0, 0.0), 1.0)
     made.connect(anew=True)
-    told = [made.add(message(x, 0.0, 0.0), number * S // 10, "") for number, x in enumerate((0.0, 0.1, -40.0, -39.9))]
-    assert [each.odometry.pose[0] for each in told] == pytest.approx([0.0, 0.1, 0.1, 0.2])
+    samples = [made.add(message(x, 0.0, 0.0), number * S // 10, "") for number, x in enumerate((0.0, 0.1, -40.0, -39.9))]
+    assert [each.odometry.pose[0] for each in samples] == pytest.approx([0.0, 0.1, 0.1, 0.2])
     assert made.leaps == 1
 
 
@@ -70,12 +70,12 @@ def test_after_a_loss_odometry_continues_for_one_node_and_restarts_for_another()
 
 
 @given(poses, poses, st.floats(-3.0, 3.0))
-def test_in_the_world_the_state_is_the_frame_moved_by_its_origin(origin: Vec3, told: Vec3, v: float) -> None:
-    sample = track((9.0, 9.0, 1.0), "world", origin).add(message(*told, v=v, w=0.3), 0, "")
+def test_in_the_world_the_state_is_the_frame_moved_by_its_origin(origin: Vec3, pose: Vec3, v: float) -> None:
+    sample = track((9.0, 9.0, 1.0), "world", origin).add(message(*pose, v=v, w=0.3), 0, "")
     assert sample.state is not None
-    heading = origin[2] + told[2]
-    x = origin[0] + cos(origin[2]) * told[0] - sin(origin[2]) * told[1]
-    y = origin[1] + sin(origin[2]) * told[0] + cos(origin[2]) * told[1]
+    heading = origin[2] + pose[2]
+    x = origin[0] + cos(origin[2]) * pose[0] - sin(origin[2]) * pose[1]
+    y = origin[1] + sin(origin[2]) * pose[0] + cos(origin[2]) * pose[1]
     assert sample.state.position == pytest.approx((x, y, 0.0), abs=1e-9)
     assert abs(wrap(sample.state.yaw - heading)) < 1e-9
     assert sample.state.velocity == pytest.approx((v * cos(heading), v * sin(heading), 0.0), abs=1e-9)
@@ -103,16 +103,16 @@ def test_delayed_messages_keep_their_age() -> None:
     """Two seconds of messages that arrive at once after a network stall."""
     true = [1000 * S + number * 50 * MS for number in range(1, 80)]
     arrivals = [each if number < 40 else 1004 * S + number for number, each in enumerate(true)]
-    told = times(track(), [(each + AHEAD, arrived) for each, arrived in zip(true, arrivals, strict=True)])
-    for each, measured in zip(true, told, strict=True):
+    results_ns = times(track(), [(each + AHEAD, arrived) for each, arrived in zip(true, arrivals, strict=True)])
+    for each, measured in zip(true, results_ns, strict=True):
         assert 0 <= measured - each <= 2 * MS  # 500 ppm of 4 s
 
 
 @pytest.mark.parametrize("by_ns", [-500 * MS, -3600 * S, 100 * MS, 3600 * S])
 def test_a_clock_step_is_followed_after_three_messages(by_ns: int) -> None:
     true = [10 * S + number * 50 * MS for number in range(20)]
-    told = times(track(), [(each + AHEAD + (by_ns if number >= 10 else 0), each) for number, each in enumerate(true)])
-    for number, (each, measured) in enumerate(zip(true, told, strict=True)):
+    results_ns = times(track(), [(each + AHEAD + (by_ns if number >= 10 else 0), each) for number, each in enumerate(true)])
+    for number, (each, measured) in enumerate(zip(true, results_ns, strict=True)):
         assert measured <= each
         assert number in (10, 11) or each - measured <= MS
 

@@ -93,10 +93,10 @@ def test_configuration(client: Client) -> None:
     client.say(Command.SETA, -700)
     (answer,) = client.say(Command.CONFIG, 1)
     assert answer[0] == CONFIG_PACKET
-    told = decode_config(answer)
-    assert (told.robot_class, told.subclass, told.name, told.auto_baud) == ("Pioneer", "amigo", "emulated", 0)
-    assert (told.top_speed, told.top_yaw_rate, told.sip_cycle, told.watchdog) == (1000, 300, 100, 2000)
-    assert (told.max_speed, told.accel, told.decel) == (400, 500, 700)
+    config = decode_config(answer)
+    assert (config.robot_class, config.subclass, config.name, config.auto_baud) == ("Pioneer", "amigo", "emulated", 0)
+    assert (config.top_speed, config.top_yaw_rate, config.sip_cycle, config.watchdog) == (1000, 300, 100, 2000)
+    assert (config.max_speed, config.accel, config.decel) == (400, 500, 700)
 
 
 # Watchdog
@@ -227,11 +227,11 @@ def test_estop_stands_without_braking(client: Client) -> None:
 
 def test_wheel_speeds_and_rotation_are_sent_in_counts(client: Client) -> None:
     client.drive((Command.VEL, 200), (Command.RVEL, 30), seconds=3.0)
-    told = client.run(0.1)[-1]
+    sip = client.run(0.1)[-1]
     turning = math.radians(30) * 1e3 * AMIGO.track_m / 2
-    assert told.left == round((200 - turning) / AMIGO.vel_factor)
-    assert told.right == round((200 + turning) / AMIGO.vel_factor)
-    assert told.rotation == 300
+    assert sip.left == round((200 - turning) / AMIGO.vel_factor)
+    assert sip.right == round((200 + turning) / AMIGO.vel_factor)
+    assert sip.rotation == 300
 
 
 @pytest.mark.parametrize("argument", [0x0A0A, 0xF60A, -0x09F6])  # the last one in ARIA's form
@@ -239,10 +239,10 @@ def test_vel2_sets_both_wheels(client: Client, argument: int) -> None:
     """20 mm/s per count, right wheel in the low byte."""
     client.say(Command.SETRV, 300)
     client.drive((Command.RVEL, 10), (Command.VEL2, argument), seconds=3.0)
-    told = client.run(0.1)[-1]
+    sip = client.run(0.1)[-1]
     left = 10 if argument == 0x0A0A else -10
-    assert told.right * AMIGO.vel_factor == pytest.approx(200, abs=0.5)
-    assert told.left * AMIGO.vel_factor == pytest.approx(20 * left, abs=0.5)
+    assert sip.right * AMIGO.vel_factor == pytest.approx(200, abs=0.5)
+    assert sip.left * AMIGO.vel_factor == pytest.approx(20 * left, abs=0.5)
 
 
 def test_vel_and_rvel_hold_side_by_side(client: Client) -> None:
@@ -329,8 +329,8 @@ def test_without_motors_nothing_moves_and_the_last_speed_waits(client: Client) -
 def test_the_red_button_wins(client: Client) -> None:
     client.drive((Command.VEL, 200), seconds=1.0)
     client.device.estop_pressed = True
-    told = client.run(0.5)[-1]
-    assert (told.motors_on, told.flags >> 5 & 1, told.left) == (False, 1, 0)
+    sip = client.run(0.5)[-1]
+    assert (sip.motors_on, sip.flags >> 5 & 1, sip.left) == (False, 1, 0)
 
 
 # Odometry and sonars
@@ -340,8 +340,8 @@ def test_seto_makes_here_and_now_the_origin(client: Client) -> None:
     client.drive((Command.VEL, 200), (Command.RVEL, 20), seconds=3.0)
     client.drive((Command.STOP, 0), seconds=1.0)
     client.say(Command.SETO)
-    told = client.run(0.1)[-1]
-    assert (told.x, told.y, told.heading) == (0, 0, 0)
+    sip = client.run(0.1)[-1]
+    assert (sip.x, sip.y, sip.heading) == (0, 0, 0)
 
 
 @pytest.mark.parametrize("kind", ROBOTS)
@@ -356,12 +356,12 @@ def test_positions_wrap_at_15_bits_and_differences_do_not(kind: str) -> None:
         ahead, left = 0.05 * k, -0.03 * k
         x = 3.0 + ahead * math.cos(0.5) - left * math.sin(0.5)
         device.moved((x, -2.0 + ahead * math.sin(0.5) + left * math.cos(0.5), 0.5), 0.5, 0.0)
-        (told,) = client.run(0.1)
-        assert max(told.x, told.y) <= COUNT_MASK
+        (sip,) = client.run(0.1)
+        assert max(sip.x, sip.y) <= COUNT_MASK
         if last is not None:
-            for i, (new, old) in enumerate(((told.x, last.x), (told.y, last.y))):
+            for i, (new, old) in enumerate(((sip.x, last.x), (sip.y, last.y))):
                 total[i] += (new - old + 0x4000) % 0x8000 - 0x4000
-        last = told
+        last = sip
     assert [each * robot.dist_factor / 1e3 for each in total] == pytest.approx([100.0, -60.0], abs=2e-3)
 
 
@@ -375,8 +375,8 @@ def test_a_moving_host_gets_its_command() -> None:
     assert device.odometry == (0.0, 0.0, 0.0)  # not moved by the host
     assert device.commanded() == (0.2, -math.radians(10))
     device.moved((5.0, 5.0, 1.0), 0.2, 0.0, stall=0x0101)
-    told = client.run(0.1)[-1]
-    assert (told.x, told.y, told.stalled) == (0, 0, (True, True))
+    sip = client.run(0.1)[-1]
+    assert (sip.x, sip.y, sip.stalled) == (0, 0, (True, True))
     with pytest.raises(ValueError, match="8 sonars, not 3"):
         device.moved((5.0, 5.0, 1.0), 0.2, 0.0, ranges=(1.0, 1.0, 1.0))
 
@@ -390,11 +390,11 @@ def test_each_sonar_fires_once_per_round(kind: str) -> None:
     ranges = [0.5 + 0.1 * each for each in range(len(robot.sonars))]
     ranges[3] = math.inf
     device.moved((0.0, 0.0, 0.0), 0.0, 0.0, ranges)
-    told = client.run(1.6)
-    numbers = [number for each in told for number, _ in each.sonars]
+    sips = client.run(1.6)
+    numbers = [number for each in sips for number, _ in each.sonars]
     assert sorted(numbers) == sorted(5 * list(range(len(robot.sonars))))
-    assert all(len(each.sonars) in (2 * len(robot.sonars) // 8, 3 * len(robot.sonars) // 8) for each in told)
-    for number, counts in (reading for each in told for reading in each.sonars):
+    assert all(len(each.sonars) in (2 * len(robot.sonars) // 8, 3 * len(robot.sonars) // 8) for each in sips)
+    for number, counts in (reading for each in sips for reading in each.sonars):
         assert counts * robot.range_factor / 1e3 == pytest.approx(min(ranges[number], 5.0), abs=1e-3)
     with pytest.raises(ValueError, match="multiple of 5 ms, not 12"):
         Device(robot, ping_ms=12)

@@ -74,7 +74,7 @@ def test_tags_have_16_digits() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "error_text"),
     [
         ({"rate_hz": 3.0}, "--rate-hz 3"),
         ({"rate_hz": 101.0}, "--rate-hz"),
@@ -82,8 +82,8 @@ def test_tags_have_16_digits() -> None:
         ({"ping_ms": 7}, "--ping-ms"),
     ],
 )
-def test_impossible_robots(changes: dict[str, Any], said: str) -> None:
-    with pytest.raises(UsageError, match=said):
+def test_impossible_robots(changes: dict[str, Any], error_text: str) -> None:
+    with pytest.raises(UsageError, match=error_text):
         device_of("amigobot", RobotOptions(**changes), (0.0, 0.0, 0.0))
 
 
@@ -94,14 +94,14 @@ def test_rate_baud_and_watchdog_become_parameters_of_the_robot() -> None:
 
 
 def test_without_a_watchdog_a_robot_drives_on() -> None:
-    said = [command(number) for number in (0, 1, 2)] + [
+    packets = [command(number) for number in (0, 1, 2)] + [
         command(Command.OPEN),
         command(Command.ENABLE, 1),
         command(Command.VEL, 200),
     ]
     for watchdog in (True, False):
         device = device_of("amigobot", RobotOptions(watchdog=watchdog), (0.0, 0.0, 0.0))
-        sent = sum(bool(device.receive(each, 0)) for each in said)
+        sent = sum(bool(device.receive(each, 0)) for each in packets)
         device.advance(10_000_000_000)
         assert sent == 3
         assert (device.odometry[0] > 1.5) is not watchdog

@@ -152,13 +152,13 @@ class AgentHarness:
             attitude=quaternion_from_yaw(yaw),
             angular_velocity=(0.0, 0.0, w),
         )
-        told = None
+        velocity = None
         for _ in range(round(seconds / PERIOD_S)):
             self.time_ns += round(PERIOD_S * 1e9)
-            seen = Observation(vehicle="car", time_ns=self.time_ns, state=state, readings=readings)
-            told = self.agent.act(seen, Radio("car", ("car",)))
-        assert told is not None
-        return told.linear[0], told.yaw_rate
+            obs = Observation(vehicle="car", time_ns=self.time_ns, state=state, readings=readings)
+            velocity = self.agent.act(obs, Radio("car", ("car",)))
+        assert velocity is not None
+        return velocity.linear[0], velocity.yaw_rate
 
     @property
     def stall(self) -> int:
@@ -195,13 +195,13 @@ def test_a_robot_without_command_is_not_stalled() -> None:
 
 
 def test_odometry_is_from_encoders_or_wheels_or_else_the_pose() -> None:
-    said = Odometry(pose=(9.0, 9.0, 1.0), v=0.1, w=0.2)
+    odometry = Odometry(pose=(9.0, 9.0, 1.0), v=0.1, w=0.2)
     fitted = AgentHarness(encoders={"kind": "wheel_odometry"})
-    fitted.act(PERIOD_S, odometry=Odometry(pose=(0.0, 0.0, 0.0), v=0.0, w=0.0), encoders=said)
-    assert fitted.device.pose == said.pose
+    fitted.act(PERIOD_S, odometry=Odometry(pose=(0.0, 0.0, 0.0), v=0.0, w=0.0), encoders=odometry)
+    assert fitted.device.pose == odometry.pose
     plain = AgentHarness()
-    plain.act(PERIOD_S, odometry=said)
-    assert plain.device.pose == said.pose
+    plain.act(PERIOD_S, odometry=odometry)
+    assert plain.device.pose == odometry.pose
     bare = AgentHarness()
     bare.act(PERIOD_S, yaw=0.5)
     assert bare.device.pose == pytest.approx((1.0, 2.0, 0.5))

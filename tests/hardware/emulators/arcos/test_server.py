@@ -45,12 +45,12 @@ class Port:
 
     def hear(self, until: Callable[[list[bytes]], bool]) -> list[bytes]:
         """Packets, read until ``until`` accepts them."""
-        heard: list[bytes] = []
+        packets: list[bytes] = []
         end = time.monotonic() + PATIENCE_S
-        while not until(heard):
-            assert time.monotonic() < end, f"only {len(heard)} packets came in time"
-            heard += self.reader.feed(self.serial.read(256))
-        return heard
+        while not until(packets):
+            assert time.monotonic() < end, f"only {len(packets)} packets came in time"
+            packets += self.reader.feed(self.serial.read(256))
+        return packets
 
     def connect(self) -> None:
         for number in range(3):
@@ -68,7 +68,7 @@ def test_a_device_continues_when_served_again(serve: Serve) -> None:
     device.advance(10**11)
     for _ in range(2):
         with serve(device) as served, Port(served.url) as port:
-            port.hear(lambda heard: len(heard) >= 3)
+            port.hear(lambda packets: len(packets) >= 3)
         assert 10**11 < device.now_ns < 1.1 * 10**11
 
 
@@ -149,8 +149,8 @@ def test_an_inner_error_is_raised_on_close() -> None:
 
 @BOTH
 def test_a_noisy_line_gives_bad_checksums(serve: Serve) -> None:
-    def has_bad_checksums(heard: list[bytes]) -> bool:
-        return len(heard) >= 6 and served.up.dropped + served.up.flipped > 0 and port.reader.dropped_bytes > 0
+    def has_bad_checksums(packets: list[bytes]) -> bool:
+        return len(packets) >= 6 and served.up.dropped + served.up.flipped > 0 and port.reader.dropped_bytes > 0
 
     faults = Faults(drop=0.01, flip=0.01, split=0.05, seed=4)
     with serve(Device(AMIGO, old_session=True), faults=faults) as served, Port(served.url) as port:

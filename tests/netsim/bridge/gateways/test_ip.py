@@ -103,8 +103,8 @@ async def test_ping_measures_the_channels_delay_and_loss(to: str) -> None:
     def number(packet: bytes) -> int:
         return int(struct.unpack_from(">H", packet, 26 if packet[0] >> 4 == 4 else 46)[0])  # icmp_seq
 
-    def least_ms(said: str) -> float:
-        found = re.search(r"min/avg/max/mdev = ([\d.]+)", said)
+    def least_ms(output: str) -> float:
+        found = re.search(r"min/avg/max/mdev = ([\d.]+)", output)
         return float(found[1]) if found else float("inf")
 
     context = RunlessContext(CARS[:2], run=RUN, delay_s=0.02, hears=lambda sender, receiver, place: (place * 7) % 10 >= 3)
@@ -127,12 +127,12 @@ async def test_ping_measures_the_channels_delay_and_loss(to: str) -> None:
             _, more = await run_command("car1", "ping", "-n", "-c", "10", "-i", "0.01", "-W", "5", to)
             quickest_ms = min(quickest_ms, least_ms(more))
     back = {number(each.payload) for each in offered if each.sender == 1}
-    heard_back = {number(each.payload) for place, each in enumerate(offered) if each.sender == 1 and (place * 7) % 10 >= 3}
-    told = {int(each) for each in re.findall(r"icmp_seq=(\d+) ", out)}
-    assert 40 == sum(each.sender == 0 for each in offered) > len(back) > len(heard_back)
-    assert in_time <= told <= heard_back
-    assert told
-    assert f"40 packets transmitted, {len(told)} received" in out
+    delivered_back = {number(each.payload) for place, each in enumerate(offered) if each.sender == 1 and (place * 7) % 10 >= 3}
+    sequence_numbers = {int(each) for each in re.findall(r"icmp_seq=(\d+) ", out)}
+    assert 40 == sum(each.sender == 0 for each in offered) > len(back) > len(delivered_back)
+    assert in_time <= sequence_numbers <= delivered_back
+    assert sequence_numbers
+    assert f"40 packets transmitted, {len(sequence_numbers)} received" in out
     assert 40.0 <= quickest_ms < 80.0
 
 
@@ -172,7 +172,7 @@ async def test_payloads_that_are_no_ip_packet_are_ignored() -> None:
     gateway = Ip(layer=3)
     async with open_gateway(gateway, context):
         with udp("car2", "10.77.0.2", 9000) as listener, udp("car1", "10.77.0.1") as sender:
-            for said in (
+            for payload in (
                 b"",
                 b"\x93agents speak MessagePack",
                 b"\x45" * 20,
@@ -180,7 +180,7 @@ async def test_payloads_that_are_no_ip_packet_are_ignored() -> None:
                 b"\x45" + bytes(40),
                 bytes(65535),
             ):
-                gateway.deliver(0, 1, said)
+                gateway.deliver(0, 1, payload)
             sender.sendto(b"after it", ("10.77.0.2", 9000))
             assert await next_datagram(listener) == (b"after it", "10.77.0.1")
 
@@ -284,15 +284,17 @@ async def test_a_foreign_namespace_is_not_changed() -> None:
 
 
 async def test_a_foreign_interface_is_not_changed() -> None:
-    theirs = namespaces.port_of(RUN, "car1", (), ()).interface
-    _sh(f"ip link add {theirs} type veth peer name r{os.getpid()}")
+    interface = namespaces.port_of(RUN, "car1", (), ()).interface
+    _sh(f"ip link add {interface} type veth peer name r{os.getpid()}")
     try:
-        with pytest.raises(GatewayError, match=f"the network interface {theirs} already exists; .*: ip link delete {theirs}"):
+        with pytest.raises(
+            GatewayError, match=f"the network interface {interface} already exists; .*: ip link delete {interface}"
+        ):
             async with open_gateway(Ip(routes={"car1": ("192.168.213.0/24",)}), RunlessContext(CARS, run=RUN)):
                 pass
-        assert theirs in _sh("ip link")
+        assert interface in _sh("ip link")
     finally:
-        _sh(f"ip link del {theirs}")
+        _sh(f"ip link del {interface}")
     assert not remains_of_run(CARS)
 
 
@@ -439,6 +441,6 @@ def test_remains_of_a_killed_run_are_removed(cleared_by: str) -> None:
 
 
 def _sh(commands: str) -> str:
-    done = subprocess.run(["sh", "-ec", commands], check=False, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr + done.stdout
-    return done.stdout
+    result = subprocess.run(["sh", "-ec", commands], check=False, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr + result.stdout
+    return result.stdout

@@ -130,9 +130,9 @@ class TestOnMachines:
     async def test_link_local_addresses_are_usable_at_once(self) -> None:
         context = RunlessContext(CARS, run=RUN)
         async with open_gateway(Ip(), context):
-            _, said = await run_command("car1", "ip", "-6", "addr", "show", "radio0", "scope", "link")
-            assert ethernet.link_local(ethernet.mac_of(0)) in said
-            assert "tentative" not in said
+            _, output = await run_command("car1", "ip", "-6", "addr", "show", "radio0", "scope", "link")
+            assert ethernet.link_local(ethernet.mac_of(0)) in output
+            assert "tentative" not in output
             own = (ethernet.link_local(ethernet.mac_of(0)), 0, 0, 2)
             with udp("car2", "::", 9000) as listener, udp("car1", "::") as sender:
                 group = socket.inet_pton(socket.AF_INET6, "ff02::77") + struct.pack("@I", 2)
@@ -149,8 +149,8 @@ class TestOnMachines:
         context = RunlessContext(CARS[:2], run=RUN)
         async with open_gateway(Ip(mtu_bytes=1400), context):
             await run_command("car2", "iperf3", "-s", "-1", "-D")
-            code, said = await run_command("car1", "sh", "-c", "sleep 0.5; exec iperf3 -c 10.77.0.2 -n 300k -w 32k")
-            assert code == 0, said
+            code, output = await run_command("car1", "sh", "-c", "sleep 0.5; exec iperf3 -c 10.77.0.2 -n 300k -w 32k")
+            assert code == 0, output
         packets = [each.payload[14:] for each in kinds(context, IPV4)]
         assert sum(len(each) for each in packets) > 200_000  # iperf3 leaves before the last 32 kB have
         assert max(len(each) for each in packets) == 1400
@@ -162,31 +162,31 @@ class TestOnMachines:
         context = RunlessContext(CARS, run=RUN)
         async with open_gateway(Ip(routes={"car1": ("192.168.215.0/24", "fd05:215::/64")}), context):
             for version, to, via in ((4, "192.168.215.0/24", "10.77.0.1"), (6, "fd05:215::/64", "fd77::1")):
-                _, said = await run_command("car2", "ip", f"-{version}", "route", "show", to)
-                assert f"{to} via {via} dev radio0" in said
-            _, said = await run_command("car2", "ping", "-n", "-c", "1", "-W", "1", "192.168.215.1")
+                _, output = await run_command("car2", "ip", f"-{version}", "route", "show", to)
+                assert f"{to} via {via} dev radio0" in output
+            _, output = await run_command("car2", "ping", "-n", "-c", "1", "-W", "1", "192.168.215.1")
             sent = [each for each in kinds(context, IPV4) if each.sender == 1]
-        assert [each.to for each in sent] == [0], said
+        assert [each.to for each in sent] == [0], output
 
     async def test_messages_of_agents_are_no_frames(self) -> None:
         context = RunlessContext(CARS, run=RUN)
         gateway = Ip()
         async with open_gateway(gateway, context):
             with udp("car2", "10.77.0.2", 9000) as listener, udp("car1", "10.77.0.1") as sender:
-                for said in (b"", b"\x93agents speak MessagePack", bytes(13), bytes(14), bytes(65535)):
-                    gateway.deliver(0, 1, said)
+                for payload in (b"", b"\x93agents speak MessagePack", bytes(13), bytes(14), bytes(65535)):
+                    gateway.deliver(0, 1, payload)
                 sender.sendto(b"after it", ("10.77.0.2", 9000))
                 assert await next_datagram(listener) == (b"after it", "10.77.0.1")
 
     async def test_the_interface_has_the_configured_mtu(self) -> None:
         async with open_gateway(Ip(mtu_bytes=1300), RunlessContext(CARS, run=RUN)):
-            said = await asyncio.to_thread(_sh, f"ip -n {space('car3')} link show radio0")
-        assert re.search(r"mtu 1300\b", said)
-        assert f"link/ether {ethernet.mac_of(2).hex(':')}" in said
-        assert "POINTOPOINT" not in said
+            output = await asyncio.to_thread(_sh, f"ip -n {space('car3')} link show radio0")
+        assert re.search(r"mtu 1300\b", output)
+        assert f"link/ether {ethernet.mac_of(2).hex(':')}" in output
+        assert "POINTOPOINT" not in output
 
 
 def _sh(commands: str) -> str:
-    done = subprocess.run(["sh", "-ec", commands], check=False, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr + done.stdout
-    return done.stdout
+    result = subprocess.run(["sh", "-ec", commands], check=False, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr + result.stdout
+    return result.stdout

@@ -29,7 +29,7 @@ def program(port: int, host: str = "127.0.0.1") -> Iterator[socket.socket]:
         yield client
 
 
-async def heard(by: socket.socket) -> tuple[bytes, Any]:
+async def next_datagram(by: socket.socket) -> tuple[bytes, Any]:
     return await asyncio.wait_for(asyncio.get_running_loop().sock_recvfrom(by, 65_536), PATIENCE_S)
 
 
@@ -38,7 +38,7 @@ async def test_a_broadcast_reaches_all_others() -> None:
     with program(first + 99) as a, program(first + 199) as b, program(first + 299) as c:
         async with open_gateway(Udp(first_port=first), RunlessContext(NAMES)) as context:
             a.sendto(b"hello", ("127.0.0.1", first))
-            assert (await heard(b))[0] == (await heard(c))[0] == b"hello"
+            assert (await next_datagram(b))[0] == (await next_datagram(c))[0] == b"hello"
             assert [(each.sender, each.to) for each in context.offered] == [(0, BROADCAST)]
             with pytest.raises(BlockingIOError):
                 a.recv(100)
@@ -49,12 +49,12 @@ async def test_a_reply_to_the_source_address_reaches_the_sender() -> None:
     with program(first + 99) as a, program(first + 199) as b:
         async with open_gateway(Udp(first_port=first), RunlessContext(NAMES)) as context:
             a.sendto(b"question", ("127.0.0.1", first + 2))
-            question, source = await heard(b)
+            question, source = await next_datagram(b)
             b.sendto(question + b", answer", source)
-            assert (await heard(a))[0] == b"question, answer"
+            assert (await next_datagram(a))[0] == b"question, answer"
             assert [(each.sender, each.to) for each in context.offered] == [(0, 1), (1, 0)]
             a.sendto(b"all", ("127.0.0.1", first))
-            _, source = await heard(b)
+            _, source = await next_datagram(b)
             assert source == ("127.0.0.1", first + 101)  # back to a, the sender of the broadcast
 
 
@@ -68,7 +68,7 @@ def test_bytes_stay_as_they_are_from_none_to_the_longest(host: str) -> None:
             ):
                 for payload in (b"", b"\x00\xff" * 700, bytes(range(256)) * 255):
                     a.sendto(payload, (host, first + 2))
-                    assert (await heard(b))[0] == payload
+                    assert (await next_datagram(b))[0] == payload
 
     try:
         with program(0, host):
@@ -85,7 +85,7 @@ async def test_an_oversized_datagram_is_counted_and_not_sent() -> None:
             a.sendto(bytes(1473), ("127.0.0.1", first + 2))
             a.sendto(bytes(60_000), ("127.0.0.1", first))
             a.sendto(bytes(1472), ("127.0.0.1", first + 2))
-            assert len((await heard(b))[0]) == 1472
+            assert len((await next_datagram(b))[0]) == 1472
             await until(lambda: context.counts == {"a": {"longer than max_bytes": 2}})
             assert len(context.offered) == 1
 
@@ -134,7 +134,7 @@ async def test_missing_receivers_have_no_effect_on_others() -> None:
         async with open_gateway(Udp(first_port=first), RunlessContext(NAMES)) as context:
             for _ in range(20):  # no program listens on b's port
                 a.sendto(b"hello", ("127.0.0.1", first))
-                assert (await heard(c))[0] == b"hello"
+                assert (await next_datagram(c))[0] == b"hello"
             assert context.counts == {}
 
 
@@ -162,7 +162,7 @@ async def test_ports_of_single_vehicles_can_be_others() -> None:
             await until(lambda: len(context.offered) == 3)
             assert sorted((each.payload, each.to) for each in context.offered) == [(b"1", BROADCAST), (b"2", 1), (b"3", 2)]
             b.sendto(b"4", ("127.0.0.1", first + 101))
-            assert (await heard(a)) == (b"4", ("127.0.0.1", first + 302))
+            assert (await next_datagram(a)) == (b"4", ("127.0.0.1", first + 302))
 
 
 async def test_a_taken_port_is_named_and_the_others_are_freed() -> None:

@@ -206,7 +206,7 @@ LINES = st.one_of(
 @settings(max_examples=60)
 @given(lines=st.lists(LINES, max_size=12))
 def test_every_line_has_one_answer(lines: list[bytes]) -> None:
-    wanted = sum(line.count(b"\n") + 1 for line in lines)
+    expected = sum(line.count(b"\n") + 1 for line in lines)
 
     async def answered() -> list[str]:
         async with served() as world:
@@ -214,12 +214,12 @@ def test_every_line_has_one_answer(lines: list[bytes]) -> None:
             robot = await world.robot()
             robot.writer.write(b"".join(line + b"\n" for line in lines))
             robot.writer.write_eof()
-            heard = (await asyncio.wait_for(robot.reader.read(), PATIENCE_S)).split(b"\r\n")
-            assert heard.pop() == b""
-            return [each.decode(errors="replace") for each in heard]
+            replies = (await asyncio.wait_for(robot.reader.read(), PATIENCE_S)).split(b"\r\n")
+            assert replies.pop() == b""
+            return [each.decode(errors="replace") for each in replies]
 
     answers = asyncio.run(answered())
-    assert len(answers) == wanted
+    assert len(answers) == expected
     assert all(re.match(r"(INITREPLY|SS|DNSREPLY|REVERSEDNSREPLY|ERROR) \{", each) for each in answers)
 
 
@@ -243,12 +243,12 @@ def test_a_megabyte_each_way_arrives_complete_over_a_lossy_link() -> None:
             reader, writer = await world.connect(await car1.port_to("car2"))
             writer.write(sent)
             writer.write_eof()
-            heard = await asyncio.wait_for(reader.read(), PATIENCE_S)
+            received = await asyncio.wait_for(reader.read(), PATIENCE_S)
             await until(lambda: not world.gateway._relays)
-            return heard, world.context
+            return received, world.context
 
-    heard, context = asyncio.run(back())
-    assert heard == sent
+    received, context = asyncio.run(back())
+    assert received == sent
     assert {(each.sender, each.to) for each in context.offered} == {(0, 1), (1, 0)}
     assert max(len(each.payload) for each in context.offered) == 1400
     assert sum(each["chunks of connections sent again"] for each in context.counts.values()) > 30
@@ -261,7 +261,7 @@ def test_chunks_come_out_in_order_whatever_is_lost_doubled_or_overtakes(size: in
     sent = draws.randbytes(size)
     air: list[tuple[int, bytes]] = []
 
-    async def heard() -> bytes:
+    async def output() -> bytes:
         loop = asyncio.get_running_loop()
 
         def offer(number: int, chunk: bytes) -> bool:
@@ -270,12 +270,12 @@ def test_chunks_come_out_in_order_whatever_is_lost_doubled_or_overtakes(size: in
             return room
 
         stream = RelayStream(loop, offer, 20)
-        (ours, source), (sink, theirs) = socket.socketpair(), socket.socketpair()
-        with ours, source, sink, theirs:
+        (inlet, source), (sink, outlet) = socket.socketpair(), socket.socketpair()
+        with inlet, source, sink, outlet:
             for each in (source, sink):
                 each.setblocking(False)
-            ours.sendall(sent)
-            ours.shutdown(socket.SHUT_WR)
+            inlet.sendall(sent)
+            inlet.shutdown(socket.SHUT_WR)
             carried = loop.create_task(stream.run(source, sink))
             while not carried.done():
                 await asyncio.sleep(0)
@@ -289,11 +289,11 @@ def test_chunks_come_out_in_order_whatever_is_lost_doubled_or_overtakes(size: in
                     if fate < 0.5:
                         stream.lost(number)  # only one of them, or none, has hung up
             await carried
-            theirs.settimeout(5)
-            return b"".join(iter(lambda: theirs.recv(4096), b""))
+            outlet.settimeout(5)
+            return b"".join(iter(lambda: outlet.recv(4096), b""))
 
     with mock.patch.multiple("vcmvsp.netsim.bridge.gateways.wss_relay", AGAIN_S=0.0, NO_ROOM_S=0.0):
-        assert asyncio.run(heard()) == sent
+        assert asyncio.run(output()) == sent
 
 
 def test_the_window_grows_with_arrivals_and_halves_once_per_burst_of_losses() -> None:
@@ -315,7 +315,7 @@ def test_the_window_grows_with_arrivals_and_halves_once_per_burst_of_losses() ->
 
 
 def test_a_called_robot_can_query_the_caller() -> None:
-    async def asked() -> list[str]:
+    async def replies() -> list[str]:
         answers: list[str] = []
 
         async def ask(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -330,7 +330,7 @@ def test_a_called_robot_can_query_the_caller() -> None:
             assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b""
             return answers
 
-    assert asyncio.run(asked()) == [
+    assert asyncio.run(replies()) == [
         "REVERSEDNSREPLY {Port q} {Robot car1}",
         "REVERSEDNSREPLY {Port q} {Error UnknownOrIllegalPort}",
     ]

@@ -50,7 +50,7 @@ class Program:
         self.session.delete(key, congestion_control=zenoh.CongestionControl.BLOCK)
 
     @property
-    def heard(self) -> list[Heard]:
+    def received(self) -> list[Heard]:
         """Received keys and values in order; None: deleted."""
         put = zenoh.SampleKind.PUT
         return [
@@ -59,8 +59,8 @@ class Program:
             if str(each.key_expr) != READY
         ]
 
-    def heard_last(self) -> bool:
-        return any(key == LAST for key, _ in self.heard)
+    def received_last(self) -> bool:
+        return any(key == LAST for key, _ in self.received)
 
 
 class World:
@@ -104,8 +104,8 @@ async def test_a_publication_arrives_once_with_all_its_attributes() -> None:
         car1.put("spaces and \x00 and ü", "any")
         car1.put(LAST, "")
         for program in (car1, mate, car2):
-            await until(program.heard_last)
-            assert program.heard == [
+            await until(program.received_last)
+            assert program.received == [
                 ("pose", b"\x00\xff"),
                 ("pose", None),
                 ("a/*/b", b"wild"),
@@ -129,11 +129,11 @@ async def test_the_channel_decides_receptions_and_programs_of_one_vehicle_receiv
         for number in range(len(fates) - 1):
             car1.put("count", str(number))
         car1.put(LAST, "")
-        await until(car3.heard_last)
-        await until(mate.heard_last)
-        assert mate.heard == [*(("count", b"%d" % number) for number in range(200)), (LAST, b"")]
-        assert car3.heard == [each for each, fate in zip(mate.heard, fates, strict=True) if fate]
-        assert car2.heard == []
+        await until(car3.received_last)
+        await until(mate.received_last)
+        assert mate.received == [*(("count", b"%d" % number) for number in range(200)), (LAST, b"")]
+        assert car3.received == [each for each, fate in zip(mate.received, fates, strict=True) if fate]
+        assert car2.received == []
 
 
 async def test_answers_go_back_and_nothing_goes_round() -> None:
@@ -141,10 +141,10 @@ async def test_answers_go_back_and_nothing_goes_round() -> None:
         programs = [await world.program(name) for name in CARS]
         for program in programs:
             program.put("hello", "")
-        await until(lambda: all(len(each.heard) >= 3 for each in programs))
+        await until(lambda: all(len(each.received) >= 3 for each in programs))
         programs[0].put(LAST, "")
-        await until(lambda: all(each.heard_last() for each in programs))
-        assert [len(each.heard) for each in programs] == [4] * 3
+        await until(lambda: all(each.received_last() for each in programs))
+        assert [len(each.received) for each in programs] == [4] * 3
         assert len(world.context.offered) == 4
 
 
@@ -155,10 +155,10 @@ async def test_a_message_to_one_vehicle_reaches_it_alone() -> None:
         car1.put("to/car1/note", "2")
         car1.put("to/nobody", "3")
         car1.put(LAST, "")
-        await until(car2.heard_last)
-        await until(car3.heard_last)
-        assert car2.heard == [("to/car2/go", b"1"), ("to/nobody", b"3"), (LAST, b"")]
-        assert car3.heard == [("to/nobody", b"3"), (LAST, b"")]
+        await until(car2.received_last)
+        await until(car3.received_last)
+        assert car2.received == [("to/car2/go", b"1"), ("to/nobody", b"3"), (LAST, b"")]
+        assert car3.received == [("to/nobody", b"3"), (LAST, b"")]
         assert [each.to for each in world.context.offered] == [1, BROADCAST, BROADCAST]
 
 
@@ -170,20 +170,20 @@ async def test_oversized_and_reserved_publications_are_not_sent() -> None:
         car1.put("vcmvsp/host/a/b/ask", "")
         car1.put("@private/key", "")
         car1.put(LAST, bytes(900))
-        await until(car2.heard_last)
-        assert [key for key, _ in car2.heard] == [LAST]
+        await until(car2.received_last)
+        assert [key for key, _ in car2.received] == [LAST]
         await until(lambda: world.context.counts == {"car1": {TOO_LONG: 2}})
 
 
 async def test_a_message_of_an_agent_arrives_under_its_name() -> None:
     async with served() as world:
         car2 = await world.program("car2")
-        sayings = [b"any bytes", b"", b"\x81\xa1x\x01", b"\x92\xa2//\xc4\x00"]  # the last one has a key outside of the space
-        for said in sayings:
-            world.gateway.deliver(0, 1, said)
+        payloads = [b"any bytes", b"", b"\x81\xa1x\x01", b"\x92\xa2//\xc4\x00"]  # the last one has a key outside of the space
+        for payload in payloads:
+            world.gateway.deliver(0, 1, payload)
         world.gateway.deliver(0, 1, encode(Publication(LAST, b"")))
-        await until(car2.heard_last)
-        assert car2.heard == [*((HEARD + "car1", said) for said in sayings[:3]), (LAST, b"")]
+        await until(car2.received_last)
+        assert car2.received == [*((HEARD + "car1", payload) for payload in payloads[:3]), (LAST, b"")]
         assert world.context.counts == {"car2": {"not taken by Zenoh": 1}}
 
 
@@ -210,7 +210,7 @@ async def test_three_hundred_strange_connections_do_not_block_programs() -> None
                     stranger.sendall(os.urandom(number % 50))
             car1 = await world.program("car1")
             car1.put(LAST, "")
-            await until(car2.heard_last)
+            await until(car2.received_last)
 
 
 async def test_excess_messages_are_counted_and_the_rest_stays_in_order() -> None:
@@ -239,19 +239,19 @@ async def test_excess_messages_are_counted_and_the_rest_stays_in_order() -> None
 @example(payload=b"\x92\xa1\x80")  # a key that is no text
 @example(payload=b"\x91" * 5000)
 def test_any_received_bytes_are_published(payload: bytes) -> None:
-    said: list[str] = []
+    keys: list[str] = []
 
     class Session:
         def put(self, key: str, *_: object, **__: object) -> None:
-            said.append(key)
+            keys.append(key)
 
         def delete(self, key: str, **_: object) -> None:
-            said.append(key)
+            keys.append(key)
 
     gateway = ZenohGateway()
     gateway._context, gateway._sessions = TestHallStub(), {0: Session()}  # type: ignore[assignment, dict-item]
     gateway.deliver(1, 0, payload)
-    assert len(said) == 1
+    assert len(keys) == 1
 
 
 class TestHallStub:
@@ -296,6 +296,6 @@ async def test_the_largest_publication_is_a_frame_of_the_largest_size() -> None:
         beside = len(encode(Publication(LAST, bytes(60_000), "zenoh/bytes"))) - 60_000
         car1.put(LAST, bytes(LARGEST - beside + 1))
         car1.put(LAST, bytes(LARGEST - beside))
-        await until(car2.heard_last)
-        assert [len(payload or b"") for _, payload in car2.heard] == [LARGEST - beside]
+        await until(car2.received_last)
+        assert [len(payload or b"") for _, payload in car2.received] == [LARGEST - beside]
         assert len(world.context.offered[0].payload) == LARGEST

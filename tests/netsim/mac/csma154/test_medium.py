@@ -43,9 +43,9 @@ def test_lone_sender_waits_for_backoff_assessment_and_turnaround() -> None:
     assert not rest.any()
     expected = [int(8 * uniform) for uniform in backoffs(count, 0)]
     assert units.tolist() == expected  # each depends on key and number alone
-    seen = np.bincount(units, minlength=8)
-    assert len(seen) == 8
-    assert ((seen - count / 8) ** 2 / (count / 8)).sum() < 24.3  # chi-square, 7 degrees of freedom, 0.1 %
+    counts = np.bincount(units, minlength=8)
+    assert len(counts) == 8
+    assert ((counts - count / 8) ** 2 / (count / 8)).sum() < 24.3  # chi-square, 7 degrees of freedom, 0.1 %
     for each in decided.values():
         assert each.end_ns == each.start_ns + PHY.air_time_ns(50)
         assert each.attempts == 1
@@ -227,10 +227,10 @@ def test_retries_at_the_edge_of_range_follow_the_error_rate() -> None:
     decided = world.finish()
     p, q = OqpskErrors().success(np.full(2, snr_db), np.array([8.0 * 117, 88.0])).tolist()
     assert 0.3 < p < 0.7
-    seen = np.bincount([world.sent[number] for number in decided], minlength=5)[1:] / count
+    shares = np.bincount([world.sent[number] for number in decided], minlength=5)[1:] / count
     fail = 1.0 - p * q
     expected = np.array([p * q, fail * p * q, fail**2 * p * q, fail**3])
-    assert np.abs(seen - expected).max() < 4.0 * 0.5 / np.sqrt(count)
+    assert np.abs(shares - expected).max() < 4.0 * 0.5 / np.sqrt(count)
     received = np.mean([each.fate[1] == Fate.RECEIVED for each in decided.values()])
     assert abs(received - (1.0 - (1.0 - p) ** 4)) < 4.0 * 0.5 / np.sqrt(count)
     for each in decided.values():  # received means received first, with or without the sender's knowledge

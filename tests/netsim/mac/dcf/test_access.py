@@ -125,8 +125,8 @@ def test_behind_a_payload_that_failed_a_receiver_waits_eifs(
         (0.05, eifs_us, Fate.ERROR),
         (np.inf, eifs_us - (60 if slot_us == 9 else 314), Fate.RECEIVED),
     ):
-        heard = frame(0, LATER, 0, level, patience=patience)
-        first, second = run(open_air(2, phy), [heard, frame(1, LATER + 60 * US, 1, level)], 1000 * MS)
+        offered = frame(0, LATER, 0, level, patience=patience)
+        first, second = run(open_air(2, phy), [offered, frame(1, LATER + 60 * US, 1, level)], 1000 * MS)
         assert first.fate[1] == fate
         slots, rest = divmod(second.start_ns - first.end_ns - ifs_us * US, slot_us * US)
         assert (rest, 0 <= slots <= 31) == (0, True)
@@ -377,8 +377,8 @@ def test_others_keep_silent_for_an_acknowledgement_that_they_cannot_hear() -> No
     unicast, after = run(medium, frames, 1000 * MS)
     slots, rest = divmod(after.start_ns - unicast.end_ns - SIFS - ACK - DIFS, SLOT)
     assert (rest, 0 <= slots <= 31) == (0, True)
-    heard = run(open_air(3), [frame(0, LATER, 0, to_all), frames[1]], 1000 * MS)[1]
-    assert heard.start_ns == frames[1].time_ns + DIFS  # no acknowledgement to wait for after a broadcast
+    after_broadcast = run(open_air(3), [frame(0, LATER, 0, to_all), frames[1]], 1000 * MS)[1]
+    assert after_broadcast.start_ns == frames[1].time_ns + DIFS  # no acknowledgement to wait for after a broadcast
 
 
 def test_a_queue_counts_the_unicast_frame_in_transmission() -> None:

@@ -61,9 +61,9 @@ def test_time_never_goes_back(monkeypatch: pytest.MonkeyPatch, seed: int) -> Non
     upcoming = access.upcoming
 
     def watched(s: DcfState, rules: DcfRules) -> tuple[int, int, int]:
-        what, who, now = upcoming(s, rules)
+        kind, row, now = upcoming(s, rules)
         times.append(now)
-        return what, who, now
+        return kind, row, now
 
     monkeypatch.setattr(access, "upcoming", watched)
     frames = [

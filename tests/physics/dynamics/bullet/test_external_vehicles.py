@@ -78,8 +78,8 @@ def test_contacts_with_walls_and_each_other_count(kind: type[Physics]) -> None:
     world = World(solids=(Box(center=(2.0, 0.0, 0.5), size=(0.2, 4.0, 1.0)),))
     courses = Courses(a=straight(0.0, 0.5), b=straight(-2.0, 1.2))
     events = run(kind(world=world, vehicles=[spec("a"), spec("b", -2.0)], outside=courses), seconds=4.0)
-    told: list[Any] = [event for event in events if event.key == "world/contact"]
-    touched = {(event.value.vehicle, event.value.other): event.time_ns / 1e9 for event in told}
+    touches: list[Any] = [event for event in events if event.key == "world/contact"]
+    touched = {(event.value.vehicle, event.value.other): event.time_ns / 1e9 for event in touches}
     expected = {("a", "b"): (2.0 - BACK - FRONT) / 0.7, ("b", None): (3.9 - FRONT) / 1.2, ("a", None): (1.9 - FRONT) / 0.5}
     assert touched == pytest.approx(expected, abs=0.14 if kind is MujocoPhysics else 0.11)
 
@@ -89,8 +89,8 @@ def test_a_quadrotor_bumps_into_one_as_into_a_solid_of_its_shape(kind: type[Phys
     solid = Cylinder(center=(3.0, 0.0, 1.5), radius=tall.radius_m, height=tall.height_m)
     uav, real = spec("uav", z=1.5, model=Quadrotor()), spec("real", 3.0, z=1.5, model=tall)
     physics = kind(world=World(), vehicles=[uav, real], outside=Courses(real=straight(3.0, z=1.5)))
-    told = [(0.0, "uav", 1.5, 0.0)]
-    shown, stood = run(physics, told, 2.7), run(kind(world=World(solids=(solid,)), vehicles=[uav]), told, 2.7)
+    commands = [(0.0, "uav", 1.5, 0.0)]
+    shown, stood = run(physics, commands, 2.7), run(kind(world=World(solids=(solid,)), vehicles=[uav]), commands, 2.7)
     once = slice(1) if kind is MujocoPhysics else slice(None)  # in MuJoCo it bounces
     assert contacts(shown)[once] == [("uav", "real")]
     assert contacts(stood)[once] == [("uav", None)]
@@ -149,5 +149,5 @@ def test_a_jumping_estimate_pushes_a_robot_aside_without_throwing_it(jump: float
     assert speed.max() < 0.55
     rolls_on_m = 0.02 if kind is MujocoPhysics else 0.0  # from 0.5 m/s, after the body behind it has stopped
     assert track(events, 0)[-1] == pytest.approx((jump - 0.02, 0.0, 0.0), abs=DEEP_M + rolls_on_m)
-    said = track(events, 1)[:, 0] - real
-    assert said.tolist() == pytest.approx([0.0] * 10 + [jump] * 31)  # published rows jump as the course does
+    offsets = track(events, 1)[:, 0] - real
+    assert offsets.tolist() == pytest.approx([0.0] * 10 + [jump] * 31)  # published rows jump as the course does

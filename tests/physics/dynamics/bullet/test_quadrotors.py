@@ -110,13 +110,13 @@ def test_it_takes_off_and_lands(hz: int) -> None:
 def test_a_wall_stops_it_and_is_named(either: Make) -> None:
     moved = either((UAV, (0.0, 0.0, 2.0)), world=WALL)
     moved.command(0, (4.0, 0.0, 0.0), 0.0)
-    seen = []
+    touches = []
     for _ in range(20):
         steps(moved, HZ // 10)
-        seen += moved.touching(passing=True)
+        touches += moved.touching(passing=True)
         assert moved.read().position[0, 0] < 4.9 - 0.04 + 0.02  # no penetration, even on edge
-    assert {(touch.row, touch.other) for touch in seen} == {(0, None)}
-    assert seen[0].place == pytest.approx((4.9, 0.0, 2.0), abs=0.1)
+    assert {(touch.row, touch.other) for touch in touches} == {(0, None)}
+    assert touches[0].place == pytest.approx((4.9, 0.0, 2.0), abs=0.1)
     moved.close()
 
 
@@ -182,13 +182,13 @@ def test_a_collision_names_both_and_conserves_momentum(either: Make) -> None:
     for row, speed in ((0, 1.5), (1, -0.5)):
         moved._flyers.fleet.velocity[row] = speed, 0.0, 0.0
         moved.command(row, (speed, 0.0, 0.0), 0.0)
-    seen: list[Touch] = []
-    while not seen:
+    touches: list[Touch] = []
+    while not touches:
         before = moved.read().velocity[:, 0]
         steps(moved, 1)
-        seen = moved.touching(passing=True)
+        touches = moved.touching(passing=True)
     after = moved.read().velocity[:, 0]
-    assert {(touch.row, touch.other) for touch in seen} == {(0, 1)}
+    assert {(touch.row, touch.other) for touch in touches} == {(0, 1)}
     assert after[0] - after[1] < 0.5 * (before[0] - before[1])
     assert 0.8 * after[0] + 1.6 * after[1] == pytest.approx(0.8 * before[0] + 1.6 * before[1], abs=0.05)  # thrust acts too
     assert after[0] < 0.5 * before[0]

@@ -108,16 +108,16 @@ def gate(speed: float) -> Moving:
 def test_a_moving_obstacle_keeps_its_timetable_and_pushes() -> None:
     world = World(moving=(gate(0.5),), movables=(crate(-1.0, 5.0),))
     moved = engine((P2DX(), (0.5, 0.0, 0.0)), (Quadrotor(), (0.0, 0.9, 0.04)), world=world)
-    seen = set()
+    touches = set()
     for tick in range(1, 121):
         moved.advance(tick * SECOND_NS // 10)
         place, _ = p.getBasePositionAndOrientation(moved._things.moving[0], moved._client)
         assert place == pytest.approx(world.moving[0].pose(0.1 * tick)[:3], abs=2e-3)
-        seen |= {(touch.row, touch.other) for touch in moved.touching(passing=True)}
+        touches |= {(touch.row, touch.other) for touch in moved.touching(passing=True)}
     face = world.moving[0].pose(12.0)[0] + 0.1
     assert moved.movables().position[0, 0] - 0.2 > face - 0.02  # pushed ahead, though asleep before
     assert moved.read().position[0, 0] - 0.04 - 0.5 * 0.511 > face - 0.05  # the robot too, with motors braking
-    assert (1, 3) in seen  # the quadrotor in the obstacle's path; row 2 is the crate
+    assert (1, 3) in touches  # the quadrotor in the obstacle's path; row 2 is the crate
 
 
 def test_moving_obstacles_have_the_speeds_of_their_timetable() -> None:
