@@ -21,7 +21,7 @@ from vcmvsp.cosim.config import binding, builtin_kinds, registry
 from vcmvsp.cosim.metrics.catalogue import METRICS, unit_of
 from vcmvsp.cosim.reference import tree
 from vcmvsp.cosim.reference.describe import Key, markdown, summary, toml
-from vcmvsp.cosim.reference.tree import NOT_SHARED, VEHICLE, Section, places, full_reference
+from vcmvsp.cosim.reference.tree import NOT_SHARED, VEHICLE, Section, full_reference, places
 
 FOLDER = Path(__file__).resolve().parents[2] / "docs" / "reference"
 INDEX = Path(__file__).resolve().with_name("reference_keys.tsv")

@@ -18,7 +18,7 @@ from vcmvsp.cosim.recording.external_inputs import FILE
 from vcmvsp.cosim.recording.mission_log import MissionLog, read_mission
 from vcmvsp.cosim.recording.recorded_run import tables_of
 from vcmvsp.cosim.recording.recorder import Recorder
-from vcmvsp.cosim.runs.figures import Content, Draws, draw, are_enabled
+from vcmvsp.cosim.runs.figures import Content, Draws, are_enabled, draw
 from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.tables.schema import Placement, RunFacts
 from vcmvsp.cosim.util import limits

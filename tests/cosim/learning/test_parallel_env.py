@@ -48,6 +48,7 @@ def test_pictures_are_drawn_from_above() -> None:
     assert vehicles.sum() > 3 * 150  # three discs of 16 pixels diameter
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize("task", TASKS)
 def test_one_vehicle_keeps_the_contract_of_gymnasium(task: str) -> None:
     check_env(gymnasium.make(f"vcmvsp/{task}-v0", max_cycles=30).unwrapped)

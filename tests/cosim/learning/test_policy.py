@@ -24,6 +24,7 @@ def _saved(path: Path, env: VehiclesEnv, **changes: Any) -> Path:
     return path
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize("runs", get_args(Runs)[:2])  # in this process, in other processes
 @pytest.mark.parametrize("task", ["formation", "search", "gates"])
 def test_it_acts_as_in_the_environment_also_in_other_processes(tmp_path: Path, task: str, runs: Runs) -> None:

@@ -99,6 +99,7 @@ def test_a_number_of_any_library_or_none_is_a_value(returned: object, value: flo
     assert own_values({"x": lambda _: returned}, None) == ({"x": value}, None)
 
 
+@pytest.mark.processes
 def test_own_metrics_are_equal_inprocess_and_in_processes(functions: Path) -> None:
     result = vcmvsp.run(scenario(), out="one", agents="inprocess")
     own = result.metrics["own"]
@@ -117,6 +118,7 @@ def test_own_metrics_are_equal_inprocess_and_in_processes(functions: Path) -> No
     assert "rms_m" in report
 
 
+@pytest.mark.processes
 @pytest.mark.usefixtures("functions")
 def test_own_metrics_are_columns_of_a_study() -> None:
     losses = [0.0, 0.6]
@@ -127,6 +129,7 @@ def test_own_metrics_are_columns_of_a_study() -> None:
     assert "own.lost.mean" in Path("study/summary.csv").read_text().partition("\n")[0]
 
 
+@pytest.mark.processes
 def test_a_metric_that_fails_costs_only_its_own_value(functions: Path) -> None:
     (functions / "bad.toml").write_text(
         'name = "bad"\nduration_s = 1.0\n[vehicles]\nkind = "p2dx"\n[[vehicle]]\nname = "a"\n'

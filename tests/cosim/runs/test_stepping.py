@@ -61,6 +61,7 @@ def test_a_stepped_run_gives_the_bytes_of_a_run_with_agents(tmp_path: Path, pres
             assert both[0].read_bytes() == both[1].read_bytes(), name
 
 
+@pytest.mark.processes
 def test_vehicles_that_are_not_driven_keep_their_agents() -> None:
     whole = vcmvsp.run("formation-circle", set=SHORT, agents={"car2": Wanderer()})
     with vcmvsp.start("formation-circle", set=SHORT, drives=["car2"]) as run:
@@ -69,6 +70,7 @@ def test_vehicles_that_are_not_driven_keep_their_agents() -> None:
     assert result.metrics["digest"] == whole.metrics["digest"]
 
 
+@pytest.mark.processes
 def test_skipped_ticks_keep_the_command_and_queue_messages() -> None:
     radio = {"radio.preset": "ideal", "radio.loss.probability": 0.0, "radio.delay.jitter_s": 0.0}
     with vcmvsp.start("formation-circle", set=radio, drives=["car2"]) as run:
@@ -103,6 +105,7 @@ def test_a_failed_vehicle_has_no_more_observations() -> None:
         assert set(run.step()) == {"car1", "car2"}
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize(
     ("commands", "problem"),
     [
