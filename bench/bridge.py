@@ -68,7 +68,7 @@ def jittered() -> Row:
 def much() -> Row:
     """The rate to be carried on one core."""
     load = Load("ideal, run and bridge on one core", RATES[0], 5.0, {}, one_core=True)
-    return _whole(load, "all arrive", lambda carried: carried.received == carried.sent)
+    return _whole(load, "goal: all arrive", lambda carried: carried.received == carried.sent)
 
 
 def too_much() -> Row:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bench.asked import SilentError, installed, program
+from bench.cores import gain_of_integers
 from bench.measure import Row, in_turn, missing, table
 from bench.peers import ours
 
@@ -95,26 +96,33 @@ def beside(star: Star) -> Iterator[Row]:
 
 def compute_row() -> Row:
     """Two agents that take 20 ms of CPU time each."""
-    return _computing("2 agents that compute 20 ms, in two processes", 0.6, 2)
+    return _computing("2 agents that compute 20 ms, in two processes", 1.2, 2)
 
 
 def overlap_row() -> Row:
     """Agents and world at the same time, on two cores: an agent's command takes effect a step later."""
     name = "a world that computes 40 ms, 2 agents that compute 20 ms, in one other process, commands a step later"
-    return _computing(name, 0.55, 1, latency_s=0.1, world_s=0.04)
+    return _computing(name, 1.1, 1, latency_s=0.1, world_s=0.04)
 
 
 def _computing(name: str, demanded: float, processes: int, **options: Any) -> Row:
-    """The least of each, since CPU time taken by other programs is no part of the comparison."""
+    """The least of each, since CPU time taken by other programs is no part of the comparison.
+
+    ``demanded``: time beside that of an ideal division of the work, by what the second core adds to a loop over integers.
+    """
     print(f"measuring: federation, {name} ...", file=sys.stderr, flush=True)
+    row_name = f"agents elsewhere: {name}; beside it all in one process (least of {PAIRS}; ratio: to an ideal division)"
+    try:
+        possible = gain_of_integers()
+    except ValueError as error:
+        return missing(row_name, f"<= {demanded}x", error)
     same: dict[str, Any] = {"agents": 2, "busy_s": 0.02, "stretch_s": 1.0, **options}
     with program("ours", HERE, **same, processes=processes) as apart, program("ours", HERE, **same) as together:
         pairs = [(apart(), together()) for _ in range(PAIRS)]
     apart_s, together_s = (min(each) for each in zip(*pairs, strict=True))
-    ratio = apart_s / together_s
-    name = f"agents elsewhere: {name}; beside it all in one process (least of {PAIRS})"
+    ratio = apart_s / together_s * possible
     return Row(
-        name, f"{2e3 * apart_s:.1f} ms a step", f"{2e3 * together_s:.1f} ms", ratio, f"<= {demanded}x", ratio <= demanded
+        row_name, f"{2e3 * apart_s:.1f} ms a step", f"{2e3 * together_s:.1f} ms", ratio, f"<= {demanded}x", ratio <= demanded
     )
 
 

@@ -4,14 +4,12 @@
 every step over 802.11g with contention. PyFlyt steps at 240 Hz with 40 actions a second.
 """
 
-import multiprocessing
-import os
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
+from bench import cores
 from bench.asked import SilentError, installed, program
 from bench.drones import OLD
 from bench.measure import Row, cpu, in_turn, missing, table
@@ -114,52 +112,13 @@ def _environment() -> Callable[[], None]:
     return _stepping(4, CONTENTION)
 
 
-def _integers() -> Callable[[], None]:
-    """Work that needs only a processor."""
-
-    def add() -> None:
-        total = 0
-        for number in range(1_000_000):
-            total += number * number
-
-    return add
-
-
-def _rounds(prepare: Callable[[], Callable[[], None]], core: int, barrier: Any, took_s: Any) -> None:
-    os.sched_setaffinity(0, {core})
-    work = prepare()
-    work()
-    barrier.wait()
-    begin = time.perf_counter()
-    for _ in range(20):
-        work()
-    took_s.put(time.perf_counter() - begin)
-
-
-def _wall_s(prepare: Callable[[], Callable[[], None]], cores: Sequence[int]) -> float:
-    """Wall-clock time of the slowest of some processes, each on a core of its own."""
-    context = multiprocessing.get_context("spawn")
-    barrier, took_s = context.Barrier(len(cores)), context.Queue()
-    children = [context.Process(target=_rounds, args=(prepare, core, barrier, took_s)) for core in cores]
-    for child in children:
-        child.start()
-    slowest = max(took_s.get(timeout=120.0) for _ in children)
-    for child in children:
-        child.join()
-    return slowest
-
-
 def _two_processes() -> Row:
     """Gain by a second process, beside the gain of an integer loop: shared machines have less than two cores."""
-    cores = sorted(os.sched_getaffinity(0))
     name = "steps of two processes with an environment each, beside one process; beside it the same of a loop over integers"
-    if len(cores) < 2:
-        return missing(name, ">= 0.9", "there is one core only")
-
-    def gain(prepare: Callable[[], Callable[[], None]]) -> float:
-        return 2.0 * _wall_s(prepare, cores[:1]) / _wall_s(prepare, cores[:2])
-
-    ours, other, ratio = in_turn(lambda: gain(_environment), lambda: gain(_integers), ROUNDS)
+    try:
+        ours, other, ratio = in_turn(lambda: cores.gain(_environment), lambda: cores.gain(cores.integers), ROUNDS)
+    except ValueError as error:
+        return missing(name, ">= 0.9", error)
     return Row(name, f"{ours:.2f}x one process", f"{other:.2f}x", ratio, ">= 0.9", ratio >= 0.9)
 
 

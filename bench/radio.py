@@ -34,7 +34,7 @@ def rows() -> Iterator[Row]:
     for phy in ("b-1", "g-6"):
         yield _beside_ns3(phy, least=30.0)
     yield _real_time()
-    yield _thousand()
+    yield from _thousand()
 
 
 def _beside_ns3(phy: str, *, least: float) -> Row:
@@ -68,22 +68,16 @@ def _real_time() -> Row:
     return Row(name, f"{speed:.0f} sim s / CPU s", f"{DURATION_S / other:.1f}", ratio, demand, speed >= 20.0)
 
 
-def _thousand() -> Row:
-    """A thousand vehicles with shadowed levels; wall-clock time of the whole command, and its memory."""
+def _thousand() -> Iterator[Row]:
+    """A thousand vehicles with shadowed levels; CPU time of the whole command, and its memory."""
     print("measuring: radio, a thousand ...", file=sys.stderr, flush=True)
     case = Case("b-1", 1000, 10.0, side_m=500.0)
     settings = ["mac.kind=ideal", "shadowing.sigma_db=4"]
     result, took_s, peak_mib = _command(case.positions, "wifi-b-1", settings, duration_s=30.0, compiled=False)
     peak_gib = peak_mib / 1024.0
-    name = f"1000 nodes, 10 Hz, 30 s, mac ideal, shadowing: {result['frames']} frames; beside it the limit of 60 s"
-    return Row(
-        name,
-        f"{took_s:.0f} CPU s, {peak_gib:.2f} GiB",
-        "60 s, 1.5 GiB",
-        took_s / 60.0,
-        "< 60 s, < 1.5 GiB",
-        took_s < 60.0 and peak_gib < 1.5,
-    )
+    name = f"1000 nodes, 10 Hz, 30 s, mac ideal, shadowing: {result['frames']} frames"
+    yield Row(f"{name}; beside it 60 s", f"{took_s:.0f} CPU s", "60 s", took_s / 60.0, "goal: < 60 s", took_s < 60.0)
+    yield Row(f"{name}; beside it 1.5 GiB", f"{peak_gib:.2f} GiB", "1.5 GiB", peak_gib / 1.5, "< 1", peak_gib < 1.5)
 
 
 def _ours_s(case: Case, compiled: bool) -> float:

@@ -82,7 +82,7 @@ SHOWN_AS: Mapping[type, Callable[[Any], Any]] = {
     PoseInFrame: _fix_of,
     FrameTransforms: _poses_of,
     LaserScan: _scan_of,
-    Grid: lambda said: said.shown,
+    Grid: lambda grid: grid.content,
     FrameReport: LinkStatus.of,
 }
 """Decoders for messages to the page, by type; other messages are used unchanged."""
