@@ -63,7 +63,7 @@ def kernel_row() -> Row:
     scenario = star(10, physics="kinematic", duration_s=duration_s)
     ours, other, ratio = in_turn(lambda: run_cpu_s(scenario), lambda: bare.simpy_cpu_s(10, duration_s), ROUNDS)
     speed = duration_s / ours
-    name = "10 kinematic vehicles, 10 Hz, star broadcast, recorded, in-process; beside it SimPy waking 10 idle processes"
+    name = "10 kinematic vehicles, 10 Hz, star broadcast, recorded, in-process; beside SimPy waking 10 idle processes"
     return Row(
         name, f"{speed:.0f} sim s / CPU s", f"{duration_s / other:.0f}", ratio, "goal: >= 100 sim s / CPU s", speed >= 100.0
     )
@@ -75,7 +75,7 @@ def bullet_row() -> Row:
     scenario = star(3, physics="bullet", duration_s=duration_s)
     ours, other, ratio = in_turn(lambda: run_cpu_s(scenario), lambda: bare.bullet_cpu_s(3, duration_s), ROUNDS)
     speed = duration_s / ours
-    name = "3 p2dx in PyBullet with radio, in-process agents, recorded; beside it stepSimulation alone"
+    name = "3 p2dx in PyBullet with radio, in-process agents, recorded; beside stepSimulation alone"
     return Row(
         name, f"{speed:.0f} sim s / CPU s", f"{duration_s / other:.0f}", ratio, "goal: >= 20 sim s / CPU s", speed >= 20.0
     )

@@ -55,7 +55,7 @@ def _row(settings: Settings, room: View, beside: str, loop: Callable[[], object]
 
     our_s, other_s, ratio = in_turn(ours, other, ROUNDS)
     kind = type(settings).__struct_config__.tag
-    name = f"avoidance `{kind}`, one decision on {BEAMS} beams in a room; beside it {beside}"
+    name = f"avoidance `{kind}`, one decision on {BEAMS} beams in a room; beside {beside}"
     return Row(
         name, f"{1e6 * our_s:.0f} us", f"{1e6 * other_s:.0f} us", ratio, f"goal: <= {1e6 * LIMIT_S:.0f} us", our_s <= LIMIT_S
     )

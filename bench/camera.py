@@ -131,7 +131,7 @@ def rows(boxes: Sequence[int] = (500,), sizes: Sequence[tuple[int, int]] = (SIZE
 def _row(kind: str, number: int, world: World, client: int, width: int, height: int) -> Row:
     pictures = [view_of(*each, width, height) for each in views(kind, number)]
     ours, other, ratio = in_turn(lambda: ours_s(world, pictures), lambda: theirs_s(client, pictures), ROUNDS)
-    name = f"picture of {width} x {height} {kind}, {number} boxes; beside it getCameraImage"
+    name = f"picture of {width} x {height} {kind}, {number} boxes; beside getCameraImage"
     return Row(name, f"{1e3 * ours:.2f} ms", f"{1e3 * other:.1f} ms", ratio, f"<= {MOST:g}x", ratio <= MOST)
 
 

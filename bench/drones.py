@@ -54,7 +54,7 @@ def _row(count: int, peer: Peer) -> Row:
     print(f"measuring: drones, {count} beside {peer.module} ...", file=sys.stderr, flush=True)
     span_s, most = max(LEAST_S, WORK / count), peer.most[count]
     fleet = Fleet(0, count, rate_hz=RATE_HZ)
-    name, demand = f"{count} quadrotors, {RATE_HZ:g} Hz; beside it {peer.name}", f"<= {most:g}"
+    name, demand = f"{count} quadrotors, {RATE_HZ:g} Hz; beside {peer.name}", f"<= {most:g}"
     try:
         with program(peer.module, installed(peer.python), agents=count, span_s=span_s) as peer_stretch:
             ours, other, ratio = in_turn(lambda: federate_cpu_s(fleet), lambda: peer_stretch() / span_s, ROUNDS)

@@ -82,7 +82,7 @@ def beside(star: Star) -> Iterator[Row]:
     with program("ours", HERE, **same) as our_stretch:
         for peer, share in star.beside.items():
             print(f"measuring: federation, {star.name}, beside {peer.name} ...", file=sys.stderr, flush=True)
-            name = f"agents elsewhere: {star.name}; beside it {peer.name}"
+            name = f"agents elsewhere: {star.name}; beside {peer.name}"
             demand = "none" if share == NONE else f"<= {share:.2g}x"
             try:
                 python = HERE if peer.module == "bare" else installed(PYTHON)
@@ -111,7 +111,7 @@ def _computing(name: str, demanded: float, processes: int, **options: Any) -> Ro
     ``demanded``: time beside that of an ideal division of the work, by what the second core adds to a loop over integers.
     """
     print(f"measuring: federation, {name} ...", file=sys.stderr, flush=True)
-    row_name = f"agents elsewhere: {name}; beside it all in one process (least of {PAIRS}; ratio: to an ideal division)"
+    row_name = f"agents elsewhere: {name}; beside all in one process (least of {PAIRS}; ratio: to an ideal division)"
     try:
         possible = gain_of_integers()
     except ValueError as error:

@@ -37,7 +37,7 @@ def _row(scenario: str, fleet: str, duration_s: float) -> Row:
         return float(result.about["simulating_s"])
 
     ours, other, ratio = in_turn(lambda: wall_s(**ELSEWHERE), lambda: wall_s(**{"agents.runs": "inprocess"}), ROUNDS)
-    name = f"`{scenario}`, {fleet}, {duration_s:g} s, agents in {HOSTS} host processes; beside it all in one process"
+    name = f"`{scenario}`, {fleet}, {duration_s:g} s, agents in {HOSTS} host processes; beside all in one process"
     return Row(name, f"{ours:.2f} wall s", f"{other:.2f}", ratio, f"< {MOST:g}x", ratio < MOST)
 
 

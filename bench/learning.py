@@ -57,7 +57,7 @@ def _stepping(count: int, settings: dict[str, Any]) -> Callable[[], None]:
 
 def _beside_pyflyt(count: int) -> Iterator[Row]:
     steps = _stepping(count, CONTENTION)
-    name = f"{count} quadrotors with contention, steps of an environment; beside it PyFlyt's MAQuadXHoverEnv, without a radio"
+    name = f"{count} quadrotors with contention, steps of an environment; beside PyFlyt's MAQuadXHoverEnv, without a radio"
     try:
         with program("pyflyt_env", installed(OLD), agents=count, span_s=STEPS) as peer_stretch:
             ours, other, ratio = in_turn(lambda: cpu(steps), peer_stretch, ROUNDS)
@@ -71,7 +71,7 @@ def _beside_pyflyt(count: int) -> Iterator[Row]:
 
 
 def _side_by_side(vehicles: str, task: str, settings: dict[str, Any], least: float) -> Row:
-    """256 worlds of ten vehicles, loss and delay; beside it one world of ten."""
+    """256 worlds of ten vehicles, loss and delay; beside one world of ten."""
     from vcmvsp.env import parallel_env, vector_env
 
     many = vector_env(_task(task, 10), num_envs=256, set=settings, max_cycles=100_000)
@@ -88,7 +88,7 @@ def _side_by_side(vehicles: str, task: str, settings: dict[str, Any], least: flo
         return cpu(lambda: [one.step(dict(zip(one.agents, each[0], strict=True))) for each in actions]) / 20
 
     ours, other, ratio = in_turn(together, alone, ROUNDS)
-    name = f"256 worlds of 10 {vehicles}, loss and delay, steps of an environment; beside it one world"
+    name = f"256 worlds of 10 {vehicles}, loss and delay, steps of an environment; beside one world"
     demand = f"goal: >= {least:g} steps / CPU s"
     return Row(name, f"{1.0 / ours:.0f} steps / CPU s", f"{1.0 / other:.0f}", ratio, demand, 1.0 / ours >= least)
 
@@ -98,7 +98,7 @@ def _reset(vehicles: str, task: str, settings: dict[str, Any], most_ms: float) -
 
     env = parallel_env(_task(task, 10), set=settings)
     cost_s, steps_s, ratio = in_turn(lambda: cpu(env.reset), lambda: cpu(lambda: _ten_steps(env)), ROUNDS)
-    name = f"reset of an environment of 10 {vehicles}; beside it ten steps of it"
+    name = f"reset of an environment of 10 {vehicles}; beside ten steps of it"
     demand = f"goal: <= {most_ms:g} ms"
     return Row(name, f"{1e3 * cost_s:.1f} ms", f"{1e3 * steps_s:.1f} ms", ratio, demand, 1e3 * cost_s <= most_ms)
 
@@ -114,7 +114,7 @@ def _environment() -> Callable[[], None]:
 
 def _two_processes() -> Row:
     """Gain by a second process, beside the gain of an integer loop: shared machines have less than two cores."""
-    name = "steps of two processes with an environment each, beside one process; beside it the same of a loop over integers"
+    name = "steps of two processes with an environment each, beside one process; beside the same of a loop over integers"
     try:
         ours, other, ratio = in_turn(lambda: cores.gain(_environment), lambda: cores.gain(cores.integers), ROUNDS)
     except ValueError as error:

@@ -119,7 +119,7 @@ def frames() -> Section:
     _tell("frames, contention")
     case = Case("g-6", TALKING, 10.0)
     seconds = statistics.median(_ours_s(case, compiled=True) for _ in range(STRETCHES))
-    lines.append(_speeds("`vcmvsp channel`, all stand, 802.11g with contention", int(10.0 * TALKING * 5.0), seconds))
+    lines.append(_speeds("`vcmvsp channel`, all at rest, 802.11g with contention", int(10.0 * TALKING * 5.0), seconds))
     for name, preset in RADIOS.items():
         _tell(f"frames, whole run, {name}")
         scenario = team({"kinematic": TALKING}, 10.0, preset, RUN_S)
@@ -172,7 +172,7 @@ def buildings() -> Section:
 def changes() -> Section:
     """Gain of each way past the limits."""
     lines = [(way.label, way.ours, way.other, f"{way.ratio:.2f}") for way in ways(_tell)]
-    return Section("changes", ("", "so", "beside it", "ratio"), lines)
+    return Section("changes", ("", "with it", "without it", "ratio"), lines)
 
 
 SECTIONS: Sequence[Callable[[], Section]] = (vehicles, hosts, frames, buildings, files, changes)

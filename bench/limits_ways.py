@@ -41,20 +41,20 @@ def bodies() -> Way:
     """Bodies only for vehicles that a sensor observes."""
     ideal = RADIOS["ideal radio"]
     few = team({"p2dx": 10, "kinematic": 90}, 1.0, ideal, RUN_S)
-    return _runs("10 p2dx and 90 kinematic; beside it 100 p2dx", few, team({"p2dx": 100}, 1.0, ideal, RUN_S))
+    return _runs("10 p2dx and 90 kinematic; beside 100 p2dx", few, team({"p2dx": 100}, 1.0, ideal, RUN_S))
 
 
 def states_less_often() -> Way:
     """States once a second."""
     scenario = team({"kinematic": 100}, 1.0, RADIOS["ideal radio"], RUN_S)
-    return _runs("100 kinematic, `record.period_s = 1.0`; beside it 0.1", scenario | {"record": {"period_s": 1.0}}, scenario)
+    return _runs("100 kinematic, `record.period_s = 1.0`; beside 0.1", scenario | {"record": {"period_s": 1.0}}, scenario)
 
 
 def without_mcap() -> Way:
     """Tables and metrics alone."""
     scenario = team({"kinematic": 50}, 10.0, RADIOS["ideal radio"], RUN_S)
     ours, other, ratio = in_turn(lambda: _run_s(scenario, mcap=False), lambda: _run_s(scenario), ROUNDS)
-    return Way("50 kinematic, 10 Hz, `mcap=False` as in a study; beside it with `run.mcap`", _s(ours), _s(other), ratio)
+    return Way("50 kinematic, 10 Hz, `mcap=False` as in a study; beside one with `run.mcap`", _s(ours), _s(other), ratio)
 
 
 def on_demand() -> Way:
@@ -63,14 +63,14 @@ def on_demand() -> Way:
     for vehicle in scenario["vehicle"]:
         vehicle["sensors"] = {"scan": {"kind": "lms"}}
     recorded = scenario | {"record": {"sensors": ["scan"]}}
-    return _runs(f"{SCANNERS} p2dx with scanners that nobody reads; beside it `record.sensors`", scenario, recorded)
+    return _runs(f"{SCANNERS} p2dx with scanners without a reader; beside `record.sensors`", scenario, recorded)
 
 
 def compiled() -> Way:
     """The contention core in machine code."""
     case = Case("g-6", 100, 10.0)
     ours, other, ratio = in_turn(lambda: _ours_s(case, compiled=True), lambda: _ours_s(case, compiled=False), 1)
-    return Way("channel alone, 802.11g, 100 radios, 5 s, compiled; beside it `VCMVSP_COMPILED=0`", _s(ours), _s(other), ratio)
+    return Way("channel alone, 802.11g, 100 radios, 5 s, compiled; beside `VCMVSP_COMPILED=0`", _s(ours), _s(other), ratio)
 
 
 def processes() -> Way:
@@ -78,20 +78,20 @@ def processes() -> Way:
     same: dict[str, Any] = {"agents": 2, "busy_s": 0.02, "stretch_s": 0.5}
     with program("ours", HERE, **same, processes=2) as apart, program("ours", HERE, **same) as together:
         ours, other, ratio = in_turn(apart, together, ROUNDS)
-    label = "2 agents that compute 20 ms each, in 2 host processes, a step; beside it in the run's"
+    label = "2 agents that compute 20 ms each, in 2 host processes, a step; beside agents in the run's process"
     return Way(label, f"{2e3 * ours:.1f} wall ms", f"{2e3 * other:.1f}", ratio)
 
 
 def jobs() -> Way:
     """Runs in parallel."""
     ours, other = _study_s(STUDY_RUNS, jobs=JOBS), _study_s(STUDY_RUNS, jobs=1)
-    return Way(f"study, {STUDY_RUNS} runs, {JOBS} at once; beside it 1", f"{ours:.1f} wall s", f"{other:.1f}", ours / other)
+    return Way(f"study, {STUDY_RUNS} runs, {JOBS} at once; beside 1", f"{ours:.1f} wall s", f"{other:.1f}", ours / other)
 
 
 def workers() -> Way:
     """Studies on a Dask cluster."""
     ours, other = _cluster_s(JOBS), _cluster_s(1)
-    label = f"the same on a Dask cluster of this machine with {JOBS} workers; beside it 1"
+    label = f"the same on a Dask cluster of this machine with {JOBS} workers; beside 1"
     return Way(label, f"{ours:.1f} wall s", f"{other:.1f}", ours / other)
 
 

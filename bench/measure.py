@@ -78,6 +78,6 @@ def measured(measures: Sequence[Callable[[], Row]]) -> list[Row]:
 
 def table(rows: list[Row]) -> str:
     """The rows as a Markdown table."""
-    lines = ["| what | ours | beside it | ratio | demand | |", "|---|---|---|---|---|---|"]
+    lines = ["| what | ours | peer | ratio | demand | |", "|---|---|---|---|---|---|"]
     lines += [f"| {row.name} | {row.ours} | {row.other} | {row.ratio:.2f} | {row.demand} | {row.verdict} |" for row in rows]
     return "\n".join(lines)

@@ -83,7 +83,7 @@ def decisions(radio: dict[str, Any], case: str) -> Row:
     """A hundred radios that send in turn; all move between two of their frames."""
     print(f"measuring: messages, decisions, {case} ...", file=sys.stderr, flush=True)
     count, ticks = COUNTS[-1], 10
-    name = f"decisions of the channel (frame and receiver), {count} radios, {case}, by `Channel.send`; beside it gradysim's"
+    name = f"decisions of the channel (frame and receiver), {count} radios, {case}, by `Channel.send`; beside gradysim's"
     demand = "goal: >= 1 million / CPU s"
     ours = sends(count, radio, ticks)
     try:
@@ -121,12 +121,12 @@ def sends(count: int, radio: dict[str, Any], ticks: int) -> Callable[[], float]:
 def rows() -> Iterator[Row]:
     """All rows; each is measured when it is requested."""
     for count in COUNTS:
-        name = f"{count} that stand, broadcast at 10 Hz, a fifth lost, nothing recorded; beside it gradysim 0.8.2"
+        name = f"{count} vehicles at rest, 10 Hz broadcasts, 20 % lost, not recorded; beside gradysim 0.8.2"
         yield beside(count, IDEAL, "nothing", name, "gradysim_broadcast", PEERS, f"{LEAST[count]} times less")
-    name = f"the same {COUNTS[-1]} with tables and metrics, as in a study; beside it gradysim 0.8.2, which records nothing"
+    name = f"the same {COUNTS[-1]} with tables and metrics, as in a study; beside gradysim 0.8.2, which records nothing"
     yield beside(COUNTS[-1], IDEAL, "tables", name, "gradysim_broadcast", PEERS)
     for count in COUNTS:
-        name = f"{count} that stand, broadcast at 10 Hz, by 802.11b levels; beside it a SimPy programme in the way of UavNetSim"
+        name = f"{count} vehicles at rest, 10 Hz broadcasts, 802.11b levels; beside a SimPy program like UavNetSim"
         yield beside(count, LEVELS, "nothing", name, "simpy_air", Path(sys.executable))
     yield decisions(IDEAL, "losses alone")
     yield decisions(LEVELS, "802.11b levels by distance and losses")

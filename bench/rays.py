@@ -38,7 +38,7 @@ def rows() -> list[Row]:
     rays.prepare()
     points = [(x, y, 1.5) for x, y in STREETS]
     links = np.array(list(itertools.combinations(points, 2)))
-    name = f"paths of {len(links)} links in relay-canyon, two reflections and diffraction; beside it Sionna RT 2.2 (LLVM)"
+    name = f"paths of {len(links)} links in relay-canyon, two reflections and diffraction; beside Sionna RT 2.2 (LLVM)"
     demand = f"<= {MOST:g}"
     with tempfile.TemporaryDirectory() as folder:
         for file, text in files(solids, rays.slab_m, GROUND).items():

@@ -59,7 +59,7 @@ def recorded(run: Run, mcap: io.BytesIO | None) -> Recorder:
 
 
 def event_s() -> Row:
-    """Time of an event into the tables and ``run.mcap``; beside it the same events encoded and concatenated."""
+    """Time of an event into the tables and ``run.mcap``; beside the same events encoded and concatenated."""
     run = run_of(crowd(VEHICLES, "kinematic", "ideal", RUN_S))
 
     def bare() -> None:
@@ -69,25 +69,25 @@ def event_s() -> Row:
 
     ours, other, ratio = in_turn(lambda: cpu(lambda: recorded(run, io.BytesIO())), lambda: cpu(bare), ROUNDS)
     count = len(run.events)
-    name = f"recording, {VEHICLES} vehicles that all hear each other, an event; beside it encoded with MessagePack alone"
+    name = f"recording, {VEHICLES} vehicles that all hear each other, an event; beside MessagePack alone"
     return Row(name, f"{1e6 * ours / count:.1f} us", f"{1e6 * other / count:.1f} us", ratio, "<= 8x", ratio <= 8.0)
 
 
 def event_bytes() -> Row:
-    """Bytes of ``run.mcap`` for an event; beside it MessagePack, not compressed."""
+    """Bytes of ``run.mcap`` for an event; beside MessagePack, not compressed."""
     run, stream = run_of(crowd(VEHICLES, "kinematic", "ideal", RUN_S)), io.BytesIO()
     recorded(run, stream)
     count = len(run.events)
     ours = stream.tell() / count
     other = sum(len(encode((event.key, event.time_ns, event.value))) for event in run.events) / count
-    name = "recording, bytes of run.mcap per event; beside it MessagePack, not compressed"
+    name = "recording, bytes of run.mcap per event; beside MessagePack, not compressed"
     return Row(name, f"{ours:.0f} B", f"{other:.0f} B", ours / other, "<= 1x", ours <= other)
 
 
 def held() -> Row:
-    """Memory of a frame at each of its receivers while the run goes on; beside it the row of the table."""
+    """Memory of a frame at each of its receivers while the run goes on; beside the row of the table."""
     held, _ = _bytes_per_row()
-    name = f"memory of a run, {HELD_VEHICLES} vehicles, per receiver of a frame; beside it its row of the table"
+    name = f"memory of a run, {HELD_VEHICLES} vehicles, per receiver of a frame; beside its row of the table"
     return Row(name, f"{held:.0f} B", f"{TABLE_BYTES} B", held / TABLE_BYTES, f"<= {HELD_BYTES} B", held <= HELD_BYTES)
 
 

@@ -56,7 +56,7 @@ def _row(name: str, sensor: RangeScanner, scene: Scene, rays: "BulletRays", at_o
     our_s, other_s, ratio = in_turn(ours, other, ROUNDS)
     demand = f"<= {limit:g}x" if limit < math.inf else "-"
     return Row(
-        f"{name}; beside it rayTestBatch", f"{1e6 * our_s:.0f} us", f"{1e6 * other_s:.0f} us", ratio, demand, ratio <= limit
+        f"{name}; beside rayTestBatch", f"{1e6 * our_s:.0f} us", f"{1e6 * other_s:.0f} us", ratio, demand, ratio <= limit
     )
 
 

@@ -51,9 +51,9 @@ def _looked_at(name: str, fleet: Fleet, cameras: int, least: float) -> Row:
     ours, other, ratio = in_turn(
         lambda: federate_cpu_s(fleet, fitted, world, requested_keys), lambda: federate_cpu_s(fleet, without, world), ROUNDS
     )
-    words = f"{name}, all looked at, among {BUILDINGS} buildings, {fleet.rate_hz:g} Hz, {fleet.iterations} iterations; "
+    words = f"{name}, all read, among {BUILDINGS} buildings, {fleet.rate_hz:g} Hz, {fleet.iterations} iterations; "
     speed = 1.0 / ours
-    what = words + "beside it without sensors"
+    what = words + "beside the same without sensors"
     return Row(what, f"{speed:.1f}x real time", f"{1.0 / other:.1f}x", ratio, f"goal: >= {least:g}x real time", speed >= least)
 
 
@@ -79,7 +79,7 @@ def unread() -> Row:
     ours, other, ratio = in_turn(
         lambda: federate_cpu_s(fleet, fitted, world), lambda: federate_cpu_s(fleet, without, world), 2 * ROUNDS + 1
     )
-    name = "10 p2dx, 10 quadrotors with scanners, 4 cameras, nobody looks; beside it without sensors"
+    name = "10 p2dx, 10 quadrotors with scanners, 4 cameras, none read; beside the same without sensors"
     return Row(name, f"{1.0 / ours:.1f}x real time", f"{1.0 / other:.1f}x", ratio, "<= 1.1", ratio <= 1.1)
 
 

@@ -149,7 +149,7 @@ def rows() -> list[Row]:
 def _row(name: str, seconds: Mapping[str, float]) -> Row:
     whole = sum(seconds.values())
     shares = ", ".join(f"{part} {100 * seconds[part] / whole:.0f} %" for part in PARTS if seconds[part] >= 0.005 * whole)
-    title = f"`{name}`, {CASES[name].description}: where CPU time goes; beside it all of it (ratio: Bullet's share)"
+    title = f"`{name}`, {CASES[name].description}: where CPU time goes; beside the whole (ratio: Bullet's share)"
     return Row(title, shares, f"{whole:.1f} CPU s", seconds["Bullet"] / whole, "none", True)
 
 

@@ -113,7 +113,7 @@ def rows() -> Iterator[Row]:
         pairs = [loads(agent, has_subscriber=has_subscriber) for _ in range(ROUNDS)]
         ours, beside, ratio = medians([(our_share, other_share) for our_share, other_share, _ in pairs])
         more = statistics.median(our_share - other_share for our_share, other_share, _ in pairs)
-        name = f"stack.ros2, {CARS} p2dx with scanners of 10 Hz, {case}; beside it agents"
+        name = f"stack.ros2, {CARS} p2dx with scanners of 10 Hz, {case}; beside agents"
         cost = f"{100 * ours:.1f} % of a core, {100 * more:+.1f} {pairs[-1][2]}"
         yield Row(name, cost, f"{100 * beside:.1f} %", ratio, f"<= {100 * most:.0f} % of a core more", more <= most)
 

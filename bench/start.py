@@ -41,7 +41,7 @@ def help_cpu() -> Row:
     ours, other, ratio = in_turn(
         lambda: process(["-m", "vcmvsp.cosim.cli.app", "--help"]).cpu_s, lambda: process(["-c", "pass"]).cpu_s, 9
     )
-    name = "vcmvsp --help; beside it python -c pass"
+    name = "vcmvsp --help; beside python -c pass"
     return Row(name, f"{ours:.2f} CPU s", f"{other:.2f}", ratio, "goal: <= 0.3 CPU s", ours <= 0.3)
 
 
@@ -61,7 +61,7 @@ def run() -> list[Row]:
         ]
         words += ["--quiet", "--force", "--out", str(Path(folder) / "run")]
         pairs = [(process(words), process(["-c", IMPORTS])) for _ in range(ROUNDS + 1)][1:]  # the first run compiles
-    name = f"vcmvsp run of {DURATION_S:g} s of {SCENARIO}, with its files and figures; beside it python -c '{IMPORTS}'"
+    name = f"vcmvsp run of {DURATION_S:g} s of {SCENARIO}, with its files and figures; beside python -c '{IMPORTS}'"
     found = []
     for clock, place in (("CPU", 0), ("wall", 1)):
         ours, other, ratio = medians([(our_times[place], other_times[place]) for our_times, other_times in pairs])

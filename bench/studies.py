@@ -69,7 +69,7 @@ def _speed(radio: str, scenario: dict[str, Any]) -> Row:
     ours, other, ratio = in_turn(
         lambda: cpu(lambda: succeeded(work, 1)), lambda: cpu(lambda: api.run(scenario, seed=1)), ROUNDS
     )
-    name = f"study: a run of 3 kinematic robots, 10 Hz, 120 s, {radio}; beside it vcmvsp.run with its MCAP file in memory"
+    name = f"study: a run of 3 kinematic robots, 10 Hz, 120 s, {radio}; beside vcmvsp.run with its MCAP file in memory"
     times = DURATION_S / ours
     return Row(name, f"{times:.0f}x real time", f"{DURATION_S / other:.0f}x", ratio, "goal: >= 200x a core", times >= 200.0)
 
@@ -91,7 +91,7 @@ def overhead() -> Row:
     our_s, other_s, _ = in_turn(ours, other, 3)
     added = 1000.0 * (our_s - other_s)
     name = (
-        "study: a run of 0.1 s in one worker; beside it the same run in a loop, in this process (ratio: ms that the study adds)"
+        "study: a run of 0.1 s in one worker; beside the same run in a loop, in this process (ratio: ms that the study adds)"
     )
     return Row(name, f"{1000 * our_s:.1f} ms", f"{1000 * other_s:.1f} ms", added, "goal: <= 50 ms a run", added <= 50.0)
 
@@ -99,7 +99,7 @@ def overhead() -> Row:
 def efficiency() -> Row:
     """Two workers beside one, start and end included, and beside what the second core adds to a loop over integers."""
     name = (
-        f"study: {RUNS} runs of 120 s with {JOBS} jobs; beside it with one (ratio: gain, beside that of a loop over integers)"
+        f"study: {RUNS} runs of 120 s with {JOBS} jobs; beside one with one (ratio: gain, beside that of a loop over integers)"
     )
     try:
         possible = gain_of_integers()
@@ -113,7 +113,7 @@ def efficiency() -> Row:
 def memory() -> Row:
     """Collect and write the rows of a large study, in a process of its own."""
     peak_mib, columns, megabytes = map(float, _fresh("bench.studies", "fill").split())
-    name = f"study: peak memory, 10 000 rows of 50 vehicles ({columns:.0f} numbers each); beside it their JSON"
+    name = f"study: peak memory, 10 000 rows of 50 vehicles ({columns:.0f} numbers each); beside their JSON"
     return Row(name, f"{peak_mib:.0f} MiB", f"{megabytes:.0f} MB", peak_mib / megabytes, "< 500 MiB", peak_mib < 500.0)
 
 

@@ -121,7 +121,7 @@ def _started(fleet: Fleet, vehicles: Sequence[VehicleSpec], world: World, reques
 
 def _beside_bare(name: str, fleet: Fleet, most: float) -> Row:
     ours, other, ratio = in_turn(lambda: federate_cpu_s(fleet), lambda: bare_cpu_s(fleet), ROUNDS)
-    words = f"{name}, {fleet.rate_hz:g} Hz, {fleet.iterations} iterations; beside it stepSimulation alone"
+    words = f"{name}, {fleet.rate_hz:g} Hz, {fleet.iterations} iterations; beside stepSimulation alone"
     return Row(words, f"{1.0 / ours:.1f}x real time", f"{1.0 / other:.1f}x", ratio, f"<= {most:g}", ratio <= most)
 
 
@@ -139,7 +139,7 @@ def robots_mujoco() -> Row:
     """Fifty Pioneers in MuJoCo beside the same in Bullet."""
     here, there = (Fleet(50, 0, duration_s=2.0, kind=kind) for kind in (MujocoPhysics, BulletPhysics))
     ours, other, ratio = in_turn(lambda: federate_cpu_s(here), lambda: federate_cpu_s(there), ROUNDS)
-    name = "50 p2dx in MuJoCo, 120 Hz; beside it the same in Bullet, 20 iterations"
+    name = "50 p2dx in MuJoCo, 120 Hz; beside the same in Bullet, 20 iterations"
     return Row(name, f"{1.0 / ours:.1f}x real time", f"{1.0 / other:.1f}x", ratio, "<= 0.5", ratio <= 0.5)
 
 
@@ -163,7 +163,7 @@ def quadrotors_real_time() -> Row:
     fleet = Fleet(0, 100, rate_hz=240.0)
     ours, other, ratio = in_turn(lambda: federate_cpu_s(fleet), lambda: bare_cpu_s(fleet), ROUNDS)
     speed = 1.0 / ours
-    name = "100 quadrotors, 240 Hz, as speed; beside it stepSimulation alone"
+    name = "100 quadrotors, 240 Hz, as speed; beside stepSimulation alone"
     return Row(name, f"{speed:.1f}x real time", f"{1.0 / other:.1f}x", ratio, "goal: >= 4x real time", speed >= 4.0)
 
 

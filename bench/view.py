@@ -65,7 +65,7 @@ def stalled() -> Row:
     with Viewing(port=0).open(_scenery()) as viewer:
         os.kill(viewer._process.pid, signal.SIGSTOP)
         try:
-            return _row("with a viewer that stands still, wall-clock time", viewer, time.perf_counter)
+            return _row("with a stalled viewer, wall-clock time", viewer, time.perf_counter)
         finally:
             os.kill(viewer._process.pid, signal.SIGCONT)
 
@@ -80,7 +80,7 @@ def _scenery() -> Any:
 
 def _row(case: str, viewer: Viewing, clock: Callable[[], float]) -> Row:
     ours, other, ratio = in_turn(lambda: _run_s(viewer.feed.on, clock), lambda: _run_s(None, clock), ROUNDS)
-    name = f"{VEHICLES} kinematic vehicles, 10 Hz, recorded, shown thirty times a second {case}; beside it unseen"
+    name = f"{VEHICLES} kinematic vehicles, 10 Hz, recorded, shown thirty times a second {case}; beside unseen"
     return Row(name, f"{RUN_S / ours:.0f} sim s / s", f"{RUN_S / other:.0f}", ratio, f"<= {MOST:g}x", ratio <= MOST)
 
 

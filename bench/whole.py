@@ -90,14 +90,14 @@ def _speed(name: str, scenario: dict[str, Any], other: Callable[[], float], leas
 
 def _swarm(report_s: float) -> Row:
     scenario = built_in("swarm-100", 3.0, radio={"mac": {"kind": "dcf"}}, agents={"report_s": report_s})
-    name = f"whole run: swarm-100, 802.11g with contention, everybody reports every {report_s:g} s; beside it stepSimulation"
+    name = f"whole run: swarm-100, 802.11g with contention, a report each every {report_s:g} s; beside stepSimulation"
     return _speed(name, scenario, lambda: 3.0 * bare_cpu_s(Fleet(0, 100)), 1.5)
 
 
 def mixed() -> Row:
     """Fifty robots and fifty quadrotors with scanners."""
     name = (
-        "whole run: 50 p2dx, 50 quadrotors in a town, scans at 10 Hz, all looked at; beside it stepSimulation on an open floor"
+        "whole run: 50 p2dx, 50 quadrotors in a town, scans at 10 Hz, all read; beside stepSimulation on an open floor"
     )
     return _speed(name, mixed_100(4.0), lambda: 4.0 * bare_cpu_s(Fleet(50, 50, duration_s=2.0)), 1.0)
 
@@ -105,14 +105,14 @@ def mixed() -> Row:
 def formation() -> Row:
     """formation-circle."""
     scenario = built_in("formation-circle", 60.0)
-    name = "whole run: formation-circle, 3 p2dx; beside it stepSimulation"
+    name = "whole run: formation-circle, 3 p2dx; beside stepSimulation"
     return _speed(name, scenario, lambda: bare.bullet_cpu_s(3, 60.0), 30.0)
 
 
 def kinematic() -> Row:
     """Ten vehicles without bodies."""
     scenario = star(10, physics="kinematic", duration_s=60.0)
-    name = "whole run: 10 kinematic vehicles, 10 Hz, lossy 802.11b; beside it SimPy waking 10 idle processes"
+    name = "whole run: 10 kinematic vehicles, 10 Hz, lossy 802.11b; beside SimPy waking 10 idle processes"
     return _speed(name, scenario, lambda: bare.simpy_cpu_s(10, 60.0), 150.0)
 
 
@@ -123,7 +123,7 @@ def thousand() -> Row:
         vehicle["position"] = (25.0 * (number % 32), 25.0 * (number // 32), 0.0)
     scenario["agents"]["period_s"] = 0.5
     scenario["record"] = {"least_rssi_dbm": -86.0}
-    name = "whole run: 1000 kinematic vehicles, 2 Hz, 802.11g, 30 neighbours each; beside it SimPy waking 1000 idle processes"
+    name = "whole run: 1000 kinematic vehicles, 2 Hz, 802.11g, 30 neighbours each; beside SimPy waking 1000 idle processes"
     return _speed(name, scenario, lambda: bare.simpy_cpu_s(1000, 5.0), 1.0)
 
 
@@ -154,7 +154,7 @@ def _rays(name: str, scenario: dict[str, Any], least: float) -> Row:
     """Rays beside the same with a law of distance."""
     plain = {**scenario, "radio": {"preset": "wifi-g-6"}}
     run_cpu_s({**scenario, "duration_s": 1.0})  # compiles if the cache is empty
-    name = f"whole run: 30 kinematic vehicles, 10 Hz, rays among {name}; beside it log-distance"
+    name = f"whole run: 30 kinematic vehicles, 10 Hz, rays among {name}; beside log-distance"
     return _speed(name, scenario, lambda: run_cpu_s(plain), least)
 
 
@@ -176,7 +176,7 @@ def robots() -> Row:
     fleet = Fleet(50, 0)
     ours, other, ratio = in_turn(lambda: run_cpu_s(circling(fleet)), lambda: fleet.duration_s * bare_cpu_s(fleet), ROUNDS)
     speeds = [f"{fleet.duration_s / cost:.1f}x" for cost in (ours, other)]
-    name = "whole run: 50 p2dx on circles, reports every second, 802.11g; beside it stepSimulation of the same"
+    name = "whole run: 50 p2dx on circles, reports every second, 802.11g; beside stepSimulation of the same"
     return Row(name, f"{speeds[0]} real time", speeds[1], ratio, "<= 1.6", ratio <= 1.6)
 
 
