@@ -15,15 +15,15 @@ class Kinds:
     """Cache of agent classes: one look-up per host, so that a file is not executed again for every vehicle."""
 
     def __init__(self) -> None:
-        self._found: dict[tuple[str, str], Any] = {}
+        self._classes: dict[tuple[str, str], Any] = {}
 
     def find(self, spec: AgentSpec) -> Any:
         """The class of an agent."""
-        if (spec.kind, spec.folder) not in self._found:
+        if (spec.kind, spec.folder) not in self._classes:
             key, origin = f"vehicle.{spec.vehicle}.agent.kind", Source(spec.source)
             agent_class = registry.find("agent", spec.kind, folder=Path(spec.folder), key=key, origin=origin)
-            self._found[spec.kind, spec.folder] = agent_class
-        return self._found[spec.kind, spec.folder]
+            self._classes[spec.kind, spec.folder] = agent_class
+        return self._classes[spec.kind, spec.folder]
 
 
 def check_acts(kind: Any, name: str, key: str, source: str = "") -> None:

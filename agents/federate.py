@@ -191,7 +191,7 @@ class AgentRunner:
         if notes := self.agent.drain_notes():
             events.append(Event(self._note_key, when, Note(values=notes)))
         if self.agent._shown:  # noqa: SLF001  as in `_act`
-            events += [Event(f"{self.vehicle}/{what}", when, value) for what, value in self.agent.drain_shown().items()]
+            events += [Event(f"{self.vehicle}/{topic}", when, value) for topic, value in self.agent.drain_shown().items()]
         if self.radio._outbox:  # noqa: SLF001  as in `_act`
             events += [Event(f"{self.vehicle}/send", when, message) for message in self.radio.drain()]
 
@@ -278,7 +278,7 @@ class AgentHost:
         self.agents = tuple(seat.info for seat in self._seats)
         self._trains = list(dict.fromkeys(info.ticks for info in self.agents))  # few, shared by many agents
         self._train = [self._trains.index(info.ticks) for info in self.agents]
-        latest = {f"{seat.vehicle}/{what}": see for seat in self._seats for what, see in seat.sees.items()}
+        latest = {f"{seat.vehicle}/{topic}": see for seat in self._seats for topic, see in seat.sees.items()}
         self.reads: tuple[str, ...] = (RECEPTIONS,)
         self.latest = tuple(latest)
         self._takes: dict[str, Callable[[Any], None]] = latest  # receivers of values, by key

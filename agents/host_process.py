@@ -60,12 +60,12 @@ def host(
     for vehicle in vehicles:
         if not re.fullmatch(r"[A-Za-z0-9_-]+", vehicle):
             raise UsageError(f"--vehicle {vehicle!r}: a name has only letters, digits, _ and -")
-    if strange := [name for name in params or {} if name in binding.parameters(AgentTable)]:
-        raise UsageError(f"--set {strange[0]}: a key of the scenario; a host sets only parameters of its agent")
-    named = registry.classes_in([*allow, kind, params])
-    may_load = registry.only(None if token else registry.OwnCode(named, code_folder, on_state))
+    if reserved := [name for name in params or {} if name in binding.parameters(AgentTable)]:
+        raise UsageError(f"--set {reserved[0]}: a key of the scenario; a host sets only parameters of its agent")
+    class_names = registry.classes_in([*allow, kind, params])
+    may_load = registry.only(None if token else registry.OwnCode(class_names, code_folder, on_state))
     if kind is not None:  # errors of the class are reported here: the run continues to wait
-        with registry.only(registry.OwnCode(named, code_folder)):
+        with registry.only(registry.OwnCode(class_names, code_folder)):
             check_acts(registry.find("agent", kind, key="", origin=Source("vcmvsp agent")), kind, "")
     bundle = None
     if keys is not None:
@@ -82,8 +82,8 @@ def host(
         return Hello(host_id, PROTOCOL, vehicles, kind=kind, folder=str(Path.cwd()), params=params or {}, token=token)
 
     with may_load, threadpool_limits(1):  # as in the run: sums come out the same on any number of cores
-        known = endpoints.secret_from(secret, insecure=insecure or bool(token))
-        return serve(hello, Desk(AgentHost), endpoint, bundle=bundle, secret=known, on_state=on_state)
+        dial_secret = endpoints.secret_from(secret, insecure=insecure or bool(token))
+        return serve(hello, Desk(AgentHost), endpoint, bundle=bundle, secret=dial_secret, on_state=on_state)
 
 
 def _end_with_parent(pipe: io.FileIO) -> None:

@@ -85,11 +85,11 @@ class Patrol(Agent):
     def _drive(self, obs: Observation) -> Velocity:
         x, y, _ = self._aim(obs)
         ahead, left = rotate2(x - obs.state.position[0], y - obs.state.position[1], -obs.state.yaw)
-        away, aside = math.hypot(ahead, left), wrap(math.atan2(left, ahead))
-        if away <= self.arrive_m:
+        distance, aside = math.hypot(ahead, left), wrap(math.atan2(left, ahead))
+        if distance <= self.arrive_m:
             return Velocity()
         scan = obs.readings.get(self.scanner) if self.scanner else None
-        if isinstance(scan, Scan) and abs(aside) < TURN_ON_THE_SPOT and _nearest(scan, 0.0) < min(self.clearance, away):
+        if isinstance(scan, Scan) and abs(aside) < TURN_ON_THE_SPOT and _nearest(scan, 0.0) < min(self.clearance, distance):
             self._waiting_s += self._period_s
             if self._waiting_s <= self.patience_s:
                 return Velocity()

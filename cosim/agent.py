@@ -261,8 +261,8 @@ class Agent:
 
     def drain_shown(self) -> dict[str, Shown]:
         """Take the values shown since the last call, by key (for the host of the agent)."""
-        shown, self._shown = self._shown, None
-        return shown or {}
+        values, self._shown = self._shown, None
+        return values or {}
 
     def drain_notes(self) -> dict[str, float | str | bool]:
         """Take the values noted since the last call (for the host of the agent)."""

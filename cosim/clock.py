@@ -160,10 +160,10 @@ class WallClock:
     def wait_until(self, due_ns: int) -> int:
         """Sleep until ``due_ns``; returns the lag if that has passed already."""
         wall_due = self.monotonic_ns(due_ns)
-        while (left := wall_due - self._now()) > 0:
-            if self.sleep(min(left / SECOND_NS, LONGEST_SLEEP_S)):
+        while (remaining_ns := wall_due - self._now()) > 0:
+            if self.sleep(min(remaining_ns / SECOND_NS, LONGEST_SLEEP_S)):
                 return min(0, self.logical_ns(self._now()) - due_ns)
-        return -left
+        return -remaining_ns
 
     def slip(self, by_ns: int) -> None:
         """Delay all later instants by ``by_ns``."""
@@ -219,10 +219,10 @@ class LiveClock:
 
     def wait_until(self, due_ns: int) -> int:
         """Wait until the viewer's pace lets ``due_ns`` begin; returns the lag, ns."""
-        while (left := self._remaining_ns(due_ns)) > 0:
-            self._sleep(min(left, LISTEN_NS) / SECOND_NS)
+        while (remaining_ns := self._remaining_ns(due_ns)) > 0:
+            self._sleep(min(remaining_ns, LISTEN_NS) / SECOND_NS)
         self._logical_ns = due_ns
-        return -left
+        return -remaining_ns
 
     def slip(self, by_ns: int) -> None:
         """Delay all later instants by ``by_ns``."""

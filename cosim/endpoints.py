@@ -22,10 +22,10 @@ class Endpoint(NamedTuple):
 def endpoint_of(text: str) -> Endpoint | None:
     """Parse a network address; None: the text is not one."""
     protocol, slash, rest = with_slash(text).partition("/")
-    found = _REST.fullmatch(rest)
-    if not (protocol.isalnum() and slash) or not found or int(found[2] or 0) > _HIGHEST:
+    match = _REST.fullmatch(rest)
+    if not (protocol.isalnum() and slash) or not match or int(match[2] or 0) > _HIGHEST:
         return None
-    return Endpoint(protocol, found[1].strip("[]"), int(found[2]) if found[2] else None)
+    return Endpoint(protocol, match[1].strip("[]"), int(match[2]) if match[2] else None)
 
 
 def with_slash(text: str) -> str:

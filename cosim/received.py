@@ -81,12 +81,12 @@ class ReceivedMessages(Sequence[Reception]):
 
     def bodies(self, senders: Collection[str] | None = None) -> list[tuple[str, dict[str, Any]]]:
         """Sender and own copy of the body of the messages of agents: of some senders, or of all."""
-        batch, found = self._batch, []
+        batch, bodies = self._batch, []
         for number in batch.numbers[self._begin : self._end]:
             message = batch.columns.messages[number]
             if (senders is None or message.sender in senders) and not isinstance(message.body, bytes):
-                found.append((message.sender, batch.body(number)))
-        return found
+                bodies.append((message.sender, batch.body(number)))
+        return bodies
 
     @property
     def rssi_dbm(self) -> Array:
@@ -212,18 +212,18 @@ class Mailboxes:
         if not begun:
             return None
         batch = _joined([each for _, each in waiting[:begun]])
-        taken = batch.arrival_ns <= now_ns
+        is_taken = batch.arrival_ns <= now_ns
         if vehicles is not None and len(vehicles) < len(self._vehicles):
-            taken &= self._mask(vehicles)[batch.receiver]
-        count = np.count_nonzero(taken)
-        if count == len(taken):
+            is_taken &= self._mask(vehicles)[batch.receiver]
+        count = np.count_nonzero(is_taken)
+        if count == len(is_taken):
             self._waiting = waiting[begun:]
         else:
-            left = pruned(_rows_of(batch, ~taken))
-            self._waiting = [(int(left.arrival_ns.min()), left), *waiting[begun:]]
+            rest = pruned(_rows_of(batch, ~is_taken))
+            self._waiting = [(int(rest.arrival_ns.min()), rest), *waiting[begun:]]
             if not count:
                 return None
-            batch = _rows_of(batch, taken)
+            batch = _rows_of(batch, is_taken)
         if not np.count_nonzero(batch.receiver[1:] <= batch.receiver[:-1]):  # one message to each at most, in order
             return batch
         receiver = batch.receiver.astype(np.uint16) if len(self._row) < 1 << 16 else batch.receiver  # sorted by digits
@@ -239,13 +239,13 @@ class Mailboxes:
             return {}
         clocks = self._clocks
         batch = batch if clocks is None else clocks.stamped(batch)
-        sorted_batch, names, found, begin = _SortedBatch(batch), batch.names, dict[str, ReceivedMessages](), 0
+        sorted_batch, names, messages, begin = _SortedBatch(batch), batch.names, dict[str, ReceivedMessages](), 0
         for row, count in enumerate(np.bincount(batch.receiver).tolist()):
             if count:
                 own_ns = now_ns if clocks is None else clocks.reading_ns(names[row], now_ns)
-                found[names[row]] = ReceivedMessages(sorted_batch, begin, begin + count, own_ns)
+                messages[names[row]] = ReceivedMessages(sorted_batch, begin, begin + count, own_ns)
                 begin += count
-        return found
+        return messages
 
     def _mask(self, vehicles: Collection[str]) -> Array:
         mask = np.zeros(len(self._row), np.bool_)

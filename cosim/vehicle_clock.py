@@ -70,10 +70,10 @@ class VehicleClocks:
 
     def reading_ns(self, vehicle: str, time_ns: int) -> int:
         """What a vehicle's clock shows at a time of the run, ns."""
-        found = self._clocks.get(vehicle)
-        if found is None:
+        entry = self._clocks.get(vehicle)
+        if entry is None:
             return time_ns
-        clock, key = found
+        clock, key = entry
         shown_ns = clock.mean_ns(time_ns)
         if clock.jitter_s:
             keys, times = (np.array([each % 2**64], np.uint64) for each in (key, time_ns))

@@ -155,9 +155,9 @@ class Hardware:
             self._connections.drop(vehicle.name)
         if vehicle.on_lost == "hold":
             return []
-        gone = types.Outage(vehicles=(vehicle.name,), until_ns=self._end_ns)
+        outage = types.Outage(vehicles=(vehicle.name,), until_ns=self._end_ns)
         return [
-            Event("operator/outage", now_ns, gone),  # like an operator's outage
+            Event("operator/outage", now_ns, outage),  # like an operator's outage
             Event(f"{vehicle.name}/follows", now_ns, types.Follows(leader=None)),
         ]
 
@@ -197,7 +197,7 @@ class VehicleProxy:
         self._history: deque[StationReport] = deque()  # oldest first
         self._fresh: list[StationReport] = []  # since the last publication
         self._command: tuple[Velocity | None, int, int] = (None, 0, 0)  # command, its monotonic time, its logical time
-        self._orders, self._shown = 0, (0, self._still)
+        self._orders, self._published = 0, (0, self._still)
         self._latest = (-1, self._still)
 
     def command(self, event: Event) -> None:
@@ -301,7 +301,7 @@ class VehicleProxy:
         yield from self._readings(now_ns, fresh)
         yield Event(f"{name}/real", now_ns, self._status(now_ns, newest, fresh))
         yield from self._incidents(now_ns, fresh)
-        self._shown = now_ns, state
+        self._published = now_ns, state
 
     def last_words(self, now_ns: int) -> Iterator[Event]:
         """Incidents that are not published yet, at the end of the run."""
@@ -360,7 +360,7 @@ class VehicleProxy:
 
     def _prediction_m(self, now_ns: int) -> float | None:
         """Distance between the state now and its prediction from the last published state, m."""
-        since_ns, last_state = self._shown
+        since_ns, last_state = self._published
         if not self._history or since_ns == 0:
             return None
         expected = ahead(last_state, now_ns - since_ns, flies=self.vehicle.flies)

@@ -44,8 +44,8 @@ class Playback(EventPlayback):
             else:
                 self._recorded.append(Event("operator/outage" if isinstance(value, Outage) else key, time_ns, value))
         if missing := [name for name, track in self._tracks.items() if not track.times_ns]:
-            there = ", ".join(sorted({key.partition("/")[0] for key, _, _ in inputs})) or "nobody"
-            raise UsageError(f"the recording has no positions of {', '.join(missing)}; it has {there}")
+            recorded = ", ".join(sorted({key.partition("/")[0] for key, _, _ in inputs})) or "nobody"
+            raise UsageError(f"the recording has no positions of {', '.join(missing)}; it has {recorded}")
 
     def start(self, run: RunInfo) -> int | None:
         """Time of the first event."""
@@ -57,8 +57,8 @@ class Playback(EventPlayback):
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
         """Events of this instant."""
         if now_ns > self._end_ns:
-            who, verb = ", ".join(self.names), "stands" if len(self.names) == 1 else "stand"
-            self._tell(f"the recording ends at {self._end_ns / SECOND_NS:.3f} s: {who} {verb} still from then on")
+            names, verb = ", ".join(self.names), "stands" if len(self.names) == 1 else "stand"
+            self._tell(f"the recording ends at {self._end_ns / SECOND_NS:.3f} s: {names} {verb} still from then on")
         return super().step(now_ns, inbox)
 
     def states(self, now_ns: int) -> list[VehicleState]:
@@ -110,7 +110,7 @@ def between(before: VehicleState, after: VehicleState, share: float) -> VehicleS
 
 
 def _mixed(a: Vec3, b: Vec3, share: float) -> Vec3:
-    x, y, z = (one + share * (other - one) for one, other in zip(a, b, strict=True))
+    x, y, z = (start + share * (end - start) for start, end in zip(a, b, strict=True))
     return x, y, z
 
 

@@ -68,16 +68,16 @@ def clearances(points: Array, curvatures: Array, keep: float) -> Array:
     approach, ``4 R q sin(D/2)^2 = keep^2 - (q - R)^2``; the computation holds for R of any size.
     """
     curvatures = np.where(np.abs(curvatures) < STRAIGHTEST, STRAIGHTEST, curvatures)
-    away = np.hypot(points[:, 0], points[:, 1])
-    order = np.argsort(away, kind="stable")
-    away, (x, y) = away[order], points[order].T
-    excess = 0.5 * (away * away - keep * keep)
+    distance = np.hypot(points[:, 0], points[:, 1])
+    order = np.argsort(distance, kind="stable")
+    distance, (x, y) = distance[order], points[order].T
+    excess = 0.5 * (distance * distance - keep * keep)
     blocks = (excess < 0.0) & (x >= 0.0)
     single = np.float32  # exact enough to find the touched points, and twice as fast
     apart = np.multiply.outer(curvatures.astype(single), excess.astype(single))
     np.subtract(y.astype(single), apart, out=apart)
     touched = np.abs(apart, out=apart) < keep  # |R - keep| < q < R + keep, multiplied out
-    if len(away) and excess[0] < 0.0:
+    if len(distance) and excess[0] < 0.0:
         touched |= blocks
     free_m = np.full(len(curvatures), math.inf)
     if not touched.any():
@@ -91,7 +91,7 @@ def clearances(points: Array, curvatures: Array, keep: float) -> Array:
     nearest = touched[rows].argmax(axis=1)
     free_m[rows] = until(rows, nearest)
     # An arc to a point is no shorter than its chord: only points nearer than the result so far can be touched earlier.
-    within = np.searchsorted(away, free_m + keep)
+    within = np.searchsorted(distance, free_m + keep)
     columns = int(within.max(initial=0, where=np.isfinite(free_m)))
     earlier = touched[:, :columns] & (np.arange(columns) < within[:, None])
     row, column = np.divmod(np.flatnonzero(earlier), max(columns, 1))  # quicker than `nonzero` in two dimensions
@@ -186,8 +186,8 @@ class _DynamicWindow:
         if task.aim is None:
             way = np.array([task.yaw_rate / task.velocity[0]])
             return bool(clearances(points, way, self._keep)[0] >= self._set.lookahead_m)
-        away, bearing = math.hypot(*task.aim), math.atan2(task.aim[1], task.aim[0])
-        return _straight(points, bearing, self._keep) >= min(away, self._set.lookahead_m)
+        distance, bearing = math.hypot(*task.aim), math.atan2(task.aim[1], task.aim[0])
+        return _straight(points, bearing, self._keep) >= min(distance, self._set.lookahead_m)
 
     def _best(self, points: Array, top: float, aim: Point) -> tuple[float, float] | None:
         """The best admissible speeds of the window, m/s and rad/s; None if there are none."""

@@ -107,9 +107,9 @@ def _full_widths(view: View, candidates: Gaps, begin: int, count: int, lookahead
     whole = gaps(view.ranges, lookahead_m, 0.0, view.step, view.cyclic)
     for each in cut.tolist():
         inside = (begin + int(candidates.begin[each]) - whole.begin) % every < whole.end - whole.begin
-        one = inside.argmax()
-        if (whole.end[one] - whole.begin[one] + 1) * view.step < math.pi:
-            width[each] = min(width[each], float(whole.width[one]))
+        index = inside.argmax()
+        if (whole.end[index] - whole.begin[index] + 1) * view.step < math.pi:
+            width[each] = min(width[each], float(whole.width[index]))
     return width
 
 
@@ -164,7 +164,7 @@ class GapMethod:
         # Half a lane is at least the distance to keep: otherwise the vehicle gets stuck at level 2.
         self._half_m = max(0.5 * body.width_m + settings.margin_m, settings.clearance_m(body))
         self._speed = 0.0  # of the task, when it last had one
-        self._away = False  # from the task
+        self._is_away = False  # from the task
         self._side = 0  # side of the turn on the spot: 1 left, -1 right, 0 none
         self._gone_m = 0.0  # since it last turned
         self._elsewhere = False  # it takes any free direction, after it found none in the chosen gap
@@ -181,10 +181,10 @@ class GapMethod:
         if self._waited_s > PATIENCE_S:
             self._elsewhere, self._gone_m, self._waited_s = True, 0.0, 0.0
         stands = not speed and (self._flies or not task.yaw_rate)
-        self._away = not stands and not self._is_free(view, task)
+        self._is_away = not stands and not self._is_free(view, task)
         if stands:
             self._waited_s = 0.0
-        if not self._away:
+        if not self._is_away:
             return Decision(task.velocity, task.yaw_rate, "task")
         way = self._way(view, task)
         bearing = None if way is None else self._fitting(view, *way)
@@ -199,7 +199,7 @@ class GapMethod:
             return True
         if task.aim is not None and view.sees(aside := _bearing(task.aim)):
             return lane_free(view, aside, self._half_m, min(lookahead, math.hypot(*task.aim)))
-        if task.aim is not None and self._away and not self._flies:
+        if task.aim is not None and self._is_away and not self._flies:
             return False
         if not any(task.velocity):
             return True
@@ -220,11 +220,13 @@ class GapMethod:
             places, goal_bearing = candidates.bearing, view.near_middle(goal_bearing)
         return self._chosen(candidates, places, goal_bearing, task, view.step)
 
-    def _chosen(self, found: Gaps, places: Array, goal_bearing: float, task: Task, step: float) -> tuple[float, float] | None:
+    def _chosen(
+        self, candidates: Gaps, places: Array, goal_bearing: float, task: Task, step: float
+    ) -> tuple[float, float] | None:
         """The best gap, with middles unwrapped to ``places``, rad; of equal ones the wider."""
         best: tuple[float, float, float] | None = None
         top, lookahead = self._settings.top, self._settings.lookahead_m
-        columns = (found.width, found.bearing, places, 0.5 * step * (found.end - found.begin))
+        columns = (candidates.width, candidates.bearing, places, 0.5 * step * (candidates.end - candidates.begin))
         for width, bearing, place, half in zip(*(each[:top].tolist() for each in columns), strict=True):
             if width <= 2.0 * self._half_m:
                 break

@@ -276,7 +276,7 @@ def _in_body_frame(obs: Observation, place: Point | None) -> Point | None:
 def velocity_to(obs: Observation, waypoint: Waypoint, speed: float) -> Velocity:
     """The velocity, world, that leads straight to a way-point, at its speed or else at ``speed``, m/s."""
     x, y, z = (to - at for to, at in zip(waypoint.position, obs.state.position, strict=True))
-    away = math.hypot(x, y, z)
-    share = min(ARRIVAL, (waypoint.speed or speed) / away) if away > 0.0 else 0.0
+    distance = math.hypot(x, y, z)
+    share = min(ARRIVAL, (waypoint.speed or speed) / distance) if distance > 0.0 else 0.0
     turn = 0.0 if waypoint.yaw is None else TURN_GAIN * wrap(waypoint.yaw - obs.state.yaw)
     return Velocity(linear=(share * x, share * y, share * z), yaw_rate=max(-TURN, min(turn, TURN)))

@@ -110,7 +110,7 @@ class ScanReader:
 
     def _forget(self) -> None:
         self._geometry: Geometry | None = None  # of its scans
-        self._other: Geometry | None = None  # of the last ones, which lie otherwise,
+        self._new_geometry: Geometry | None = None  # of the last ones, which lie otherwise,
         self._since_ns: int | None = None  # and since when they do
 
     def start(self, info: VehicleInfo, key: str) -> None:
@@ -137,8 +137,8 @@ class ScanReader:
 
     def _is_usual(self, geometry: Geometry | None, now_ns: int) -> bool:
         if self._geometry is not None and geometry != self._geometry:
-            if self._since_ns is None or geometry != self._other:
-                self._other, self._since_ns = geometry, now_ns
+            if self._since_ns is None or geometry != self._new_geometry:
+                self._new_geometry, self._since_ns = geometry, now_ns
             if now_ns - self._since_ns < seconds_to_ns(ADOPTED_S):
                 return False
         self._geometry, self._since_ns = geometry, None

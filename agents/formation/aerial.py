@@ -61,10 +61,10 @@ class Airborne:
             return Flight((x, y, 0.0), (v * math.cos(yaw), v * math.sin(yaw), 0.0), yaw, w)
         # A unit report of 1 m/s along x gives the time that speeds last and their remaining share.
         unit = Report(report.t_ns, LeaderState(0.0, 0.0, 0.0, 1.0, 0.0), {})
-        lasted_s, _, _, left, _ = self.inner.predict(unit, age_s)
+        lasted_s, _, _, share, _ = self.inner.predict(unit, age_s)
         (x, y, yaw, _, w), (vx, vy, vz, z) = report.state, aloft
         place = (x + vx * lasted_s, y + vy * lasted_s, z + vz * lasted_s)
-        return Flight(place, (vx * left, vy * left, vz * left), wrap(yaw + w * lasted_s), w * left)
+        return Flight(place, (vx * share, vy * share, vz * share), wrap(yaw + w * lasted_s), w * share)
 
 
 def check_flies(info: VehicleInfo) -> None:
@@ -186,20 +186,20 @@ class AerialRoute(Leader):
         return self.way[self._next][:2] if self._next < len(self.way) else None
 
     def _along_the_way(self, obs: Observation) -> Vec3:
-        here = obs.state.position
+        position = obs.state.position
         for _ in self.way:  # at most once round
-            if self._next == len(self.way) or math.dist(here, self.way[self._next]) > self.arrive_m:
+            if self._next == len(self.way) or math.dist(position, self.way[self._next]) > self.arrive_m:
                 break
             self._from = self.way[self._next]
             self._next = (self._next + 1) % len(self.way) if self.loop else self._next + 1
         x, y, z = self.way[min(self._next, len(self.way) - 1)]
-        return limited((GAIN * (x - here[0]), GAIN * (y - here[1]), GAIN * (z - here[2])), self.speed)
+        return limited((GAIN * (x - position[0]), GAIN * (y - position[1]), GAIN * (z - position[2])), self.speed)
 
     def _course(self, begin: Vec3, before: float) -> float:
         """Heading of the present line, rad; the former one if the line is vertical."""
         if not self.way:
             return math.radians(self.course_deg or 0.0)
-        x, y = (there - here for there, here in zip(self.way[self._next][:2], begin[:2], strict=True))
+        x, y = (end - start for end, start in zip(self.way[self._next][:2], begin[:2], strict=True))
         return math.atan2(y, x) if math.hypot(x, y) > self.arrive_m else before
 
     def _on(self, obs: Observation, height: float) -> Vec3:
@@ -276,9 +276,9 @@ class AerialFollower(FormationFollower):
             decision = around(self._steering, obs, self._faded(obs.time_ns), self._turning(obs, None))
         else:
             place, velocity = self._place(lead)
-            off = [there - here for there, here in zip(place, obs.state.position, strict=True)]
-            self.note(error_m=math.hypot(*off))
-            vx, vy, vz = (v + self.gain * error for v, error in zip(velocity, off, strict=True))
+            errors = [target - own for target, own in zip(place, obs.state.position, strict=True)]
+            self.note(error_m=math.hypot(*errors))
+            vx, vy, vz = (v + self.gain * error for v, error in zip(velocity, errors, strict=True))
             decision = around(self._steering, obs, (vx, vy, vz), self._turning(obs, lead), place[:2], lead.position[:2])
         # Limited last: a potential field adds repulsions to this velocity, which must grow with the distance to the place.
         velocity = limited(decision.velocity, self.max_speed)
@@ -310,5 +310,5 @@ class AerialFollower(FormationFollower):
 
     def _faded(self, now_ns: int) -> Vec3:
         self._fading_ns = now_ns if self._fading_ns is None else self._fading_ns
-        left = max(0.0, 1.0 - (now_ns - self._fading_ns) / 1e9 / self.fade_s)
-        return self._last[0] * left, self._last[1] * left, self._last[2] * left
+        share = max(0.0, 1.0 - (now_ns - self._fading_ns) / 1e9 / self.fade_s)
+        return self._last[0] * share, self._last[1] * share, self._last[2] * share

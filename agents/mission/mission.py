@@ -99,9 +99,9 @@ class SearchMission(Agent):
         if self._watch is not None:
             self._watch.start(info)
         for algorithm in self._tasks.values():
-            for what, value in (("roster", self._roster), ("watch", self._watch)):
-                if hasattr(algorithm, what):
-                    setattr(algorithm, what, value)
+            for attribute, value in (("roster", self._roster), ("watch", self._watch)):
+                if hasattr(algorithm, attribute):
+                    setattr(algorithm, attribute, value)
         self._runner = self._make_runner()
         self._state, self._seq = MissionState(), 0
         self._runner.start(info)

@@ -65,10 +65,10 @@ class Guard:
         yaw = obs.state.yaw if self._flies else 0.0
         requested = rotate2(x, y, -yaw)
         level = self._levels.update(obs.time_ns, self._view.nearest_m, max(self._speed, math.hypot(x, y)))
-        left = self._levels.limited(self._view, requested)
-        if left == requested:
+        allowed = self._levels.limited(self._view, requested)
+        if allowed == requested:
             return command if level < 2 else straight
-        return Velocity(linear=(*rotate2(*left, yaw), z), yaw_rate=straight.yaw_rate)
+        return Velocity(linear=(*rotate2(*allowed, yaw), z), yaw_rate=straight.yaw_rate)
 
 
 Command = Velocity | Waypoint
@@ -204,8 +204,8 @@ class AlgorithmRunner:
 
 
 def _towards(start: Vec3, end: Vec3, most: float) -> Vec3:
-    away = math.dist(start, end)
-    if away <= most:
+    distance = math.dist(start, end)
+    if distance <= most:
         return end
-    (a, b, c), (x, y, z), share = start, end, most / away
+    (a, b, c), (x, y, z), share = start, end, most / distance
     return a + share * (x - a), b + share * (y - b), c + share * (z - c)

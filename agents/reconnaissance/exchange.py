@@ -76,16 +76,16 @@ class Tiling:
         """Up to ``most`` messages with as many of the entries as fit, in their order; and the number of these entries."""
         empty = len(msgspec.msgpack.encode({"ms": ms, key: []})) + 2  # a list of more than 15 needs two bytes to say so
         bodies: list[Body] = []
-        used, left = 0, 0
+        used, free_bytes = 0, 0
         for entry in entries:
             size = len(msgspec.msgpack.encode(entry))
-            if size > left:
+            if size > free_bytes:
                 if len(bodies) >= most:
                     break
                 bodies.append({"ms": ms, key: []})
-                left = self.max_bytes - empty
+                free_bytes = self.max_bytes - empty
             bodies[-1][key].append(entry)
-            left -= size
+            free_bytes -= size
             used += 1
         return bodies, used
 
@@ -333,39 +333,39 @@ class Ledger(MapExchange):
         changed_cells = changed != NEVER
         if not self.relay:
             changed_cells[np.arange(len(changed_cells)) != self._me] = False
-        who, tile = np.nonzero(changed_cells)
-        order = np.lexsort((tile, who, -changed[who, tile], who != self._me, self._times[who, tile]))
-        who, tile, ms = who[order], tile[order], now_ns // 1_000_000
-        bodies, used = self.tiling.bodies(self.key, ms, self._entries(who, tile, ms - changed[who, tile]), most)
-        self._times[who[:used], tile[:used]] += 1
+        owner, tile = np.nonzero(changed_cells)
+        order = np.lexsort((tile, owner, -changed[owner, tile], owner != self._me, self._times[owner, tile]))
+        owner, tile, ms = owner[order], tile[order], now_ns // 1_000_000
+        bodies, used = self.tiling.bodies(self.key, ms, self._entries(owner, tile, ms - changed[owner, tile]), most)
+        self._times[owner[:used], tile[:used]] += 1
         return bodies
 
-    def _entries(self, who: Array, tile: Array, age_ms: Array) -> Iterator[list[Any]]:
+    def _entries(self, owner: Array, tile: Array, age_ms: Array) -> Iterator[list[Any]]:
         """A generator, since few entries fit into a message."""
         newer = self._newer()
-        for a, k, age in zip(who.tolist(), tile.tolist(), age_ms.tolist(), strict=True):
+        for a, k, age in zip(owner.tolist(), tile.tolist(), age_ms.tolist(), strict=True):
             counts = np.maximum(self._own[a, k], self._others[a, k]) if newer[a, k] else self._own[a, k]
             yield [a, k, age, _packed(counts)]
 
     def _checked(self, ms: int, latest_ms: int, *entry: Any) -> tuple[int, int, int, Array] | None:
-        who, tile, age, raw = entry
+        owner, tile, age, raw = entry
         counts = self.tiling.counts_of(tile, raw)
-        if counts is None or not _is_number(who, len(self._places)) or type(age) is not int:
+        if counts is None or not _is_number(owner, len(self._places)) or type(age) is not int:
             return None
         changed = ms - age  # with different clocks, a relayed change may be later than its message
-        return (who, tile, changed, counts) if max(0, latest_ms - OLDEST_MS) <= changed <= latest_ms else None
+        return (owner, tile, changed, counts) if max(0, latest_ms - OLDEST_MS) <= changed <= latest_ms else None
 
     def _merge(self, place: int, ms: int, *entry: Any) -> None:
-        who, tile, changed, counts = entry
-        if who == place:
-            np.maximum(self._own[who, tile], counts, out=self._own[who, tile])
-            self._changed[who, tile] = max(self._changed[who, tile], changed)
-            self._sent_ms[who, tile] = max(self._sent_ms[who, tile], ms)
-        elif who != self._me and self.relay:  # of relayed counts the newer; of equal times, the first received
-            self._times[who, tile] += changed == self._times_of[who, tile]  # already sent by another member: lower priority
-            before = self._others_changed[who, tile]
-            if changed > before or (changed == before and counts.tobytes() > self._others[who, tile].tobytes()):
-                self._others_changed[who, tile], self._others[who, tile] = changed, counts
+        owner, tile, changed, counts = entry
+        if owner == place:
+            np.maximum(self._own[owner, tile], counts, out=self._own[owner, tile])
+            self._changed[owner, tile] = max(self._changed[owner, tile], changed)
+            self._sent_ms[owner, tile] = max(self._sent_ms[owner, tile], ms)
+        elif owner != self._me and self.relay:  # of relayed counts the newer; of equal times, the first received
+            self._times[owner, tile] += changed == self._times_of[owner, tile]  # already sent by another member: lower priority
+            before = self._others_changed[owner, tile]
+            if changed > before or (changed == before and counts.tobytes() > self._others[owner, tile].tobytes()):
+                self._others_changed[owner, tile], self._others[owner, tile] = changed, counts
 
     def _newer(self) -> Array:
         """(members, tiles): whether relayed counts are newer than the contributor's own; of this vehicle itself never."""

@@ -157,14 +157,14 @@ def _between(
     period_s = (end_ns - start_ns) / 1e9
     share = (time_ns - start_ns) / (end_ns - start_ns)
     way: Vec3 = tuple(b - a for a, b in zip(start.position, end.position, strict=True))  # type: ignore[assignment]
-    gone = _cubic(way, start.velocity, end.velocity, period_s, share)
+    displacement = _cubic(way, start.velocity, end.velocity, period_s, share)
     w, x, y, z = start.attitude
     turn = _rotation_vector(product((w, -x, -y, -z), end.attitude))
     # q = q0 exp(r) turns at the rate J(r) r', J the right Jacobian, of which the inverse is about 1 + r/2 x
     (a, b, c), (p, q, r) = turn, end.angular_velocity
     rate = p + 0.5 * (b * r - c * q), q + 0.5 * (c * p - a * r), r + 0.5 * (a * q - b * p)
     turned = _cubic(turn, start.angular_velocity, rate, period_s, share)
-    position: Vec3 = tuple(p + d for p, d in zip(start.position, gone, strict=True))  # type: ignore[assignment]
+    position: Vec3 = tuple(p + d for p, d in zip(start.position, displacement, strict=True))  # type: ignore[assignment]
     return VehicleState(position=position, attitude=product(start.attitude, _quaternion(turned)))
 
 

@@ -146,8 +146,8 @@ class Roster:
 
         Priority: a member with an identified target, then the earlier begin, then the first name.
         """
-        mine = _right(self.me, claim)
-        return any(claim.same(other) and _right(name, other) < mine for name, other in self.claims(now_ns).items())
+        own = _right(self.me, claim)
+        return any(claim.same(other) and _right(name, other) < own for name, other in self.claims(now_ns).items())
 
     def give_up(self, place: Point, now_ns: int) -> None:
         """Ignore a place, m, world, for a while: its target was lost, or another member tracks it."""
@@ -163,12 +163,12 @@ class Roster:
         return now_ns - self._there_ns.get(name, now_ns if self._start_ns is None else self._start_ns)
 
 
-def members_of(info: VehicleInfo, named: Sequence[str]) -> tuple[str, ...]:
+def members_of(info: VehicleInfo, members: Sequence[str]) -> tuple[str, ...]:
     """The given members; without any, all vehicles of the run. `ValueError`: a member is no vehicle of the run."""
-    for name in named:
+    for name in members:
         if name not in info.vehicles:
             raise ValueError(f"members: {unknown('vehicle', name, info.vehicles)}")
-    return tuple(named) or info.vehicles
+    return tuple(members) or info.vehicles
 
 
 def _right(name: str, claim: Claim) -> tuple[bool, int, str]:

@@ -155,7 +155,7 @@ class Search(Agent):
         self._agreed = False  # whether there was a look since the last messages
         self._share_at_ns = self._show_at_ns = 0
         self._bytes = 0
-        self._found: list[Point] = []
+        self._found_places: list[Point] = []
 
     def facts(self, obs: Observation) -> Mapping[str, Any]:
         """Facts for the mission: whether the sector is shared, and the surest unclaimed place."""
@@ -241,12 +241,12 @@ class Search(Agent):
 
     def _note_found(self) -> None:
         """Note a newly sure place; one at a tick."""
-        new = next((blob for blob in self.map.blobs if not self.map.concerns(blob, self._found)), None)
+        new = next((blob for blob in self.map.blobs if not self.map.concerns(blob, self._found_places)), None)
         if new is None:
             return
-        self._found.append(new.middle)
+        self._found_places.append(new.middle)
         self.note(found="", found_x=new.middle[0], found_y=new.middle[1])
-        if len(self._found) == self.targets:
+        if len(self._found_places) == self.targets:
             self.note(status="done")
 
     def _fly(self, obs: Observation, roster: Roster) -> Velocity:

@@ -81,8 +81,8 @@ class SearchMap:
         """Whether one of these places is the target of a blob: it is near one of the cells."""
         if not places:
             return False
-        away = self.grid.centres(blob.cells)[:, None] - np.array(places, float)
-        return bool((np.hypot(away[..., 0], away[..., 1]) <= self._same_m).any())
+        offset = self.grid.centres(blob.cells)[:, None] - np.array(places, float)
+        return bool((np.hypot(offset[..., 0], offset[..., 1]) <= self._same_m).any())
 
     def is_open(self, start: Point, end: Point, swath: float) -> bool:
         """Whether many cells within a distance of a line, m, are undecided."""

@@ -176,8 +176,8 @@ class _Way:
         elif self.across:
             self.lanes, self.across = self.across, self.lanes
             last = len(self.lanes) - 1
-            away = [min(math.dist(position, end) for end in self.lanes[number]) for number in (0, last)]
-            self.number, self.step = (0, 1) if away[0] <= away[1] else (last, -1)
+            distances = [min(math.dist(position, end) for end in self.lanes[number]) for number in (0, last)]
+            self.number, self.step = (0, 1) if distances[0] <= distances[1] else (last, -1)
         else:
             self.step = -self.step
 

@@ -112,7 +112,7 @@ class TrackTarget(Agent):
         self._showing = PictureRecording(self._camera, self._picture_s)
         self._sheet = None if self._mosaic is None else _sheet(self._mosaic)
         self._candidate: Claim | None = None  # confirmed by the newest picture, and unclaimed
-        self._found: set[str] = set()
+        self._found_names: set[str] = set()
         self._note = ""  # the target in the last note
         self._asked_ns: int | None = None
         self._forget()
@@ -227,9 +227,9 @@ class TrackTarget(Agent):
         if frame.whole:
             self._whole_ns = frame.time_ns
         self._candidate = self._confirmed(obs, frame, roster)
-        if self._candidate is not None and self._candidate.target not in self._found:
+        if self._candidate is not None and self._candidate.target not in self._found_names:
             (x, y), name = self._candidate.place, self._candidate.target
-            self._found.add(name)
+            self._found_names.add(name)
             self.note(found=name, found_x=x, found_y=y)
 
     def _see(self, obs: Observation, frame: WatchFrame) -> None:
@@ -254,7 +254,7 @@ class TrackTarget(Agent):
             place = confirmation.frame(each.place for each in frame.sightings if each.target == name)
             since_ns = self._since_ns if name == self._target and self._since_ns is not None else obs.clock_ns
             if place is not None and not roster.has_prior_claim(Claim(name, place, since_ns), obs.clock_ns):
-                claims.append((name in self._found, math.dist(place, (x, y)), Claim(name, place, frame.time_ns)))
+                claims.append((name in self._found_names, math.dist(place, (x, y)), Claim(name, place, frame.time_ns)))
         return min(claims)[2] if claims else None
 
     def _aim(self, now_ns: int, watch: Watch) -> None:

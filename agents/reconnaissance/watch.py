@@ -126,15 +126,15 @@ class Watch:
         detections = self._detector.detect(image.pixels, distance_m, image.focal_px, None if part == whole else part)
         sightings = tuple(
             Sighting(
-                target=one.target,
+                target=detection.target,
                 place=place,
-                centre_px=one.centre_px,
-                angle=one.angle,
-                side_px=one.side_px,
-                score=min(max(one.match, 0.0), 1.0),
+                centre_px=detection.centre_px,
+                angle=detection.angle,
+                side_px=detection.side_px,
+                score=min(max(detection.match, 0.0), 1.0),
             )
-            for one in detections
-            if (place := nadir.ground_point(one.centre_px)) is not None
+            for detection in detections
+            if (place := nadir.ground_point(detection.centre_px)) is not None
         )
         edge = math.ceil(INSIDE * self._largest_m * image.focal_px / distance_m)
         inner = _common((edge, edge, nadir.width - edge, nadir.height - edge), part)
@@ -143,8 +143,8 @@ class Watch:
         return WatchFrame(image.time_ns, nadir, sightings, image, looked, self.region is None)
 
 
-def _common(one: Region, other: Region) -> Region | None:
-    left, top, right, bottom = max(one[0], other[0]), max(one[1], other[1]), min(one[2], other[2]), min(one[3], other[3])
+def _common(a: Region, b: Region) -> Region | None:
+    left, top, right, bottom = max(a[0], b[0]), max(a[1], b[1]), min(a[2], b[2]), min(a[3], b[3])
     return (left, top, right, bottom) if left < right and top < bottom else None
 
 

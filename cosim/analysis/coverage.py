@@ -67,7 +67,7 @@ def _site(folder: Path | None, parsed: Scenario, source: Source) -> Site:
     Layers that may not be imported are replaced by the preset's, such a world by the solids in the recording.
     """
     parsed = parsed.with_radio(next(iter(parsed.radios))) if parsed.radios else parsed
-    known, own = (parsed, ()) if folder is None else without_own_layers(parsed)
+    importable, own = (parsed, ()) if folder is None else without_own_layers(parsed)
     if folder is None:
         world, _ = worlds.build(parsed.world, source, seed=parsed.seed)
     else:
@@ -76,7 +76,7 @@ def _site(folder: Path | None, parsed: Scenario, source: Source) -> Site:
         world = world_in(folder, parsed, source)
         if not registry.may_import("world", parsed.world.get("kind", "empty")):
             own = (*own, "world")
-    channel, _, _ = radio.channel_of(known, source, solids=world.solids)
+    channel, _, _ = radio.channel_of(importable, source, solids=world.solids)
     return Site(channel, world.solids, {each.name: each.start[0] for each in parsed.vehicle}, own)
 
 
@@ -155,8 +155,8 @@ def _map(site: Site, parsed: Scenario, vehicle: str, size_bytes: int, height_m: 
     x, y = _grid(site, partial(measured.range_m, site.channel, vehicle, height_m), vehicle, resolution_m)
     antennas = np.stack([*(axis.ravel() for axis in np.meshgrid(x, y)), np.full(len(x) * len(y), height_m)], axis=-1)
     position = np.array(site.places[vehicle])
-    found = measured.coverage(site.channel, vehicle, position, antennas, size_bytes=size_bytes, seed=parsed.seed)
-    there = measured.among(site.channel, vehicle, site.places, size_bytes=size_bytes, seed=parsed.seed)
+    on_grid = measured.coverage(site.channel, vehicle, position, antennas, size_bytes=size_bytes, seed=parsed.seed)
+    at_vehicles = measured.among(site.channel, vehicle, site.places, size_bytes=size_bytes, seed=parsed.seed)
     others = [name for name in site.places if name != vehicle]
     shape = len(y), len(x)
     return Map(
@@ -170,10 +170,10 @@ def _map(site: Site, parsed: Scenario, vehicle: str, size_bytes: int, height_m: 
         noise_dbm=site.channel.hearing.noise_dbm,
         x=x,
         y=y,
-        level_dbm=found.level_dbm.reshape(shape),
-        success=found.success.reshape(shape),
+        level_dbm=on_grid.level_dbm.reshape(shape),
+        success=on_grid.success.reshape(shape),
         places=site.places,
-        others=dict(zip(others, zip(there.level_dbm.tolist(), there.success.tolist(), strict=True), strict=True)),
+        others=dict(zip(others, zip(at_vehicles.level_dbm.tolist(), at_vehicles.success.tolist(), strict=True), strict=True)),
         solids=site.solids,
         not_executed=site.not_executed,
     )
@@ -240,39 +240,43 @@ def write_antennas(folder: Path, target: Path) -> int:
     return len(lines) - 1
 
 
-def to_table(found: Map) -> dict[str, Any]:
+def to_table(coverage_map: Map) -> dict[str, Any]:
     """The map for JSON: rows from south to north, each from west to east."""
     names = ("scenario", "vehicle", "preset", "seed", "size_bytes", "height_m", "floor_dbm", "noise_dbm")
     arrays = ("x", "y", "level_dbm", "success")
     return {
         "schema": SCHEMA,
-        **{name: getattr(found, name) for name in names},
-        "vehicles": {name: list(place) for name, place in found.places.items()},
-        "at_vehicles": {name: {"level_dbm": level, "success": success} for name, (level, success) in found.others.items()},
-        **({"not_executed": list(found.not_executed)} if found.not_executed else {}),
-        "heard_share": covered_share(found),
-        "mean_success": float(found.success.mean()),
-        **{f"{name}_m" if name in ("x", "y") else name: getattr(found, name).tolist() for name in arrays},
+        **{name: getattr(coverage_map, name) for name in names},
+        "vehicles": {name: list(place) for name, place in coverage_map.places.items()},
+        "at_vehicles": {
+            name: {"level_dbm": level, "success": success} for name, (level, success) in coverage_map.others.items()
+        },
+        **({"not_executed": list(coverage_map.not_executed)} if coverage_map.not_executed else {}),
+        "heard_share": covered_share(coverage_map),
+        "mean_success": float(coverage_map.success.mean()),
+        **{f"{name}_m" if name in ("x", "y") else name: getattr(coverage_map, name).tolist() for name in arrays},
     }
 
 
-def covered_share(found: Map) -> float:
+def covered_share(coverage_map: Map) -> float:
     """Share of the area with a mean level at or above the detection floor."""
-    return float((found.level_dbm >= found.floor_dbm).mean())
+    return float((coverage_map.level_dbm >= coverage_map.floor_dbm).mean())
 
 
-def summary(found: Map) -> str:
+def summary(coverage_map: Map) -> str:
     """The map as a few lines of text."""
-    width, height = (float(np.ptp(axis)) for axis in (found.x, found.y))
+    width, height = (float(np.ptp(axis)) for axis in (coverage_map.x, coverage_map.y))
     lines = [
-        f"{found.scenario}: the level of {found.vehicle} is {found.floor_dbm:.1f} dBm or more in "
-        f"{100.0 * covered_share(found):.1f} % of {width:g} x {height:g} m; "
-        f"{100.0 * found.success.mean():.1f} % of its frames of {found.size_bytes} bytes arrive, averaged over all places, "
-        "without random loss (radio.loss) and collisions"
+        f"{coverage_map.scenario}: the level of {coverage_map.vehicle} is {coverage_map.floor_dbm:.1f} dBm or more in "
+        f"{100.0 * covered_share(coverage_map):.1f} % of {width:g} x {height:g} m; "
+        f"{100.0 * coverage_map.success.mean():.1f} % of its frames of {coverage_map.size_bytes} bytes arrive, "
+        "averaged over all places, without random loss (radio.loss) and collisions"
     ]
-    lines += [f"  {name}: {level:.1f} dBm, {100.0 * success:.1f} % arrive" for name, (level, success) in found.others.items()]
-    if found.not_executed:
-        own = ", ".join(found.not_executed)
+    lines += [
+        f"  {name}: {level:.1f} dBm, {100.0 * success:.1f} % arrive" for name, (level, success) in coverage_map.others.items()
+    ]
+    if coverage_map.not_executed:
+        own = ", ".join(coverage_map.not_executed)
         lines.append(
             f"  not executed: the classes of {own}; used instead: the preset's layers, and the recorded world in concrete"
         )

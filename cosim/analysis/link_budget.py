@@ -96,14 +96,14 @@ def _find(log: Log, frames: LinkFrames, pair: Pair, which: str) -> int:
         return int(lost[0])
     if not which.isdecimal():
         raise UsageError(f"--frame {which}: must be a frame's number, lost or worst")
-    found = np.flatnonzero(numbers == int(which))
-    if not found.size:
+    matches = np.flatnonzero(numbers == int(which))
+    if not matches.size:
         whole = Log(log.folder)
         others = [each for each in whole.pairs() if each != pair and (whole.frames(each)["frame"] == int(which)).any()]
         where = f"{others[0][0]} sent it to {', '.join(to for _, to in others)}" if others else "no such frame"
         has = f"{link} has {len(frames)} frames, from {numbers.min()} to {numbers.max()}"
         raise UsageError(f"--frame {which}: not a frame of this link: {where}; {has}")
-    return int(found[0])
+    return int(matches[0])
 
 
 def _radio(log: Log, pair: Pair) -> dict[str, Any] | None:
@@ -114,8 +114,8 @@ def _radio(log: Log, pair: Pair) -> dict[str, Any] | None:
     parsed, source = loader.load(path)
     if parsed.radios:
         return None
-    known, own = without_own_layers(parsed)
-    channel, radios, _ = channel_of(known, source, solids=())
+    importable, own = without_own_layers(parsed)
+    channel, radios, _ = channel_of(importable, source, solids=())
     if "radio.phy" in own or not all(name in radios for name in pair):
         return None
     phy, sender, receiver = channel.phy, radios[pair[0]], radios[pair[1]]

@@ -86,9 +86,9 @@ class Log:
 
     def only(self, pairs: Sequence[Pair]) -> None:
         """Drop all other links to free their memory."""
-        known = [pair for pair in dict.fromkeys(pairs) if pair in self._spans]
-        parts = [self._order[slice(*self._spans[pair])] for pair in known]
-        self._spans = _spans(known, list(map(len, parts)))
+        kept_pairs = [pair for pair in dict.fromkeys(pairs) if pair in self._spans]
+        parts = [self._order[slice(*self._spans[pair])] for pair in kept_pairs]
+        self._spans = _spans(kept_pairs, list(map(len, parts)))
         self._order, self._columns = np.concatenate([np.empty(0, np.int64), *parts]), {}
 
     def column(self, name: str) -> Array:
@@ -224,12 +224,12 @@ def _counts(pair: Pair, frames: LinkFrames) -> dict[str, Any]:
 
 def _receptions(received_ns: Array) -> dict[str, float | None]:
     times, gaps = np.sort(received_ns), np.diff(np.sort(received_ns))
-    found = dict.fromkeys(("first_s", "last_s", "longest_gap_s", "gap_from_s"))
+    report = dict.fromkeys(("first_s", "last_s", "longest_gap_s", "gap_from_s"))
     if len(times):
-        found |= {"first_s": float(times[0] / SECOND_NS), "last_s": float(times[-1] / SECOND_NS)}
+        report |= {"first_s": float(times[0] / SECOND_NS), "last_s": float(times[-1] / SECOND_NS)}
     if len(gaps):
-        found |= {"longest_gap_s": float(gaps.max() / SECOND_NS), "gap_from_s": float(times[gaps.argmax()] / SECOND_NS)}
-    return found
+        report |= {"longest_gap_s": float(gaps.max() / SECOND_NS), "gap_from_s": float(times[gaps.argmax()] / SECOND_NS)}
+    return report
 
 
 @dataclass(frozen=True)
@@ -295,7 +295,7 @@ def _by_pair(code: Array, n: int) -> Array:
 
 def _all_names(radio: Table, vehicles: Sequence[str]) -> tuple[str, ...]:
     """The vehicles, and any other names in the table."""
-    found = dict.fromkeys(vehicles)
+    names = dict.fromkeys(vehicles)
     for block in blocks_of(radio, ("sender", "receiver")):
-        found |= dict.fromkeys((*names_of(block, "sender")[0], *names_of(block, "receiver")[0]))
-    return tuple(found)
+        names |= dict.fromkeys((*names_of(block, "sender")[0], *names_of(block, "receiver")[0]))
+    return tuple(names)

@@ -117,8 +117,8 @@ class Snapshots:
         assert frame is not None  # noqa: S101  the picture is new, and its pose is known
         cells, hits = of_picture(self._grid, frame)
         targets = [self._in_sight(each, frame, state, time_s) for each in self._targets]
-        shown = tuple(each for each in targets if each is not None)
-        return Snapshot(image.pixels, shown, frame.sightings, cells, hits)
+        in_sight = tuple(each for each in targets if each is not None)
+        return Snapshot(image.pixels, in_sight, frame.sightings, cells, hits)
 
     def _camera_vehicle(self, name: str | None) -> tuple[VehicleTable, str]:
         vehicles = {each.name: each for each in self._scenario.vehicle}
@@ -174,13 +174,13 @@ class Snapshots:
         return height_m
 
     def _area(self, search: Mapping[str, Any]) -> Area:
-        found = self._search_value(search, "area", tuple[float, float, float, float], self.world.bounds)
-        if found is None:
+        area = self._search_value(search, "area", tuple[float, float, float, float], self.world.bounds)
+        if area is None:
             problem = f"is missing: {self.vehicle} has no search area, and the world has no bounds"
             raise ScenarioError(problem, key=f"{self.table}.area", source=self._source.name)
-        left, bottom, right, top = map(float, found)
+        left, bottom, right, top = map(float, area)
         if not (left < right and bottom < top):
-            key, problem = f"{self.table}.area", f"must be left, bottom, right, top, not {binding.show(list(found))}"
+            key, problem = f"{self.table}.area", f"must be left, bottom, right, top, not {binding.show(list(area))}"
             raise self._source.error(problem, key)
         return left, bottom, right, top
 
@@ -195,18 +195,18 @@ class Snapshots:
         """A random pose in the area, clear of solids; with ``with_target``, a target lies anywhere in the picture."""
         left, bottom, right, top = self.area
         for _ in range(TRIES):
-            yaw, about = rng.uniform(-math.pi, math.pi, 2).tolist()
+            yaw, direction = rng.uniform(-math.pi, math.pi, 2).tolist()
             half = 0.5 * rng.uniform(0.0, STEEPEST)
-            tilt = math.cos(half), math.sin(half) * math.cos(about), math.sin(half) * math.sin(about), 0.0
+            tilt = math.cos(half), math.sin(half) * math.cos(direction), math.sin(half) * math.sin(direction), 0.0
             attitude = product(quaternion_from_yaw(yaw), tilt)
             x, y = float(rng.uniform(left, right)), float(rng.uniform(bottom, top))
             if with_target:
                 target = self._targets[int(rng.integers(len(self._targets)))]
                 across, down = (rng.uniform(0.0, 1.0, 2) * (self._camera.width - 1, self._camera.height - 1)).tolist()
-                off = self._over(attitude).ground_point((across, down))
-                if off is None:  # a wide-angle camera also sees the horizon
+                shift = self._over(attitude).ground_point((across, down))
+                if shift is None:  # a wide-angle camera also sees the horizon
                     continue
-                x, y = (here - there for here, there in zip(target.place(time_s), off, strict=True))
+                x, y = (coordinate - offset for coordinate, offset in zip(target.place(time_s), shift, strict=True))
             if not (left <= x <= right and bottom <= y <= top):
                 continue
             corners = np.array([(x + i * ROOM_M, y + j * ROOM_M) for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
@@ -225,7 +225,7 @@ class Snapshots:
 
     def _picture(self, state: VehicleState, time_ns: int, rng: np.random.Generator) -> Image:
         (x, y, z), w = state.position, state.attitude
-        taken = recognition.Scene(
+        scene = recognition.Scene(
             now_ns=time_ns,
             world=self.world,
             vehicles=(self.vehicle,),
@@ -237,7 +237,7 @@ class Snapshots:
             acceleration=np.zeros((1, 3)),
             wheels=np.full((1, 2), np.nan),
         )
-        return self._camera.measure(taken, 0, rng)
+        return self._camera.measure(scene, 0, rng)
 
     def _in_sight(
         self, target: recognition.PlacedTarget, frame: recognition.WatchFrame, state: VehicleState, time_s: float
@@ -350,28 +350,28 @@ class Rates:
     angles: list[float] = field(default_factory=list)  # angle errors of recognised targets, rad
     places: list[float] = field(default_factory=list)  # position errors of recognised targets, m
 
-    def add(self, taken: Snapshot) -> None:
+    def add(self, snapshot: Snapshot) -> None:
         """Count a picture. A target outside the examined area counts only if it is recognised."""
-        held = [each.cell for each in taken.targets if each.cell is not None]
-        there = np.isin(taken.cells, held)
-        self.p = self.p.plus(*taken.hits[there].tolist())
-        self.q = self.q.plus(*taken.hits[~there].tolist())
-        left = list(taken.sightings)
-        for target in taken.targets:
-            near = [each for each in left if math.dist(each.place, target.place) <= NEAR * target.size_m]
-            found = next((each for each in near if each.target == target.name), None)
-            if found is not None:
-                left.remove(found)
+        target_cells = [each.cell for each in snapshot.targets if each.cell is not None]
+        has_target = np.isin(snapshot.cells, target_cells)
+        self.p = self.p.plus(*snapshot.hits[has_target].tolist())
+        self.q = self.q.plus(*snapshot.hits[~has_target].tolist())
+        unmatched = list(snapshot.sightings)
+        for target in snapshot.targets:
+            near = [each for each in unmatched if math.dist(each.place, target.place) <= NEAR * target.size_m]
+            match = next((each for each in near if each.target == target.name), None)
+            if match is not None:
+                unmatched.remove(match)
                 self.precision = self.precision.plus(True)
-                self.angles.append(abs(math.remainder(found.angle - target.angle, math.tau)))
-                self.places.append(math.dist(found.place, target.place))
+                self.angles.append(abs(math.remainder(match.angle - target.angle, math.tau)))
+                self.places.append(math.dist(match.place, target.place))
             if target.looked:
-                self.recall = self.recall.plus(found is not None)
+                self.recall = self.recall.plus(match is not None)
             if target.looked and target.visible >= FREE:
-                self.unoccluded = self.unoccluded.plus(found is not None)
-                ring = _ring(target, taken)
-                self.by_ring[ring] = self.by_ring[ring].plus(found is not None)
-        self.precision = self.precision.plus(*(False for _ in left))
+                self.unoccluded = self.unoccluded.plus(match is not None)
+                ring = _ring(target, snapshot)
+                self.by_ring[ring] = self.by_ring[ring].plus(match is not None)
+        self.precision = self.precision.plus(*(False for _ in unmatched))
 
     def plain(self) -> Mapping[str, Any]:
         """The rates as numbers by name."""
@@ -386,8 +386,8 @@ def _plain(share: Share) -> dict[str, Any]:
     return {"value": share.value if share.of else None, "interval": list(share.interval), "count": share.part, "of": share.of}
 
 
-def _ring(target: InSight, taken: Snapshot) -> str:
-    height, width = taken.pixels.shape[:2]
+def _ring(target: InSight, snapshot: Snapshot) -> str:
+    height, width = snapshot.pixels.shape[:2]
     middle = 0.5 * (width - 1), 0.5 * (height - 1)
     way = math.dist(target.pixel, middle) / math.hypot(*middle)
     return RINGS[min(int(3.0 * way), 2)]

@@ -83,7 +83,7 @@ def doors_of(scenario: Scenario, source: Source, resolution: Resolution) -> "lis
     """The gateways of ``[bridge]``, each built once as a check."""
     if scenario.bridge.doors:
         from vcmvsp.netsim.bridge.messages import GatewaySpec
-    names, found, resolved = [each.name for each in scenario.vehicle], [], dict[str, Any]()
+    names, gateways, resolved = [each.name for each in scenario.vehicle], [], dict[str, Any]()
     alone: dict[type, str] = {}  # keys of the kinds that allow one gateway only
     for name, content in scenario.bridge.doors.items():
         key = f"bridge.{name}"
@@ -109,12 +109,12 @@ def doors_of(scenario: Scenario, source: Source, resolution: Resolution) -> "lis
         except ValueError as error:
             raise source.error(str(error), key) from error
         written = full.pop("kind")
-        found.append(GatewaySpec(name=name, kind=kind, params=full, radio=radio))
+        gateways.append(GatewaySpec(name=name, kind=kind, params=full, radio=radio))
         chosen = {"radio": radio} if radio else {}
         resolved[name] = {**chosen, **full} if written == name else {"kind": written, **chosen, **full}
-    if found:
+    if gateways:
         resolution.tables["bridge"] = {"agents": scenario.bridge.agents, **resolved}
-    return found
+    return gateways
 
 
 def _radio_of(scenario: Scenario, source: Source, key: str, content: Mapping[str, Any], door: object) -> str:

@@ -25,7 +25,7 @@ def of_scenario(
         models: model of each vehicle, by name.
     """
     links: dict[str, FirmwareLink] = {}
-    taken: dict[int, str] = {}
+    users: dict[int, str] = {}
     numbers: Counter[str] = Counter()  # vehicles by kind of firmware
     for vehicle in scenario.vehicle:
         if vehicle.firmware is None:
@@ -43,10 +43,10 @@ def of_scenario(
         if vehicle.agent is not None and not (link.mavlink or link.has_sticks):
             problem = "is missing: the agent's commands reach the firmware over MAVLink"
             raise source.error(f"{problem}, e.g. mavlink = 'udpin:127.0.0.1:14540'; or leave the agent out", f"{key}.mavlink")
-        if link.port in taken and not link.is_alone:
-            raise source.error(f"its port {link.port} is that of {taken[link.port]}", f"{key}.instance")
+        if link.port in users and not link.is_alone:
+            raise source.error(f"its port {link.port} is that of {users[link.port]}", f"{key}.instance")
         if not link.is_alone:
-            taken[link.port] = vehicle.name
+            users[link.port] = vehicle.name
         links[vehicle.name], resolution.firmware[vehicle.name] = link, table
     if not links:
         return None

@@ -76,8 +76,8 @@ def federates_of(
             if resolution.tables["radio"] != complete:
                 problem = f"has the channel of {first} and must have its keys, too: both are one medium"
                 raise source.error(f"{problem}; or give it another channel", f"radio.{name}")
-            named = {key: value for key, value in scenario.radios[name].items() if key in ("name", "channel")}
-            tables[name] = {**named, **complete}
+            own_keys = {key: value for key, value in scenario.radios[name].items() if key in ("name", "channel")}
+            tables[name] = {**own_keys, **complete}
     resolution.tables["radio"] = [tables[name] for name in scenario.radios]
     return federates
 
@@ -109,12 +109,12 @@ def check_of_changes(airs: "Sequence[RadioFederate]") -> Callable[[str, float, S
 
 def _check_one_each(networks: "Sequence[Network]", source: Source) -> None:
     """Check that no vehicle has two radios on one channel."""
-    for one, other in itertools.combinations(networks, 2):
-        if both := sorted({*one.members} & {*other.members}):
+    for first, second in itertools.combinations(networks, 2):
+        if both := sorted({*first.members} & {*second.members}):
             problem = (
-                f"{both[0]} has also {one.name}, on the same channel: list its radios (radios = [...]) or use another channel"
+                f"{both[0]} has also {first.name}, on the same channel: list its radios (radios = [...]) or use another channel"
             )
-            raise source.error(problem, f"radio.{other.name}.channel")
+            raise source.error(problem, f"radio.{second.name}.channel")
 
 
 def _federate(
@@ -321,9 +321,9 @@ def _check_mac(layers: Mapping[str, Any], key: str, source: Source) -> None:
         layers["mac"].open(layers["phy"], 2, np.zeros(2, np.uint64), 1e-9)
     except ScenarioError as error:
         where = binding.join(key, "mac.kind")
-        named = source.of(where)
-        named = source.of(binding.join(key, "phy")) if named == source.name else named  # only one of them was changed
-        raise ScenarioError(error.problem, key=where, source=named) from error
+        origin = source.of(where)
+        origin = source.of(binding.join(key, "phy")) if origin == source.name else origin  # only one of them was changed
+        raise ScenarioError(error.problem, key=where, source=origin) from error
 
 
 def _check_names(layers: Mapping[str, Any], vehicles: Sequence[str], key: str, source: Source) -> None:

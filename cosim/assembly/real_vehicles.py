@@ -39,9 +39,9 @@ def of_scenario(
         if vehicle.driver is None:
             _check_nothing_lost(vehicle, source)
     real = [each for each in scenario.vehicle if each.is_real]
-    found = tuple(_described(each, scenario, source, resolution, models[each.name]) for each in real)
-    _check_addresses(found, source)
-    return found
+    vehicles = tuple(_described(each, scenario, source, resolution, models[each.name]) for each in real)
+    _check_addresses(vehicles, source)
+    return vehicles
 
 
 def _described(
@@ -60,10 +60,10 @@ def _described(
     driver_table = vehicle.driver or {}
     kind, params = build("driver", driver_table, f"{key}.driver")
     tables: dict[str, Any] = {"driver": {"kind": kind, **params}}
-    where, known = None, dict[str, Any]()
+    localisation, localisation_params = None, dict[str, Any]()
     if vehicle.localisation is not None and vehicle.localisation.get("kind") != SIMULATED:
-        where, known = build("localisation", vehicle.localisation, f"{key}.localisation")
-        tables["localisation"] = {"kind": where, **known}
+        localisation, localisation_params = build("localisation", vehicle.localisation, f"{key}.localisation")
+        tables["localisation"] = {"kind": localisation, **localisation_params}
     position, yaw = vehicle.start
     start = (position[0], position[1], yaw)
     binding.call(Fusion, vehicle.fusion, key=f"{key}.fusion", origin=source, arguments={"start": start})
@@ -76,8 +76,8 @@ def _described(
         folder=str(source.folder.resolve()),
         driver=driver_table["kind"],
         driver_params=params,
-        localisation=where and (vehicle.localisation or {})["kind"],
-        localisation_params=known,
+        localisation=localisation and (vehicle.localisation or {})["kind"],
+        localisation_params=localisation_params,
         fusion=tables["fusion"],
         safety=safety,
         pose_source=vehicle.pose_source,
@@ -102,16 +102,16 @@ def playback(scenario: Scenario, inputs: Sequence[Input], tell: Tell) -> "Playba
     return Playback(scenario.real, inputs, tell=tell) if scenario.real else None
 
 
-def _check_addresses(found: Sequence[RealVehicle], source: Source) -> None:
+def _check_addresses(vehicles: Sequence[RealVehicle], source: Source) -> None:
     """Reject two vehicles at one port."""
-    taken: dict[str, str] = {}
-    for each in found:
+    users: dict[str, str] = {}
+    for each in vehicles:
         for table_, params in (("driver", each.driver_params), ("localisation", each.localisation_params)):
             for name in sorted(ADDRESSES & {*params}):
                 address, key = with_slash(str(params[name])), f"vehicle.{each.name}.{table_}.{name}"
-                if address in taken and address != "emulated" and not address.endswith(":0"):
-                    raise source.error(f"'{address}' is also used by {taken[address]}: each vehicle needs its own", key)
-                taken[address] = each.name
+                if address in users and address != "emulated" and not address.endswith(":0"):
+                    raise source.error(f"'{address}' is also used by {users[address]}: each vehicle needs its own", key)
+                users[address] = each.name
 
 
 def _builder(

@@ -50,9 +50,9 @@ def world_of_drawing(recording: Path) -> World:
         OSError, ValueError: the recording cannot be read.
         IndexError: an entity of the drawing lacks its shape.
     """
-    drawn = next(_read(recording, SOLIDS, SceneUpdate), (0, SceneUpdate([])))[1]
-    standing = [_mesh(each) for each in drawn.entities if not each.id.startswith(OBSTACLE)]
-    moving = [each for each in drawn.entities if each.id.startswith(OBSTACLE)]
+    drawing = next(_read(recording, SOLIDS, SceneUpdate), (0, SceneUpdate([])))[1]
+    standing = [_mesh(each) for each in drawing.entities if not each.id.startswith(OBSTACLE)]
+    moving = [each for each in drawing.entities if each.id.startswith(OBSTACLE)]
     frames = next(_read(recording, MOVING, FrameTransforms), (0, FrameTransforms([])))[1] if moving else FrameTransforms([])
     places = {each.child_frame_id: each for each in frames.transforms}
     obstacles = []
@@ -108,10 +108,10 @@ def _obstacle(entity: SceneEntity, center: tuple[float, float, float], yaw: floa
 def _targets(recording: Path) -> tuple[PlacedTarget, ...]:
     history: dict[str, list[tuple[float, SceneEntity]]] = {}
     for time_ns, scene in _read(recording, SCENE, SceneUpdate):
-        found = [each for each in scene.entities if each.id.startswith(TARGET_ID)]
-        if not found:  # no later frame will have one
+        target_entities = [each for each in scene.entities if each.id.startswith(TARGET_ID)]
+        if not target_entities:  # no later frame will have one
             break
-        for each in found:
+        for each in target_entities:
             history.setdefault(each.id.removeprefix(TARGET_ID), []).append((time_ns / SECOND_NS, each))
     targets = []
     for name, entities in history.items():

@@ -98,19 +98,21 @@ class Resolution:
                 raise ScenarioError(f"{path}: {error}") from error
         return name
 
-    def scenario(self, infos: Sequence[AgentInfo], brought: Mapping[str, str], foreign: Collection[str] = ()) -> dict[str, Any]:
+    def scenario(
+        self, infos: Sequence[AgentInfo], host_kinds: Mapping[str, str], foreign: Collection[str] = ()
+    ) -> dict[str, Any]:
         """The resolved scenario, in TOML's types.
 
         Args:
             infos: the hosts' descriptions of the agents.
-            brought: agent classes that hosts run instead of the scenario's, by vehicle.
+            host_kinds: agent classes that hosts run instead of the scenario's, by vehicle.
             foreign: vehicles with remote hosts.
         """
         scenario, agents = self._scenario, self._scenario.agents
         info_of, files = {info.vehicle: info for info in infos}, {name for info in infos for name in info.files}
         shared, of_agents = self._shared_by_vehicles(), self._shared_by_agents(infos)
         agent_of = {
-            each.name: self._agent(each, info_of.get(each.name), of_agents, brought, each.name in foreign)
+            each.name: self._agent(each, info_of.get(each.name), of_agents, host_kinds, each.name in foreign)
             for each in scenario.vehicle
         }
         placed = [each for each in scenario.vehicle if each.name in self._source.stations]
@@ -139,8 +141,8 @@ class Resolution:
         """Defaults for all agents; tables among them are completed as in the first agent that takes them."""
         shared = {}
         for name, value in self._scenario.agents.defaults.items():
-            taken = [info.params[name] for info in infos if name in info.taken and isinstance(info.params.get(name), dict)]
-            shared[name] = taken[0] if taken else binding.plain(value)
+            tables = [info.params[name] for info in infos if name in info.taken and isinstance(info.params.get(name), dict)]
+            shared[name] = tables[0] if tables else binding.plain(value)
         return shared
 
     def _shared_by_vehicles(self) -> dict[str, Any]:
@@ -196,14 +198,14 @@ class Resolution:
         vehicle: VehicleTable,
         info: AgentInfo | None,
         shared: Mapping[str, Any],
-        brought: Mapping[str, str],
+        host_kinds: Mapping[str, str],
         foreign: bool,
     ) -> dict[str, Any]:
         """``agent = {...}`` of a vehicle without the shared defaults, with the kind that ran."""
         if info is None:
             return {}
         agents, own = self._scenario.agents, vehicle.agent
-        kind = brought.get(vehicle.name) or (own and own.kind) or shared.get("kind") or info.agent
+        kind = host_kinds.get(vehicle.name) or (own and own.kind) or shared.get("kind") or info.agent
         full = _present(
             kind=None if kind == shared.get("kind") else self.portable(kind, foreign=foreign),
             period_s=float(info.ticks.period / SECOND_NS) if agents.period_s is None or (own and own.period_s) else None,
@@ -212,9 +214,11 @@ class Resolution:
             on_lost=own.on_lost if own else None,
             hold_s=own.hold_s if own else None,
         )
-        taken = {name for name in info.taken if name in shared and info.params.get(name) == shared[name]}
+        inherited = {name for name in info.taken if name in shared and info.params.get(name) == shared[name]}
         params = {
-            name: self._keep_files_of(value, info.files, foreign) for name, value in info.params.items() if name not in taken
+            name: self._keep_files_of(value, info.files, foreign)
+            for name, value in info.params.items()
+            if name not in inherited
         }
         return {"agent": {**full, **params}}
 

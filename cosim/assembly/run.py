@@ -125,8 +125,8 @@ class AssembledRun:
         """The resolved scenario (`cosim.assembly.resolved`) with the interventions so far."""
         foreign = {vehicle for vehicle, place in self.where.items() if place == "zenoh"}
         resolved = self.resolution.scenario(self.agents, self.hosts.kinds, foreign)
-        done = [msgspec.to_builtins(each) for each in self.operator.all]
-        return {**resolved, **({"intervention": done} if done else {})}
+        interventions = [msgspec.to_builtins(each) for each in self.operator.all]
+        return {**resolved, **({"intervention": interventions} if interventions else {})}
 
     @property
     def has_outside(self) -> bool:
@@ -283,11 +283,11 @@ def _stack_hosts(
     """Makers of the hosts of stacks, or of what earlier ones answered, by place."""
     from vcmvsp.agents.stack_host import RecordedStack, StackHost
 
-    found: dict[str, Callable[..., StackHost]] = {}
+    makers: dict[str, Callable[..., StackHost]] = {}
     for place, stack in by_place.items():
         used = stack if recorded is None else RecordedStack(stack.vehicles, recorded)
-        found[place] = partial(StackHost, stack=used, log=inputs.on)
-    return found
+        makers[place] = partial(StackHost, stack=used, log=inputs.on)
+    return makers
 
 
 GRAVITY = 9.81  # m/s2, of physics without such a key
@@ -382,15 +382,15 @@ def _operator(scenario: Scenario, source: Source, physics: Federate, airs: "Sequ
 
 
 def _own_metrics(scenario: Scenario, source: Source, resolution: Resolution) -> dict[str, Metric]:
-    found: dict[str, Metric] = {}
+    metrics: dict[str, Metric] = {}
     vehicles = {each.name for each in scenario.vehicle}
     for name, table in scenario.metrics.own.items():
         key = f"metrics.own.{name}"
-        found[name], resolution.metrics[name] = resolution.component("metric", {"kind": "note", **table}, key, guard=maker_of)
-        for vehicle in getattr(found[name], "vehicles", ()):
+        metrics[name], resolution.metrics[name] = resolution.component("metric", {"kind": "note", **table}, key, guard=maker_of)
+        for vehicle in getattr(metrics[name], "vehicles", ()):
             if vehicle not in vehicles:
                 raise source.error(unknown("vehicle", vehicle, vehicles), f"{key}.vehicles")
-    return found
+    return metrics
 
 
 def _info(scenario: Scenario, fleet: Fleet, agents: Sequence[AgentInfo]) -> RunInfo:

@@ -45,7 +45,7 @@ def of_scenario(
     """
     from vcmvsp.physics.vehicles.specification import flies
 
-    found, place = dict[str, Stack](), dict[str, str]()
+    stacks, place = dict[str, Stack](), dict[str, str]()
     names = [each.name for each in scenario.vehicle]
     for kind, content in scenario.stack.items():
         key = f"stack.{kind}"
@@ -60,16 +60,16 @@ def of_scenario(
             "join_timeout_s": scenario.agents.join_timeout_s,
             "tell": tell,
         }
-        found[key], full = resolution.component("stack", {**content, "kind": kind}, key, offered=offered)
+        stacks[key], full = resolution.component("stack", {**content, "kind": kind}, key, offered=offered)
         resolution.tables.setdefault("stack", {})[kind] = {name: each for name, each in full.items() if name != "kind"}
-        for name in found[key].vehicles:
+        for name in stacks[key].vehicles:
             if name not in names:
                 raise source.error(binding.unknown("vehicle", name, names), f"{key}.vehicles")
             if name in scenario.real:
                 raise source.error(f"drives simulated vehicles, and {name} is real", f"{key}.vehicles")
-            if place.setdefault(name, key) != key or found[key].vehicles.count(name) > 1:
+            if place.setdefault(name, key) != key or stacks[key].vehicles.count(name) > 1:
                 raise source.error(f"{name} is driven twice", f"{key}.vehicles")
-    return Stacks(found, place)
+    return Stacks(stacks, place)
 
 
 def paced(scenario: Scenario) -> bool:

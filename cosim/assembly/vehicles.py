@@ -62,8 +62,8 @@ class Fleet:
         """The class of a vehicle's kind, cached so that a file is executed once."""
         if vehicle.kind not in self._classes:
             key = f"vehicle.{vehicle.name}.kind"
-            found = registry.find("vehicle", vehicle.kind, folder=self._source.folder, key=key, origin=self._source)
-            self._classes[vehicle.kind] = found
+            vehicle_class = registry.find("vehicle", vehicle.kind, folder=self._source.folder, key=key, origin=self._source)
+            self._classes[vehicle.kind] = vehicle_class
         return self._classes[vehicle.kind]
 
     def _own(self, vehicle: VehicleTable) -> dict[str, Any]:
@@ -183,8 +183,10 @@ class Placement:
             raise ScenarioError(binding.unknown("vehicle", unknown[0], names), key="agents")
         for name, each in objects.items():
             if not isinstance(each, Agent):
-                made = f"a class: write {each.__name__}(...)" if isinstance(each, type) else binding.show(each)
-                raise ScenarioError(f"must be an object of a class derived from vcmvsp.Agent, not {made}", key=f"agents.{name}")
+                description = f"a class: write {each.__name__}(...)" if isinstance(each, type) else binding.show(each)
+                raise ScenarioError(
+                    f"must be an object of a class derived from vcmvsp.Agent, not {description}", key=f"agents.{name}"
+                )
         self.specs: dict[str, list[AgentSpec]] = {}
         self.where: dict[str, str] = {}
         self.kinds: dict[str, str] = {}
@@ -232,11 +234,11 @@ class Placement:
         fate = own or AgentTable()
         kind = self._kind(vehicle)
         if vehicle.name in self.objects:
-            made = type(self.objects[vehicle.name])
+            agent_class = type(self.objects[vehicle.name])
             key = f"vehicle.{vehicle.name}.agent.kind"
             target = registry.target("agent", kind, key=key, origin=self._source) if kind else ""
-            if target.rpartition(":")[2] != made.__qualname__:
-                self.kinds[vehicle.name] = kind = f"{made.__module__}:{made.__qualname__}"
+            if target.rpartition(":")[2] != agent_class.__qualname__:
+                self.kinds[vehicle.name] = kind = f"{agent_class.__module__}:{agent_class.__qualname__}"
                 own = None  # the scenario's table belongs to another class
         if not kind and where != "zenoh":
             key = f"vehicle.{vehicle.name}.agent.kind"

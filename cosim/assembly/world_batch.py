@@ -93,12 +93,12 @@ class WorldBatch:
         in_air = np.array([flies(model) for model in self._models])
         has_rotors = np.array([isinstance(model, Quadrotor) for model in self._models]) & (self._physics["kind"] == "flight")
         rates = {name: self._physics[name] for name in ("rate_hz", "gravity")}
-        made: list[tuple[Any, NDArray[np.intp]]] = [
+        makers: list[tuple[Any, NDArray[np.intp]]] = [
             (partial(GroundEngine, sensed=False), np.flatnonzero(~in_air)),
             (AerialEngine, np.flatnonzero(in_air & ~has_rotors)),
             (partial(FreeFlightEngine, wind=lambda _: CALM, **rates), np.flatnonzero(has_rotors)),
         ]
-        return [(make, rows) for make, rows in made if rows.size]
+        return [(make, rows) for make, rows in makers if rows.size]
 
     def send(self, sends: NDArray[np.bool_], size_bytes: int) -> "Broadcasts":
         """Broadcast a message of each of these vehicles, (w, n), now."""
@@ -133,26 +133,26 @@ def _unbatchable(scenario: Scenario, fleet: Fleet) -> "list[tuple[str, str]]":
     """Keys and descriptions of what needs a run of its own."""
     from vcmvsp.physics.vehicles.models import GroundVehicle, Point, Quadrotor
 
-    found = []
+    reasons = []
     if scenario.physics.get("kind") not in ("kinematic", "flight"):
-        found.append(("physics.kind", 'vehicles have bodies unless physics.kind is "kinematic" or "flight"'))
+        reasons.append(("physics.kind", 'vehicles have bodies unless physics.kind is "kinematic" or "flight"'))
     if scenario.world.get("kind", "empty") != "empty" or "wind" in scenario.world:
-        found.append(("world", "a world with obstacles or wind"))
+        reasons.append(("world", "a world with obstacles or wind"))
     programs = scenario.bridge.doors, scenario.sockets.vehicles, scenario.stack
     if any((scenario.routing, scenario.radios, scenario.intervention, *programs)):
-        found.append(("routing", "routing, several radios, interventions and external programs"))
+        reasons.append(("routing", "routing, several radios, interventions and external programs"))
     if scenario.agents.latency_s:
-        found.append(("agents.latency_s", "a latency of commands"))
+        reasons.append(("agents.latency_s", "a latency of commands"))
     for each in scenario.vehicle:
         key = f"vehicle.{each.name}"
         if each.pose_source != "truth":
-            found.append((f"{key}.pose_source", "an estimated pose"))
+            reasons.append((f"{key}.pose_source", "an estimated pose"))
         if each.is_real or each.sensors or each.clock or each.battery or each.firmware:
-            found.append((f"{key}.sensors", "sensors, clocks, batteries, firmware and real vehicles"))
+            reasons.append((f"{key}.sensors", "sensors, clocks, batteries, firmware and real vehicles"))
         if each.agent is not None:
-            found.append((f"{key}.agent", "an agent of the scenario"))
+            reasons.append((f"{key}.agent", "an agent of the scenario"))
         if not isinstance(fleet.models[each.name], GroundVehicle | Point | Quadrotor) or getattr(
             fleet.models[each.name], "downwash", False
         ):
-            found.append((f"{key}.kind", "a vehicle of this kind"))
-    return found
+            reasons.append((f"{key}.kind", "a vehicle of this kind"))
+    return reasons

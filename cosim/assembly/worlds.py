@@ -37,8 +37,8 @@ def world_of(what: str, settings: Mapping[str, Any]) -> "tuple[World, str]":
         parsed, source = scenarios.load(what, settings=settings)
         table_, name, seed, settings = dict(parsed.world), parsed.name, parsed.seed, {}
     else:
-        known = binding.unknown("world", what, [*builtin_kinds.KINDS["world"], *scenarios.names()])
-        raise UsageError(f"{known}; or name a file: a world or scenario (.toml), a map (.yaml), GeoJSON, or a mesh")
+        problem = binding.unknown("world", what, [*builtin_kinds.KINDS["world"], *scenarios.names()])
+        raise UsageError(f"{problem}; or name a file: a world or scenario (.toml), a map (.yaml), GeoJSON, or a mesh")
     world, _ = build({**table_, **settings}, source, seed=seed)
     return world, name
 

@@ -131,9 +131,9 @@ def _interruptible(command: Callable[..., None]) -> Callable[..., None]:
     """The command; Ctrl-C is an error of vcmvsp, with its message and exit code."""
 
     @functools.wraps(command)
-    def call(*positional: object, **named: object) -> None:
+    def call(*positional: object, **keywords: object) -> None:
         try:
-            command(*positional, **named)
+            command(*positional, **keywords)
         except KeyboardInterrupt:
             raise Interrupted("interrupted") from None
 

@@ -112,25 +112,25 @@ def _keys(ctx: typer.Context, incomplete: str) -> list[str]:
     prefix = PREFIXES.get(ctx.info_name or "", "")
     if ctx.info_name == "world" and _first(ctx, "world") not in builtin_kinds.KINDS["world"]:
         prefix = ""
-    known = {
+    values_of = {
         key.removeprefix(prefix): values for key, values in _keys_with_names(ctx, prefix + incomplete) if key.startswith(prefix)
     }
     key, equals, _ = incomplete.partition("=")
     if equals:
-        return [f"{key}={value}" for value in known.get(key, ())]
-    found = [incomplete]
-    while len(found) == 1 and (found[0] == incomplete or found[0].endswith(".")):
-        found = [*dict.fromkeys(_to_next_dot(each, found[0]) for each in known if each.startswith(found[0]))]
-        if found == [incomplete]:
+        return [f"{key}={value}" for value in values_of.get(key, ())]
+    matches = [incomplete]
+    while len(matches) == 1 and (matches[0] == incomplete or matches[0].endswith(".")):
+        matches = [*dict.fromkeys(_to_next_dot(each, matches[0]) for each in values_of if each.startswith(matches[0]))]
+        if matches == [incomplete]:
             break
-    if len(found) == 1 and found[0].endswith("="):
-        return [found[0], *(found[0] + value for value in known[found[0].removesuffix("=")])]
-    return found
+    if len(matches) == 1 and matches[0].endswith("="):
+        return [matches[0], *(matches[0] + value for value in values_of[matches[0].removesuffix("=")])]
+    return matches
 
 
-def _to_next_dot(key: str, begun: str) -> str:
-    step, dot, _ = key.removeprefix(begun).partition(".")
-    return f"{begun}{step}{dot or '='}"
+def _to_next_dot(key: str, prefix: str) -> str:
+    step, dot, _ = key.removeprefix(prefix).partition(".")
+    return f"{prefix}{step}{dot or '='}"
 
 
 COMPLETERS: Mapping[str, Callable[..., list[str]]] = {
@@ -154,9 +154,9 @@ def _index() -> Iterator[tuple[str, list[str]]]:
         yield path, values
 
 
-def _keys_with_names(ctx: typer.Context, begun: str) -> Iterator[tuple[str, list[str]]]:
+def _keys_with_names(ctx: typer.Context, prefix: str) -> Iterator[tuple[str, list[str]]]:
     """Keys and their values, with the names of the scenario's vehicles and sensors if the typed prefix needs them."""
-    steps, content = begun.split("."), _content(ctx)
+    steps, content = prefix.split("."), _content(ctx)
     holders = [content.get("vehicles"), *_tables(content, "vehicle")]
     sensors = [name for each in holders if isinstance(each, dict) for name in _mapping(each.get("sensors"))]
     vehicles = steps[1:2] if len(steps) > 2 else _vehicles(ctx)
@@ -186,8 +186,8 @@ def _content(ctx: typer.Context) -> dict[str, Any]:
 
 
 def _tables(content: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
-    found = content.get(name)
-    return [each for each in found if isinstance(each, dict)] if isinstance(found, list) else []
+    value = content.get(name)
+    return [each for each in value if isinstance(each, dict)] if isinstance(value, list) else []
 
 
 def _mapping(value: object) -> dict[str, Any]:
@@ -195,11 +195,11 @@ def _mapping(value: object) -> dict[str, Any]:
 
 
 def _files(incomplete: str, suffix: str) -> list[str]:
-    folder, slash, begun = incomplete.rpartition("/")
+    folder, slash, prefix = incomplete.rpartition("/")
     try:
         inside = sorted(Path(f"{folder}{slash}" or ".").iterdir())
     except OSError:
         return []
-    shown = [each for each in inside if each.name.startswith(begun) and not each.name.startswith(".")]
-    names = {each: f"{folder}{slash}{each.name}" for each in shown}
+    matches = [each for each in inside if each.name.startswith(prefix) and not each.name.startswith(".")]
+    names = {each: f"{folder}{slash}{each.name}" for each in matches}
     return [f"{name}/" if each.is_dir() else name for each, name in names.items() if each.is_dir() or each.suffix == suffix]

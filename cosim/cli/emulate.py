@@ -88,7 +88,7 @@ def robot_command(
         raise UsageError("--vehicle and --set need a scenario: add --scenario")
     errors = {"fix_hz": fix_hz, "sigma_m": sigma_m, "outliers": outliers, "drop_outs": drop_outs, "latency_s": fix_latency_s}
     tags = emulators.tags_of(ubisense=ubisense, dwm1001=dwm1001, tag=tag, seed=seed, option=None, **errors)
-    chosen = emulators.RobotOptions(
+    options = emulators.RobotOptions(
         port=emulators.port_of(port),
         rate_hz=rate_hz,
         faults=emulators.faults_of(faults, seed),
@@ -102,12 +102,12 @@ def robot_command(
     start = pose_of(pose)
     name = str(context.info_name)
     if scenario is None:
-        _show(lambda ready: emulators.emulate_robot(name, chosen, ready, start), as_json=json, driver="arcos")
+        _show(lambda ready: emulators.emulate_robot(name, options, ready, start), as_json=json, driver="arcos")
         return
     settings = scenarios.settings_of(set_ or [])
     _show(
         lambda ready: emulators.emulate_vehicle(
-            name, chosen, ready, start, run=run, scenario_name=scenario, vehicle=vehicle, settings=settings
+            name, options, ready, start, run=run, scenario_name=scenario, vehicle=vehicle, settings=settings
         ),
         as_json=json,
         driver="arcos",
@@ -248,10 +248,10 @@ def _show(emulate: "Callable[[Ready], Mapping[str, Any]]", *, as_json: bool, dri
 
 def _of_scenario(driver: str, about: Mapping[str, Any]) -> list[str]:
     """Lines for the scenario that drives this robot."""
-    known = about["positioning"]
-    places = {"ubisense": ("listen", known.get("ubisense")), "dwm1001": ("port", known.get("dwm1001"))}
-    found = [f'{{ kind = "{kind}", {key} = "{url}" }}' for kind, (key, url) in places.items() if url]
-    where = found[0] if found else '{ kind = "none" }  # by odometry; or add --ubisense udp://127.0.0.1:5010'
+    positioning = about["positioning"]
+    places = {"ubisense": ("listen", positioning.get("ubisense")), "dwm1001": ("port", positioning.get("dwm1001"))}
+    tables = [f'{{ kind = "{kind}", {key} = "{url}" }}' for kind, (key, url) in places.items() if url]
+    where = tables[0] if tables else '{ kind = "none" }  # by odometry; or add --ubisense udp://127.0.0.1:5010'
     return [
         "lines for its [[vehicle]] in the scenario:",
         f'  driver = {{ kind = "{driver}", port = "{about["url"]}" }}',
@@ -287,14 +287,14 @@ def _words(happened: Mapping[str, Any]) -> str:
 
 def _own_stdout() -> Callable[[str], None]:
     """A writer to the present standard output, which stays valid when standard output is redirected."""
-    here = sys.stdout
+    stdout = sys.stdout
 
     def write(text: str) -> None:
-        here.write(text)
-        here.flush()
+        stdout.write(text)
+        stdout.flush()
 
     try:
-        saved = os.dup(here.fileno())
+        saved = os.dup(stdout.fileno())
     except (OSError, ValueError, AttributeError):  # standard output is not a file, as in a notebook
         return write
     return lambda text: _write(saved, text.encode())

@@ -118,8 +118,8 @@ def list_command(keys: KeysDir = HERE, json: AsJson = False) -> None:
         sys.stdout.write(to_json([dict(zip(fields, (*row[:3], row[3].isoformat(), row[4]), strict=True)) for row in rows]))
         return
     width = max(len(row[0]) for row in rows)
-    for name, role, what, until, state in rows:
-        sys.stdout.write(f"{name:<{width}}  {role:<8}  until {until:%Y-%m-%d}  {state:<12}  {what}".rstrip() + "\n")
+    for name, role, names, until, state in rows:
+        sys.stdout.write(f"{name:<{width}}  {role:<8}  until {until:%Y-%m-%d}  {state:<12}  {names}".rstrip() + "\n")
 
 
 @keys_app.command("revoke", short_help="Revoke the certificate of a machine")

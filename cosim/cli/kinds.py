@@ -103,14 +103,14 @@ def reference_command(
     if json:
         import msgspec
 
-        found = tree.Reference(sections=tuple(tree.sections_of(section)))
-        sys.stdout.write(msgspec.json.format(msgspec.json.encode(found), indent=2).decode() + "\n")
+        reference = tree.Reference(sections=tuple(tree.sections_of(section)))
+        sys.stdout.write(msgspec.json.format(msgspec.json.encode(reference), indent=2).decode() + "\n")
         return
     on_terminal = sys.stdout.isatty()
     width = shutil.get_terminal_size().columns if on_terminal else None
     for number, each in enumerate(tree.sections_of(section)):
-        shown = tree.lines(each, width, _strong if on_terminal else str)
-        typer.echo(("\n" if number else "") + "\n".join(shown))
+        lines = tree.lines(each, width, _strong if on_terminal else str)
+        typer.echo(("\n" if number else "") + "\n".join(lines))
 
 
 def world_command(
@@ -154,18 +154,18 @@ def parameters_of(group: str, kind: str | None) -> dict[str, Any]:
         raise UsageError(f"vcmvsp show {group} {kind}: {binding.unknown('word', group, GROUPS.values())}")
     if kind is None:
         raise UsageError(f"vcmvsp show {group}: which one? ({', '.join(builtin_kinds.KINDS[group])})")
-    found = registry.find(group, kind, folder=Path.cwd())
-    means = describe.meanings(found, joined=True)
+    maker = registry.find(group, kind, folder=Path.cwd())
+    meanings = describe.meanings(maker, joined=True)
     parameters = {
         name: {
             "type": describe.type_of(name, parameter.annotation),
             "default": None if parameter.required else binding.plain(parameter.default),
             "required": parameter.required,
-            "meaning": means.get(name, ""),
+            "meaning": meanings.get(name, ""),
         }
-        for name, parameter in binding.parameters(found).items()
+        for name, parameter in binding.parameters(maker).items()
     }
-    return {"kind": kind, "summary": describe.summary(found), "about": inspect.getdoc(found) or "", "parameters": parameters}
+    return {"kind": kind, "summary": describe.summary(maker), "about": inspect.getdoc(maker) or "", "parameters": parameters}
 
 
 def _text(about: dict[str, Any]) -> str:
@@ -231,16 +231,16 @@ def names_of(part: str, name: str) -> tuple[str, str]:
     Raises:
         UsageError: the name cannot be converted.
     """
-    here = f"vcmvsp new {part} {name}"
+    command = f"vcmvsp new {part} {name}"
     if Path(name).name != name or "\\" in name:
-        raise UsageError(f"{here}: is a path; give only a name, and the folder with --out DIR")
+        raise UsageError(f"{command}: is a path; give only a name, and the folder with --out DIR")
     if not NAME.fullmatch(name) or len(name) > LONGEST:
         words = "starts with a letter and has only letters, digits, - and _"
-        raise UsageError(f"{here}: a name {words}, {LONGEST} at most, such as follow-wall")
+        raise UsageError(f"{command}: a name {words}, {LONGEST} at most, such as follow-wall")
     snake = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).replace("-", "_").lower()
     camel = "".join(each.capitalize() for each in snake.split("_"))
     if keyword.iskeyword(snake) or keyword.iskeyword(camel):
-        raise UsageError(f"{here}: is a keyword of Python; choose another name, such as my-{name}")
+        raise UsageError(f"{command}: is a keyword of Python; choose another name, such as my-{name}")
     return snake, camel
 
 
@@ -276,19 +276,21 @@ def _refuse_taken(part: str, snake: str, camel: str, folder: Path) -> None:
     from vcmvsp.cosim.config import builtin_kinds
     from vcmvsp.cosim.scenario import loader as scenarios
 
-    here = f"vcmvsp new {part} {snake}"
+    command = f"vcmvsp new {part} {snake}"
     layers = [group for group, verb in builtin_kinds.VERBS.items() if "frame" in verb or "paths" in verb]
     groups = {"channel": layers, "scenario": [], "task": []}.get(part, [part])
     built_in = scenarios.names() if part == "scenario" else [kind for group in groups for kind in builtin_kinds.KINDS[group]]
     if snake in {each.replace("-", "_") for each in built_in}:
-        raise UsageError(f"{here}: a built-in {part} has this name; choose another one, such as my-{snake}")
+        raise UsageError(f"{command}: a built-in {part} has this name; choose another one, such as my-{snake}")
     if part == "scenario":
         return
     if part == "channel" and snake == "received":  # in recordings the name of the outcome "not lost"
-        raise UsageError(f"{here}: losses with this cause would count as received; choose another name, such as my-{snake}")
+        raise UsageError(f"{command}: losses with this cause would count as received; choose another name, such as my-{snake}")
     spec = importlib.util.find_spec(snake)
     if spec is not None and spec.origin != str((folder / f"{snake}.py").resolve()):
-        raise UsageError(f"{here}: {snake}.py would hide a module of Python or vcmvsp; choose another name, such as my-{snake}")
-    used = "".join((TEMPLATES / f"{each}.py.tmpl").read_text("utf-8") for each in (part, f"{part}_test"))
-    if re.search(rf"\b{camel}\b", used):
-        raise UsageError(f"{here}: the template already uses '{camel}'; choose another name, such as my-{snake}")
+        raise UsageError(
+            f"{command}: {snake}.py would hide a module of Python or vcmvsp; choose another name, such as my-{snake}"
+        )
+    templates = "".join((TEMPLATES / f"{each}.py.tmpl").read_text("utf-8") for each in (part, f"{part}_test"))
+    if re.search(rf"\b{camel}\b", templates):
+        raise UsageError(f"{command}: the template already uses '{camel}'; choose another name, such as my-{snake}")

@@ -99,14 +99,14 @@ def exec_command(
     network = _chosen(run)
     space = network.space(vehicle)
     if space is None:
-        there = ", ".join(each.vehicle for each in network.spaces)
-        raise UsageError(f"{vehicle}: run {network.run} has no namespace for this vehicle; vehicles: {there}")
+        vehicles = ", ".join(each.vehicle for each in network.spaces)
+        raise UsageError(f"{vehicle}: run {network.run} has no namespace for this vehicle; vehicles: {vehicles}")
     sys.stdout.flush()
     try:
         networks.run_inside(network, space, command)
     except OSError as error:
-        what = f"{error.filename}: " if error.filename else ""
-        raise UsageError(f"{' '.join(command)}: {what}{error.strerror}") from error
+        file = f"{error.filename}: " if error.filename else ""
+        raise UsageError(f"{' '.join(command)}: {file}{error.strerror}") from error
 
 
 @net_app.command("status", short_help="Show the networks on this machine")
@@ -118,13 +118,13 @@ def status_command(json: AsJson = False) -> None:
     from vcmvsp.cosim.assembly.parts import networks
 
     try:
-        known = networks.networks()
+        run_networks = networks.networks()
     except OSError as error:  # a file of another user, not readable
         raise UsageError(f"{error.filename}: {error.strerror}: repeat as root (sudo)") from error
     if json:
-        sys.stdout.write(f"{jsons.dumps(msgspec.to_builtins(known))}\n")
-    elif known:
-        sys.stdout.writelines(f"{line}\n" for each in known for line in _lines(each))
+        sys.stdout.write(f"{jsons.dumps(msgspec.to_builtins(run_networks))}\n")
+    elif run_networks:
+        sys.stdout.writelines(f"{line}\n" for each in run_networks for line in _lines(each))
     else:
         sys.stdout.write("no run has a network on this machine\n")
 
@@ -141,8 +141,8 @@ def down_command(
     from vcmvsp.cosim.assembly.parts import networks
 
     _check_rights()
-    known = networks.networks()
-    chosen = [each for each in known if each.run == run or (run is None and (force or not each.alive))]
+    run_networks = networks.networks()
+    chosen = [each for each in run_networks if each.run == run or (run is None and (force or not each.alive))]
     for each in chosen:
         if each.alive and not force:
             raise UsageError(f"run {each.run} is alive (process {each.pid}): end it with Ctrl-C, or add --force")
@@ -167,9 +167,9 @@ def _chosen(run: str | None) -> "RunNetwork":
     from vcmvsp.cosim.assembly.parts import networks
 
     alive = [each for each in networks.networks() if each.alive]
-    found = [each for each in alive if run is None or each.run == run]
-    if len(found) == 1:
-        return found[0]
+    matches = [each for each in alive if run is None or each.run == run]
+    if len(matches) == 1:
+        return matches[0]
     if not alive:
         raise UsageError("no run has a network on this machine: start one with 'vcmvsp net up SCENARIO'")
     names = ", ".join(each.run for each in alive)
@@ -190,5 +190,5 @@ def _rows(space: "Space") -> list[tuple[str, ...]]:
     """Vehicle and addresses; of several radios one for each, with its name."""
     if not space.radios:
         return [(space.vehicle, *space.addresses)]
-    named = [space.vehicle, *[""] * (len(space.radios) - 1)]
-    return [(name, each.radio, *each.addresses) for name, each in zip(named, space.radios, strict=True)]
+    names = [space.vehicle, *[""] * (len(space.radios) - 1)]
+    return [(name, each.radio, *each.addresses) for name, each in zip(names, space.radios, strict=True)]

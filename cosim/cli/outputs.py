@@ -86,12 +86,12 @@ def export_command(
 
     formats = {"rosbag2": rosbag2, "csv": csv, "mp4": mp4, "layout": layout}
     paths = {name: (out or run_dir) / NAMES[name] for name, is_wanted in formats.items() if is_wanted}
-    with StatusDisplay(quiet=quiet) as shown:
+    with StatusDisplay(quiet=quiet) as display:
 
         def on_part(name: str, part: float) -> None:
-            shown.show(f"{name}: {100 * part:.0f} %", part, 1.0)
+            display.show(f"{name}: {100 * part:.0f} %", part, 1.0)
 
-        written = export(run_dir, **paths, force=force, tell=shown.tell, progress=on_part)
+        written = export(run_dir, **paths, force=force, tell=display.tell, progress=on_part)
     for path in written:
         sys.stdout.write(f"{path}\n")
 

@@ -233,8 +233,8 @@ def _explained(folder: Path, link: str | None, frame: str | None, *, trust: bool
         report = frame_report(log, pairs[0], frame, trust=trust)
         return {**head, "frame": report}, link_text.frame_text(report)
     if single:
-        found = links.link_report(log, pairs[0])
-        return {**head, "links": [found]}, link_text.link_text(found)
+        link_report = links.link_report(log, pairs[0])
+        return {**head, "links": [link_report]}, link_text.link_text(link_report)
     rows = links.overview(log, link or "*/*")
     text = link_text.overview_text(rows, log.vehicles)
     if link is not None:
@@ -276,8 +276,8 @@ def _draw_coverage(
     names = {"at": "at_s", "size": "size_bytes", "height": "height_m", "resolution": "resolution_m", "seed": "seed"}
     settings = loader.settings_of(arguments.get("set", []))
     options = {names[name]: arguments[name] for name in arguments if name in names}
-    found = maps.coverage(what, vehicle, set=settings, trust=trust, **options)
-    answer = maps.to_table(found)
+    coverage_map = maps.coverage(what, vehicle, set=settings, trust=trust, **options)
+    answer = maps.to_table(coverage_map)
     out = arguments.get("out")
     if json and out is None:
         return answer, ""
@@ -285,10 +285,10 @@ def _draw_coverage(
     from vcmvsp.cosim.plots import radio_plots, style
 
     try:
-        style.save_png(radio_plots.coverage(found), out)
+        style.save_png(radio_plots.coverage(coverage_map), out)
     except OSError as error:
         raise UsageError(f"--out {out}: {error.strerror or error}") from error
-    return {**answer, "file": str(out)}, maps.summary(found) + f"map: {out}\n"
+    return {**answer, "file": str(out)}, maps.summary(coverage_map) + f"map: {out}\n"
 
 
 def _channel(
@@ -472,27 +472,27 @@ def calibrate_recognition_command(
     rates = Rates()
     with stdout_to_stderr(), StatusDisplay(quiet=quiet) as progress:
         settings = scenarios.settings_of(set_ or [])
-        taken = Snapshots(scenario, vehicle=vehicle, height_m=height, cell_m=cell, seed=seed, settings=settings)
+        snapshots = Snapshots(scenario, vehicle=vehicle, height_m=height, cell_m=cell, seed=seed, settings=settings)
         for number in range(frames):
-            rates.add(taken.take(number, frames))
+            rates.add(snapshots.take(number, frames))
             progress.show(f"{number + 1} of {frames} pictures", number + 1, frames)
     about = {
         "scenario": scenario,
-        "vehicle": taken.vehicle,
-        "height_m": taken.height_m,
-        "cell_m": taken.cell_m,
+        "vehicle": snapshots.vehicle,
+        "height_m": snapshots.height_m,
+        "cell_m": snapshots.cell_m,
         "frames": frames,
     }
-    sys.stdout.write(to_json({**about, **rates.plain()}) if json else _text(about, rates, taken))
+    sys.stdout.write(to_json({**about, **rates.plain()}) if json else _text(about, rates, snapshots))
 
 
-def _text(about: dict[str, Any], rates: "Rates", taken: "Snapshots") -> str:
+def _text(about: dict[str, Any], rates: "Rates", snapshots: "Snapshots") -> str:
     lines = [
         f"{about['vehicle']} of {about['scenario']}: {about['frames']} pictures from {about['height_m']:g} m, "
         f"cells of {about['cell_m']:g} m",
         "",
     ]
-    named: dict[str, Share] = {
+    shares: dict[str, Share] = {
         "p, share of hits in looks at cells with a target": rates.p,
         "q, share of hits in looks at cells without a target": rates.q,
         "precision": rates.precision,
@@ -500,8 +500,8 @@ def _text(about: dict[str, Any], rates: "Rates", taken: "Snapshots") -> str:
         "recall, unoccluded": rates.unoccluded,
         **{f"recall, unoccluded, {ring} of the picture": each for ring, each in rates.by_ring.items()},
     }
-    lines += aligned((name, _words(each)) for name, each in named.items())
-    lines += ["", f"[{taken.table}]", f"p = {_number(rates.p.mean)}", f"q = {_number(rates.q.mean)}", ""]
+    lines += aligned((name, _words(each)) for name, each in shares.items())
+    lines += ["", f"[{snapshots.table}]", f"p = {_number(rates.p.mean)}", f"q = {_number(rates.q.mean)}", ""]
     if rates.p.mean <= rates.q.mean:
         lines += ["# p must be greater than q: these looks carry no information for the map", ""]
     return "\n".join(lines)

@@ -112,14 +112,14 @@ def watch_command(
         return
     newest_only = not json and sys.stdout.isatty()
     batches = watch(endpoint, topic or ["**"], every_s=REFRESH_S if newest_only else 0.0, **connection)
-    left = sys.maxsize if count is None else count
+    remaining = sys.maxsize if count is None else count
     with contextlib.closing(batches):
         for batch in batches:
-            shown = (_newest(batch) if newest_only else batch)[:left]
-            sys.stdout.writelines(map(_as_json if json else line, shown))
+            events = (_newest(batch) if newest_only else batch)[:remaining]
+            sys.stdout.writelines(map(_as_json if json else line, events))
             sys.stdout.flush()
-            left -= len(shown)
-            if left == 0:
+            remaining -= len(events)
+            if remaining == 0:
                 break
 
 
@@ -196,8 +196,8 @@ def _waypoint(value: Fields) -> str:
 
 
 def _scan(value: Fields) -> str:
-    met = [each for each in value["ranges"] if each is not None]
-    return f"{len(value['ranges'])} beams, " + (f"the nearest {min(met):.2f} m" if met else "all free")
+    ranges_m = [each for each in value["ranges"] if each is not None]
+    return f"{len(value['ranges'])} beams, " + (f"the nearest {min(ranges_m):.2f} m" if ranges_m else "all free")
 
 
 def _message(value: Fields) -> str:
@@ -234,8 +234,8 @@ def _map(value: Fields) -> str:
 
 
 def _sightings(value: Fields) -> str:
-    found = [f"{each['target']} {each['score']:.2f} at {_vector(each['place'], 'm')}" for each in value["found"]]
-    return f"{value['sensor']}: {', '.join(found) or 'nothing'}"
+    sightings = [f"{each['target']} {each['score']:.2f} at {_vector(each['place'], 'm')}" for each in value["found"]]
+    return f"{value['sensor']}: {', '.join(sightings) or 'nothing'}"
 
 
 def _sheet(value: Fields) -> str:
@@ -292,17 +292,17 @@ def doctor_command(
 
 def report(checks: "Iterable[Check]", *, as_json: bool = False) -> int:
     """Print a line per finished check; returns exit code 0 if all passed, else 1."""
-    found = []
+    results = []
     for name, ok, words in checks:
-        found.append({"name": name, "ok": ok, "words": words})
+        results.append({"name": name, "ok": ok, "words": words})
         if not as_json:
             sys.stdout.write(f"{'ok' if ok else 'FAILS':<6} {name}: {words}\n")
             sys.stdout.flush()
     if as_json:
         from vcmvsp.cosim.util.files import to_json
 
-        sys.stdout.write(to_json(found))
-    return 0 if all(check["ok"] for check in found) else 1
+        sys.stdout.write(to_json(results))
+    return 0 if all(check["ok"] for check in results) else 1
 
 
 def installation() -> "Iterator[Check]":

@@ -90,13 +90,13 @@ def operator_command(
 
     sys.stdout.write("robots drive while this runs; Ctrl-C stops them\n")
     with contextlib.suppress(KeyboardInterrupt), StopCaller() as caller:
-        shown, due = None, time.monotonic()
+        printed, due = None, time.monotonic()
         while True:
-            there = sorted(each.vehicle for each in caller.say("alive"))
-            if there != shown:
-                sys.stdout.write(f"{', '.join(there) or NOBODY}\n")
+            vehicles = sorted(each.vehicle for each in caller.say("alive"))
+            if vehicles != printed:
+                sys.stdout.write(f"{', '.join(vehicles) or NOBODY}\n")
                 sys.stdout.flush()
-                shown = there
+                printed = vehicles
             due = max(due + 1.0 / rate_hz, time.monotonic())
             time.sleep(max(0.0, due - time.monotonic()))
     answers, _ = stopped([])
@@ -112,8 +112,8 @@ def stopped(vehicles: Sequence[str]) -> "tuple[list[StationAnswer], list[str]]":
     with StopCaller() as caller:
         stations = caller.say("stop", vehicles)
         answers = caller.answers(stations)
-    there = {each.vehicle for each in stations}
-    missing = [each for each in vehicles if each[:LONGEST_NAME] not in there]
+    with_station = {each.vehicle for each in stations}
+    missing = [each for each in vehicles if each[:LONGEST_NAME] not in with_station]
     return answers, missing if vehicles or stations else ["any"]
 
 

@@ -182,8 +182,8 @@ def demo_command(
     lines = [["run", "lost", "age", "formation error, RMS"]]
     for name, settings in DEMO.items():
         with stdout_to_stderr(), Progress(quiet=quiet) as progress:
-            shown: dict[str, Any] = {"progress": progress.on_instant, "tell": progress.tell}
-            result = api.run("formation-slalom", set=settings, out=folder / name, force=force, **shown)
+            callbacks: dict[str, Any] = {"progress": progress.on_instant, "tell": progress.tell}
+            result = api.run("formation-slalom", set=settings, out=folder / name, force=force, **callbacks)
         radio, error_m = result.metrics["radio"], result.metrics["formation"]["rms_m"]
         lost, age_ms = 100.0 * (1.0 - radio["delivery_ratio"]), 1000.0 * radio["age_s"]["mean"]
         lines.append([name, f"{lost:.0f} %", f"{age_ms:.0f} ms", f"{error_m:.3f} m"])
@@ -403,8 +403,8 @@ def _table(points: Sequence[Mapping[str, Any]], keys: Sequence[str], metrics: Se
     return text + (f"... and {len(points) - SHOWN} more points, in summary.csv\n" if len(points) > SHOWN else "")
 
 
-def _band(found: Mapping[str, float | None]) -> str:
-    if found["mean"] is None:
+def _band(statistics: Mapping[str, float | None]) -> str:
+    if statistics["mean"] is None:
         return "-"
-    band = "" if found["low"] is None else f" [{found['low']:.4g}, {found['high']:.4g}]"
-    return f"{found['mean']:.4g}{band}"
+    band = "" if statistics["low"] is None else f" [{statistics['low']:.4g}, {statistics['high']:.4g}]"
+    return f"{statistics['mean']:.4g}{band}"

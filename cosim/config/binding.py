@@ -50,20 +50,22 @@ def _parameters(target: Callable[..., object]) -> Mapping[str, Parameter]:
         hints = typing.get_type_hints(holder, include_extras=True)
     except (NameError, TypeError):
         hints = {}
-    made: dict[str, Callable[[], Any]] = {}  # factories of mutable defaults
+    factories: dict[str, Callable[[], Any]] = {}  # factories of mutable defaults
     if isinstance(target, type) and issubclass(target, msgspec.Struct):
         hints = typing.get_type_hints(target, include_extras=True)
-        made = {each.name: each.default_factory for each in msgspec.structs.fields(target) if callable(each.default_factory)}
-    found: dict[str, Parameter] = {}
+        factories = {
+            each.name: each.default_factory for each in msgspec.structs.fields(target) if callable(each.default_factory)
+        }
+    by_name: dict[str, Parameter] = {}
     for name, parameter in inspect.signature(target).parameters.items():
         if parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY):
             required = parameter.default is parameter.empty
-            default = made[name]() if name in made else parameter.default
-            found[name] = Parameter(hints.get(name, Any), None if required else default, required)
+            default = factories[name]() if name in factories else parameter.default
+            by_name[name] = Parameter(hints.get(name, Any), None if required else default, required)
         elif parameter.kind is parameter.VAR_KEYWORD and isinstance(target, type):  # passed to the next class of the MRO
             line = [base for base in target.__mro__ if "__init__" in vars(base)]
-            found |= {name: each for name, each in _parameters(line[1]).items() if name not in found}
-    return types.MappingProxyType(found)
+            by_name |= {name: each for name, each in _parameters(line[1]).items() if name not in by_name}
+    return types.MappingProxyType(by_name)
 
 
 def call(
@@ -244,7 +246,7 @@ def _item(annotation: object, number: int) -> object:
     if origin is typing.Annotated:
         return _item(inner[0], number)
     if origin in (typing.Union, types.UnionType):
-        return next((found for each in inner if (found := _item(each, number)) is not Any), Any)
+        return next((item for each in inner if (item := _item(each, number)) is not Any), Any)
     if len(inner) == 1 or inner[-1:] == (Ellipsis,):
         return inner[0]
     return inner[number] if number < len(inner) else Any  # of a union, the items may be those of another type

@@ -40,14 +40,14 @@ class _Document:
         self._next, self._line = next(self._tokens, ("", 0))
 
     def read(self) -> None:
-        here = ""
+        table = ""
         while self._next:
             if self._next == "\n":
                 self._take()
             elif self._next == "[":
-                here = self._header()
+                table = self._header()
             else:
-                self._pair(here)
+                self._pair(table)
 
     def _take(self) -> str:
         token = self._next
@@ -67,16 +67,16 @@ class _Document:
         self.lines[path] = line
         return path
 
-    def _pair(self, here: str) -> None:
-        self._value(self._key(here, "="))
+    def _pair(self, table: str) -> None:
+        self._value(self._key(table, "="))
 
-    def _key(self, here: str, end: str) -> str:
+    def _key(self, key: str, end: str) -> str:
         line = self._line
         while self._next and (part := self._take()) not in (end, "\n"):
             if part != ".":
-                here = ".".join(filter(None, (self._last(here), _text(part))))
-                self.lines.setdefault(here, line)
-        return here
+                key = ".".join(filter(None, (self._last(key), _text(part))))
+                self.lines.setdefault(key, line)
+        return key
 
     def _last(self, path: str) -> str:
         """The path, with the last table of an array that it names."""

@@ -96,15 +96,15 @@ def find(group: str, kind: str, *, folder: Path | None = None, key: str = "kind"
         raise origin.error(problem, key) from error
     if is_own and (code := allowed_code.get()):
         code.took(kind, module)
-    found = getattr(module, name, None)
-    if found is None:
+    maker = getattr(module, name, None)
+    if maker is None:
         raise origin.error(f"'{where}' has no class '{name}'", key)
-    lacking = [verb for verb in re.findall(r"\w+(?:\(.*?\))?", VERBS[group]) if not hasattr(found, verb.partition("(")[0])]
-    if aim != NOTHING and (lacking or not callable(found)):
+    lacking = [verb for verb in re.findall(r"\w+(?:\(.*?\))?", VERBS[group]) if not hasattr(maker, verb.partition("(")[0])]
+    if aim != NOTHING and (lacking or not callable(maker)):
         article = "an" if group[0] in "aeiou" else "a"
         problem = f"'{kind}' is not {article} {group.replace('_', '-')}: it lacks {', '.join(lacking) or VERBS[group]}"
         raise origin.error(problem, key)
-    return found
+    return maker
 
 
 def target(group: str, kind: str, *, key: str = "kind", origin: Source = NOWHERE) -> str:
@@ -146,8 +146,8 @@ def load_file(path: Path) -> ModuleType:
         loader.exec_module(module)
     finally:
         sys.path.remove(str(path.parent))
-        for other in [each for each in sys.modules if each not in before and _lies_in(sys.modules[each], path.parent)]:
-            del sys.modules[other]  # modules beside the file are private to it and not cached
+        for module_name in [each for each in sys.modules if each not in before and _lies_in(sys.modules[each], path.parent)]:
+            del sys.modules[module_name]  # modules beside the file are private to it and not cached
     return module
 
 
@@ -239,7 +239,7 @@ def classes_in(value: object) -> list[str]:
     """All ``module:Class`` and ``file.py:Class`` strings in a TOML value."""
     if isinstance(value, str):
         return [value] if is_file_kind(value) or _MODULE_KIND.fullmatch(value) else []
-    return list(dict.fromkeys(found for each in parts_of(value) for found in classes_in(each)))
+    return list(dict.fromkeys(name for each in parts_of(value) for name in classes_in(each)))
 
 
 def host_options(tables: object, folder: str) -> list[str]:
@@ -280,18 +280,18 @@ class OwnCode:
             raise ScenarioError(f"'{kind}' is user code, which is not executed when results are read; --trust allows it")
         if ":" not in kind:
             return None
-        known, own = kind in self._kinds, Path(kind.rpartition(":")[0])
+        is_allowed, path = kind in self._kinds, Path(kind.rpartition(":")[0])
         if not is_file_kind(kind):
-            if not known:
+            if not is_allowed:
                 raise ScenarioError(f"the run requests '{kind}', which this host does not allow: add --allow {kind}")
             return None
-        if known and (own.is_file() or self._folder is None):
-            return own.resolve()
+        if is_allowed and (path.is_file() or self._folder is None):
+            return path.resolve()
         if self._folder is None:
             raise ScenarioError(
-                f"the run requests '{kind}', but this host has no folder of code: add --folder DIR with {own.name}"
+                f"the run requests '{kind}', but this host has no folder of code: add --folder DIR with {path.name}"
             )
-        return (self._folder / own.name).resolve()
+        return (self._folder / path.name).resolve()
 
     def took(self, kind: str, module: ModuleType) -> None:
         """Tell the user which file a class comes from."""

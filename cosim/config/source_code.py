@@ -27,15 +27,15 @@ def fingerprint(spec: AgentSpec) -> dict[str, str]:
 
     Files that are not on this machine are left out.
     """
-    found = {name: metadata.version(name) for name in LIBRARIES}
+    versions = {name: metadata.version(name) for name in LIBRARIES}
     kind = spec.kind
     with contextlib.suppress(ScenarioError):  # a short name unknown on this machine
         kind = registry.target("agent", spec.kind)
     for each in classes_in([kind, spec.params, spec.defaults]):
         path = _path(each, Path(spec.folder))
         if path is not None and path.is_file():
-            found |= _sources(path.resolve())
-    return found
+            versions |= _sources(path.resolve())
+    return versions
 
 
 def difference(here: Mapping[str, str], there: Mapping[str, str]) -> str:
@@ -69,17 +69,17 @@ def _sources(path: Path) -> dict[str, str]:
     while (root / "__init__.py").is_file():
         root = root.parent
     only = path.relative_to(root).parts[0] if root.name in _INSTALLED else None
-    found: dict[str, str] = {}
+    hashes: dict[str, str] = {}
     waiting = [path]
-    while waiting and len(found) < MOST_FILES:
+    while waiting and len(hashes) < MOST_FILES:
         file = waiting.pop()
         name = file.relative_to(root).as_posix()
-        if name in found or only not in (None, name.partition("/")[0]):
+        if name in hashes or only not in (None, name.partition("/")[0]):
             continue
         content = file.read_bytes()
-        found[name] = hashlib.sha256(content).hexdigest()
+        hashes[name] = hashlib.sha256(content).hexdigest()
         waiting += _imported(content, file, root)
-    return found
+    return hashes
 
 
 def _imported(content: bytes, file: Path, root: Path) -> Iterator[Path]:

@@ -252,8 +252,8 @@ class Fusion:
                 share = (until_ns - since_ns) / (node.time_ns - odometry.start_ns)
                 return OdometryMotion(odometry.distance_m * share, odometry.turn_rad * share, seconds)
         odometry_ns = until_ns if self._odometry_ns is None else self._odometry_ns
-        held = max(min(until_ns, odometry_ns + self._coast_ns) - max(since_ns, odometry_ns), 0) / SECOND_NS
-        return OdometryMotion(self._speed[0] * held, self._speed[1] * held, seconds, measured=False)
+        coasting_s = max(min(until_ns, odometry_ns + self._coast_ns) - max(since_ns, odometry_ns), 0) / SECOND_NS
+        return OdometryMotion(self._speed[0] * coasting_s, self._speed[1] * coasting_s, seconds, measured=False)
 
     def _corrected(self, belief: _FilterState, time_ns: int, position: MeasuredPosition) -> tuple[_FilterState, Verdict]:
         items = kalman_filter.trimmed((*belief.items, position))

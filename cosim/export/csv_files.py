@@ -83,7 +83,7 @@ def _read(source: Source) -> Iterator[tuple[Recorded, Any]]:
 
 def _headers(source: Source) -> tuple[dict[str, list[str]], int, tuple[int, int]]:
     """The columns of each file, from all values to be written; numbers of messages and frames, and the last time, ns."""
-    found: dict[str, dict[str, None]] = {}
+    headers: dict[str, dict[str, None]] = {}
     rows = Counter[str]()
     count = frames = end_ns = 0
     for record, value in _read(source):
@@ -91,19 +91,19 @@ def _headers(source: Source) -> tuple[dict[str, list[str]], int, tuple[int, int]
         if (row := _row(value)) is not None:
             name = _place(record.topic)[1]
             rows[name] += 1
-            found.setdefault(name, {}).update(dict.fromkeys(row))
+            headers.setdefault(name, {}).update(dict.fromkeys(row))
     most = max(limits.CELLS, (source.folder / FILE).stat().st_size)
-    for name, columns in found.items():
+    for name, columns in headers.items():
         limits.within(rows[name] * len(columns), most, f"cells of {name}.csv")
-    return {name: list(columns) for name, columns in found.items()}, count, (frames, end_ns)
+    return {name: list(columns) for name, columns in headers.items()}, count, (frames, end_ns)
 
 
 def _place(topic: str) -> tuple[str, str]:
-    vehicle, _, what = topic.partition("/")
-    if what in FILES:
-        return vehicle, FILES[what]
-    taken = what in (RADIO, ERRORS) or what in FILES.values()
-    return vehicle, f"{what.replace('/', '_')}{'_sensor' if taken else ''}"
+    vehicle, _, subtopic = topic.partition("/")
+    if subtopic in FILES:
+        return vehicle, FILES[subtopic]
+    is_taken = subtopic in (RADIO, ERRORS) or subtopic in FILES.values()
+    return vehicle, f"{subtopic.replace('/', '_')}{'_sensor' if is_taken else ''}"
 
 
 def _row(value: object) -> Mapping[str, Any] | None:

@@ -68,22 +68,22 @@ class _Content:
             return topic.endswith(("/note", "/state"))
 
         for record in source.only(is_wanted):
-            vehicle, _, what = record.topic.partition("/")
-            if what == "note":
+            vehicle, _, subtopic = record.topic.partition("/")
+            if subtopic == "note":
                 noted.setdefault(vehicle, {}).update(values.of(record).values)
-            elif what == "state" and isinstance(state := values.of(record), VehicleState):
+            elif subtopic == "state" and isinstance(state := values.of(record), VehicleState):
                 low, high = np.fmin(low, state.position[:2]), np.fmax(high, state.position[:2])
         self.noted: Mapping[str, Mapping[str, Any]] = noted
-        known = (np.abs([low, high]) < FARTHEST_M).all()
-        self.middle: list[float] = (0.5 * (low + high)).tolist() if known else [0.0, 0.0]
-        self.size_m = max(LEAST_VIEW_M, float((high - low).max())) if known else LEAST_VIEW_M
+        is_bounded = (np.abs([low, high]) < FARTHEST_M).all()
+        self.middle: list[float] = (0.5 * (low + high)).tolist() if is_bounded else [0.0, 0.0]
+        self.size_m = max(LEAST_VIEW_M, float((high - low).max())) if is_bounded else LEAST_VIEW_M
         keys = [name for name in WORDS if any(isinstance(values.get(name), str) for values in noted.values())][:1]
         self.words = [(vehicle, name) for name in keys for vehicle in self.vehicles if name in noted.get(vehicle, {})]
 
     def curves(self, paths: Sequence[tuple[str, str]]) -> list[dict[str, Any]]:
         """Curves of vehicles, given vehicle and path of the number after its name."""
-        shown = paths[:MOST_CURVES]
-        return [self._curve(f"{vehicle}/{path}", f"{vehicle} {path.rpartition('.')[2]}", vehicle) for vehicle, path in shown]
+        curves = paths[:MOST_CURVES]
+        return [self._curve(f"{vehicle}/{path}", f"{vehicle} {path.rpartition('.')[2]}", vehicle) for vehicle, path in curves]
 
     def _curve(self, path: str, label: str, vehicle: str) -> dict[str, Any]:
         look = {"enabled": True, "timestampMethod": "receiveTime", "lineSize": 1.5, "showLine": True}
@@ -97,18 +97,18 @@ class _Content:
 
     def of(self, schema: str) -> list[tuple[str, str]]:
         """The topics with this schema, one per vehicle: vehicle, and the rest of the name."""
-        found: dict[str, str] = {}
+        subtopics: dict[str, str] = {}
         for topic, each in self.topics.items():
-            vehicle, _, what = topic.partition("/")
+            vehicle, _, subtopic = topic.partition("/")
             if each == schema and vehicle in self.vehicles:
-                found.setdefault(vehicle, what)
-        return list(found.items())
+                subtopics.setdefault(vehicle, subtopic)
+        return list(subtopics.items())
 
 
 def _plots(content: _Content) -> dict[str, tuple[str, list[dict[str, Any]]]]:
-    wheels = [(vehicle, f"{what}.v") for vehicle, what in content.of("vcmvsp.Odometry")]
-    known = {vehicle for vehicle, _ in wheels}
-    flown = [(name, f"state.velocity[{axis}]") for name in content.vehicles if name not in known for axis in range(2)]
+    wheels = [(vehicle, f"{subtopic}.v") for vehicle, subtopic in content.of("vcmvsp.Odometry")]
+    with_wheels = {vehicle for vehicle, _ in wheels}
+    flown = [(name, f"state.velocity[{axis}]") for name in content.vehicles if name not in with_wheels for axis in range(2)]
     errors = [
         (vehicle, f"note.values.{name}")
         for vehicle, values in content.noted.items()
@@ -169,8 +169,8 @@ def _scene(content: _Content) -> dict[str, Any]:
 
 
 def _image(topic: str, content: _Content) -> dict[str, Any]:
-    shown = topic.removesuffix(f"/{PICTURE}")
-    marks = {shown: {"visible": True}} if content.topics.get(shown) == "foxglove.ImageAnnotations" else {}
+    annotation_topic = topic.removesuffix(f"/{PICTURE}")
+    marks = {annotation_topic: {"visible": True}} if content.topics.get(annotation_topic) == "foxglove.ImageAnnotations" else {}
     return {"title": topic, "imageMode": {"imageTopic": topic, "annotations": marks}}
 
 

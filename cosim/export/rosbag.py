@@ -98,8 +98,8 @@ class Bag:
         if name not in self._connections:
             qos = [_qos()] if latched else []
             store = ros.store()
-            made = self._writer.add_connection(name, kind, typestore=store, offered_qos_profiles=qos)
-            self._connections[name] = topic, made
+            new_connection = self._writer.add_connection(name, kind, typestore=store, offered_qos_profiles=qos)
+            self._connections[name] = topic, new_connection
         of, connection = self._connections[name]
         if of != topic and name not in {"/tf", "/rosout"}:
             raise UsageError(f"--rosbag2: {of} and {topic} would both become the ROS topic {name}: rename a vehicle")
@@ -138,8 +138,8 @@ def write_bag(source: Source, folder: Path) -> None:
     values = Values()
     ways: dict[str, list[tuple[int, VehicleState]]] = {name: [] for name in source.vehicles}
     for record in source.only(lambda topic, _: topic.endswith("/state")):
-        vehicle, _, what = record.topic.partition("/")
-        if what == "state" and vehicle in ways:
+        vehicle, _, subtopic = record.topic.partition("/")
+        if subtopic == "state" and vehicle in ways:
             ways[vehicle].append((record.time_ns, values.of(record)))
     writer = Writer(folder, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
     writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)

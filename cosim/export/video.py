@@ -95,11 +95,11 @@ class _Film:
         values = Values()
         for record in source.only(lambda topic, _: topic.endswith(("/state", "/follows")) or topic in SHOWN):
             self._end_ns = max(self._end_ns, record.time_ns)
-            vehicle, _, what = record.topic.partition("/")
-            if what == "state" and vehicle in self._vehicles:
+            vehicle, _, subtopic = record.topic.partition("/")
+            if subtopic == "state" and vehicle in self._vehicles:
                 state: VehicleState = values.of(record)
                 self._ways.setdefault(vehicle, []).append((record.time_ns, (*state.position[:2], state.yaw)))
-            elif what == "follows" and vehicle in self._vehicles:
+            elif subtopic == "follows" and vehicle in self._vehicles:
                 self._follows.append(Placement(record.time_ns, vehicle, read_json(record.data, Follows)))
             elif record.topic == "radio/frame":
                 self._take_frame(values.of(record))
@@ -126,8 +126,8 @@ class _Film:
         for column, (time_ns, poses) in enumerate(self._arrays[name] for name in names):
             rows = times.searchsorted(time_ns)
             position[0, rows, column], position[1, rows, column], yaw[rows, column] = poses.T
-        known = [each for each in self._follows if each.vehicle in names and each.follows.leader in (None, *names)]
-        errors = formation_errors(Motion(times, names, position, yaw), known)
+        placements = [each for each in self._follows if each.vehicle in names and each.follows.leader in (None, *names)]
+        errors = formation_errors(Motion(times, names, position, yaw), placements)
         finite = {name: np.isfinite(error_m) for name, error_m in errors.items()}
         return {name: (times[seen], errors[name][seen]) for name, seen in finite.items() if seen.any()}
 
@@ -143,10 +143,10 @@ class _Film:
     def _lay_out(self) -> None:
         """Choose scale and middles of the map: of all tracks and the world, or for each frame of a small team."""
         room = max((float(np.hypot(*outline.T).max()) for outline in self._outlines.values()), default=0.0)
-        there = [(each.translation.x, each.translation.y) for _, update in self._obstacles for each in update.transforms]
-        met = [(x + side * room, y + side * room) for x, y in there for side in (-1.0, 1.0)]
+        positions = [(each.translation.x, each.translation.y) for _, update in self._obstacles for each in update.transforms]
+        corners = [(x + side * room, y + side * room) for x, y in positions for side in (-1.0, 1.0)]
         ways = [poses[:, :2] for _, poses in self._arrays.values()]
-        places = np.concatenate([*ways, self._corners[..., :2].reshape(-1, 2), np.array(met).reshape(-1, 2)])
+        places = np.concatenate([*ways, self._corners[..., :2].reshape(-1, 2), np.array(corners).reshape(-1, 2)])
         places = places[_is_shown(places)]
         low, high = places.min(axis=0), places.max(axis=0)
         extent, (middles, team) = np.maximum(high - low, LEAST_M), self._team()
@@ -171,11 +171,11 @@ class _Film:
             warnings.simplefilter("ignore", RuntimeWarning)  # instants at which no vehicle is known
             low, high = np.nanmin(places, axis=0), np.nanmax(places, axis=0)
         middle = 0.5 * (low + high)
-        known = np.isfinite(middle).all(axis=1)
-        if not known.any():  # no frame shows a vehicle
+        is_known = np.isfinite(middle).all(axis=1)
+        if not is_known.any():  # no frame shows a vehicle
             return middle, np.full(2, np.inf)
         frames = np.arange(self.count)
-        middle = np.column_stack([np.interp(frames, frames[known], middle[known, axis]) for axis in (0, 1)])
+        middle = np.column_stack([np.interp(frames, frames[is_known], middle[is_known, axis]) for axis in (0, 1)])
         wide = max(1, round(SMOOTH_S * SECOND_NS / self.step_ns))
         padded = np.pad(middle, ((wide, wide), (0, 0)), "edge")
         sums = np.cumsum(padded, axis=0)
@@ -195,7 +195,7 @@ class _Film:
         picture = np.full((self._height, self._width, 3), PAPER, np.uint8)
         corners = self._px(self._corners[..., :2])
         size = np.array((self._width, self._height))
-        here = ((corners.max(axis=1) >= 0) & (corners.min(axis=1) < size)).all(axis=1)
+        is_visible = ((corners.max(axis=1) >= 0) & (corners.min(axis=1) < size)).all(axis=1)
         length_m = _round(self._width / self._scale / 5)
         if len(self._middles) > 1:  # lines tell that the picture moves
             half = 0.5 * size / self._scale
@@ -205,7 +205,7 @@ class _Film:
                     ends = np.empty((2, 2))
                     ends[:, axis], ends[:, other] = number * length_m, self._middle[other] + half[other] * np.array((-1.5, 1.5))
                     cv2.polylines(picture, [self._px(ends)], False, GRID, 1)
-        for triangle, color in zip(corners[here], self._colors[here].tolist(), strict=True):
+        for triangle, color in zip(corners[is_visible], self._colors[is_visible].tolist(), strict=True):
             cv2.fillConvexPoly(picture, triangle, color, cv2.LINE_AA)
         left, row = MARGIN_PX // 2, self._height - 12
         right = left + round(length_m * self._scale)
@@ -259,13 +259,13 @@ class _Film:
 
     def _newest(self, links: list[tuple[int, str, str]], now_ns: int) -> dict[tuple[str, str], float]:
         """The links with a recent frame, the newest last, and its freshness, 0 to 1."""
-        span_ns, found = max(LINK_NS, self.step_ns), dict[tuple[str, str], float]()
+        span_ns, freshness = max(LINK_NS, self.step_ns), dict[tuple[str, str], float]()
         for number in range(bisect_right(links, now_ns, key=lambda each: each[0]) - 1, -1, -1):
             sent_ns, sender, receiver = links[number]
-            if sent_ns <= now_ns - span_ns or len(found) == MOST_LINKS:
+            if sent_ns <= now_ns - span_ns or len(freshness) == MOST_LINKS:
                 break
-            found.setdefault((sender, receiver), 1.0 - 0.8 * (now_ns - sent_ns) / span_ns)
-        return dict(reversed(found.items()))
+            freshness.setdefault((sender, receiver), 1.0 - 0.8 * (now_ns - sent_ns) / span_ns)
+        return dict(reversed(freshness.items()))
 
     def _place(self, name: str, now_ns: int) -> Array:
         time_ns, poses = self._arrays[name]

@@ -187,16 +187,16 @@ def _encoded(value: Value | Later) -> tuple[str, bytes]:
         return "error", _encode({"type": "error", "message": f"{type(error).__name__}: {error}"})
 
 
-def _picture(shown: Image | ProbabilityMap | Mosaic) -> dict[str, Any]:
+def _picture(value: Image | ProbabilityMap | Mosaic) -> dict[str, Any]:
     """An image or map as JSON: arrays as base64 of their bytes (README.md)."""
-    if isinstance(shown, Image):
-        height, width, _ = shown.pixels.shape
-        depth_m = None if shown.depth_m is None else _base64(shown.depth_m.astype("<f4", copy=False))
-        own = {"width": width, "height": height, "pixels": _base64(shown.pixels)}
-        return own | {"time_ns": shown.time_ns, "focal_px": shown.focal_px, "depth_m": depth_m}
-    arrays = {"pixels": shown.pixels} if isinstance(shown, Mosaic) else {"probability": shown.probability, "seen": shown.seen}
+    if isinstance(value, Image):
+        height, width, _ = value.pixels.shape
+        depth_m = None if value.depth_m is None else _base64(value.depth_m.astype("<f4", copy=False))
+        own = {"width": width, "height": height, "pixels": _base64(value.pixels)}
+        return own | {"time_ns": value.time_ns, "focal_px": value.focal_px, "depth_m": depth_m}
+    arrays = {"pixels": value.pixels} if isinstance(value, Mosaic) else {"probability": value.probability, "seen": value.seen}
     rows, columns = next(iter(arrays.values())).shape[:2]
-    grid = {"left": shown.left, "bottom": shown.bottom, "cell_m": shown.cell_m, "columns": columns, "rows": rows}
+    grid = {"left": value.left, "bottom": value.bottom, "cell_m": value.cell_m, "columns": columns, "rows": rows}
     return grid | {name: _base64(array) for name, array in arrays.items()}
 
 

@@ -120,8 +120,8 @@ def serve(
         host = str(session.zid())
         questions: queue.SimpleQueue[zenoh.Sample | bool] = queue.SimpleQueue()
         key = key_names.host_key(name, host, "ask")
-        hears = session.declare_subscriber(key, Callback(questions.put, indirect=False))
-        says = session.declare_publisher(key_names.answer_key(key), congestion_control=zenoh.CongestionControl.BLOCK)
+        subscriber = session.declare_subscriber(key, Callback(questions.put, indirect=False))
+        publisher = session.declare_publisher(key_names.answer_key(key), congestion_control=zenoh.CongestionControl.BLOCK)
         token = session.liveliness().declare_token(key_names.host_key(name, host, "alive"))
 
         def on_hub(sample: zenoh.Sample) -> None:
@@ -132,20 +132,20 @@ def serve(
         welcome = _join(session, name, hello(host))
         on_state("joined; waiting for the run to begin")
         try:
-            _answer(questions, desk, says, session, welcome, on_state)
+            _answer(questions, desk, publisher, session, welcome, on_state)
             if desk.failure is not None:
                 raise desk.failure
             return desk.ended or ""
         finally:
             desk.close()
-            for handle in (watch, token, hears, says):
+            for handle in (watch, token, subscriber, publisher):
                 handle.undeclare()  # type: ignore[no-untyped-call]
 
 
 def _answer(
     questions: "queue.SimpleQueue[zenoh.Sample | bool]",
     desk: Desk,
-    says: zenoh.Publisher,
+    publisher: zenoh.Publisher,
     session: zenoh.Session,
     welcome: protocol.Welcome,
     on_state: Callable[[str], None],
@@ -156,22 +156,22 @@ def _answer(
     """
     answers, patience_s = _Answers(desk), welcome.patience_s
     hub = hub_of(session)
-    there = True
+    is_reachable = True
     while not answers.known:
-        question = _next(questions, _LOOK_S if there and desk.ended is None else patience_s)
+        question = _next(questions, _LOOK_S if is_reachable and desk.ended is None else patience_s)
         if question is None and desk.ended is not None:
             return
-        if question is None and not there:
+        if question is None and not is_reachable:
             raise FederateError("the run", "is gone: its process ended or the connection broke")
         if question is None or isinstance(question, bool):
             # Presence of the hub; a host that was suspended for a while may have missed a change.
-            was, there = there, hub_of(session) != "" if question is None else question
-            if was and not there and desk.ended is None:
+            was_reachable, is_reachable = is_reachable, hub_of(session) != "" if question is None else question
+            if was_reachable and not is_reachable and desk.ended is None:
                 on_state(f"the run is unreachable; waiting for at most {patience_s:g} s")
-            if there and desk.ended is None and hub_of(session) not in (hub, ""):
+            if is_reachable and desk.ended is None and hub_of(session) not in (hub, ""):
                 raise FederateError("the run", "is gone: another run listens there now; start this host again")
         elif answer := answers.to(question.payload.to_bytes()):
-            says.put(protocol.sealed(welcome.seal, answer) if welcome.seal else answer)
+            publisher.put(protocol.sealed(welcome.seal, answer) if welcome.seal else answer)
 
 
 class _Answers:
@@ -239,10 +239,10 @@ def dial(endpoint: str, bundle: "Bundle | None", on_state: Callable[[str], None]
             raise UsageError(f"cannot join the run at {endpoint}: {refusal.why}")
         unknown = "" if bundle else NO_RUN
         why = refusal.why if refusal else unknown
-        waits = f"waiting for a run at {endpoint}" + (f": {why}" if why else "")
-        if waits != last:
-            on_state(waits)
-            last = waits
+        status = f"waiting for a run at {endpoint}" + (f": {why}" if why else "")
+        if status != last:
+            on_state(status)
+            last = status
         time.sleep(_DIAL_S)
     if bundle is not None:
         try:

@@ -99,19 +99,19 @@ class ZenohLink:
         # A bound method of C code is cheaper: each Python call in a Zenoh thread maps memory for its frames.
         take = self._on_answer if seal else self._news.put
         self._seal, self.forged = seal, 0
-        self._hears = session.declare_subscriber(self._answers, Callback(take, indirect=False))
+        self._subscriber = session.declare_subscriber(self._answers, Callback(take, indirect=False))
         self._number = 0
         self._asked_at = 0.0  # time at which the open questions were last sent
-        self._there = True
+        self._is_reachable = True
         self._cut: float | None = None  # time since which the host is unreachable
         self._failed = False
         self._callbacks, self._cut_deadline_s = callbacks, cut_deadline_s
         self.cuts_s: list[float] = []  # durations for which the run waited for the unreachable host
 
-    def set_reachable(self, there: bool) -> None:
+    def set_reachable(self, is_reachable: bool) -> None:
         """Note whether the host is reachable; called by Zenoh's thread."""
-        self._news.put(there)
-        self._callbacks.noticed(there)
+        self._news.put(is_reachable)
+        self._callbacks.noticed(is_reachable)
 
     def _on_answer(self, sample: zenoh.Sample) -> None:
         if not protocol.is_sealed(self._seal, sample.payload.to_bytes()):
@@ -136,14 +136,14 @@ class ZenohLink:
         """Wait for the answer to the oldest open question."""
         while True:  # a question stays open if Ctrl-C interrupts the wait
             now, oldest = time.monotonic(), self._open[0]
-            waits_s = min(oldest.last - now, _SLICE_S if self._there else _RETRY_S)
-            if waits_s <= 0.0 or (not self._there and self._cut is not None and now - self._cut > self._cut_deadline_s):
+            waits_s = min(oldest.last - now, _SLICE_S if self._is_reachable else _RETRY_S)
+            if waits_s <= 0.0 or (not self._is_reachable and self._cut is not None and now - self._cut > self._cut_deadline_s):
                 return self._last_look(oldest)
             try:
                 answer = self._accept(self._news.get(timeout=waits_s))
             except queue.Empty:
                 answer = None
-                if self._there:
+                if self._is_reachable:
                     self._ask_again()
                 else:
                     self._check_whether_ended()
@@ -163,9 +163,9 @@ class ZenohLink:
         answer = self.look()
         if answer is None:
             self._failed = True
-            deadline_s = oldest.deadline_s if self._there else min(oldest.deadline_s, self._cut_deadline_s)
-            gone = "" if self._cut is None else ": it left the run, or its connection is lost"
-            raise LateError(f"did not answer within the deadline of {deadline_s:g} s{gone}")
+            deadline_s = oldest.deadline_s if self._is_reachable else min(oldest.deadline_s, self._cut_deadline_s)
+            reason = "" if self._cut is None else ": it left the run, or its connection is lost"
+            raise LateError(f"did not answer within the deadline of {deadline_s:g} s{reason}")
         return answer
 
     def close(self) -> None:
@@ -173,13 +173,13 @@ class ZenohLink:
         self.leaving = self._closed = True
         with contextlib.suppress(zenoh.ZError):  # the session may be closed
             self._farewell()
-            self._hears.undeclare()  # type: ignore[no-untyped-call]
+            self._subscriber.undeclare()  # type: ignore[no-untyped-call]
         self._callbacks.released(not self._failed)
 
     def _accept(self, news: "zenoh.Sample | bool") -> bytes | None:
         """The answer to the oldest question, if ``news`` is that."""
         if isinstance(news, bool):  # whether the host is reachable
-            self._there = news
+            self._is_reachable = news
             if news:
                 self._ask_again()
             else:
@@ -260,8 +260,8 @@ class Hub:
         with contextlib.ExitStack() as stack, contextlib.ExitStack() as meanwhile:
             meanwhile.enter_context(threads("()" if self._strangers else _READS))
             if secret:
-                known = meanwhile.enter_context(tempfile.TemporaryFile())  # without a name: a killed run leaves nothing behind
-                secure = access_control.merge(secure, access_control.hub_secret(secret, known))
+                file = meanwhile.enter_context(tempfile.TemporaryFile())  # without a name: a killed run leaves nothing behind
+                secure = access_control.merge(secure, access_control.hub_secret(secret, file))
             folder = None if endpoint else Path(meanwhile.enter_context(tempfile.TemporaryDirectory(prefix="vcmvsp-")))
             # By descriptor: a socket's path has at most 107 bytes. Open until Zenoh has removed its files there.
             place = f"{UNIX}{_opened(stack, folder)}/hub" if folder else endpoint
@@ -336,8 +336,8 @@ class Hub:
         speaker = key_names.speaker(str(sample.key_expr))
         if speaker is None:
             return
-        there = sample.kind == zenoh.SampleKind.PUT
-        if there:
+        is_present = sample.kind == zenoh.SampleKind.PUT
+        if is_present:
             self.gone.pop(speaker, None)
         else:
             self.gone[speaker] = time.monotonic()
@@ -345,15 +345,15 @@ class Hub:
         if link is None:
             return
         if not link.leaving:
-            link.set_reachable(there)
+            link.set_reachable(is_present)
             self._send_away()
-        elif there:
+        elif is_present:
             link.repeat()
 
     def _is_open(self) -> bool:
         """Whether join requests are accepted: an unreachable host may have been killed and restarted under another id."""
-        gone = (self._links.get(machine) for machine in list(self.gone))
-        return self._missing or any(link is not None and not link.leaving for link in gone)
+        links = (self._links.get(machine) for machine in list(self.gone))
+        return self._missing or any(link is not None and not link.leaving for link in links)
 
     def _send_away(self) -> None:
         with contextlib.suppress(queue.Empty):

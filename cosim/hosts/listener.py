@@ -154,13 +154,13 @@ class Entrance:
                 self._tell(words)
         from vcmvsp.cosim.hosts.hub import LinkCallbacks
 
-        who = ", ".join(knock.hello.vehicles)
+        vehicles = ", ".join(knock.hello.vehicles)
 
-        def noticed(there: bool) -> None:
-            self._news.put(f"the host of {who} is {'back' if there else 'unreachable'}")
+        def noticed(is_reachable: bool) -> None:
+            self._news.put(f"the host of {vehicles} is {'back' if is_reachable else 'unreachable'}")
 
         def forged() -> None:
-            self._news.put(f"another session answers in place of the host of {who}: its answers are dropped and counted")
+            self._news.put(f"another session answers in place of the host of {vehicles}: its answers are dropped and counted")
 
         return knock.answer(refusal, LinkCallbacks(noticed=noticed, forged=forged))
 

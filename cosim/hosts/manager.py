@@ -137,8 +137,8 @@ class Hosts:
         # No port: no other user of this machine can delay the hub, question the children or answer for them.
         hub = Hub(None, patience_s=patient_s, cut_deadline_s=cut_s, hosts=count)
         self._stack.callback(hub.close)
-        known = {KINDS["agent"][spec.kind].partition(":")[0] for spec in specs if spec.kind in KINDS["agent"]}
-        server = self._stack.enter_context(ForkServer(HOST_PROCESS, *sorted(known), files=hub.files))
+        modules = {KINDS["agent"][spec.kind].partition(":")[0] for spec in specs if spec.kind in KINDS["agent"]}
+        server = self._stack.enter_context(ForkServer(HOST_PROCESS, *sorted(modules), files=hub.files))
         children: dict[str, ChildProcess] = {}
         for token, group in groups.items():
             vehicles = (f"--vehicle={spec.vehicle}" for spec in group)
@@ -167,18 +167,18 @@ class Hosts:
 
         def give_up(hosts: Collection[Machine]) -> None:
             for host in sorted(hosts):
-                for left in joined.pop(host)[1]:
-                    waiting[left.vehicle] = spec_of[left.vehicle]
-                    self.kinds.pop(left.vehicle, None)
-                    self._tell(f"the host of {left.vehicle} disconnected; waiting for another")
+                for spec in joined.pop(host)[1]:
+                    waiting[spec.vehicle] = spec_of[spec.vehicle]
+                    self.kinds.pop(spec.vehicle, None)
+                    self._tell(f"the host of {spec.vehicle} disconnected; waiting for another")
 
         def missing() -> list[str]:
             last = time.monotonic() - self._agents.deadline_s  # hosts unreachable since before then are given up
-            gone = {host: since for host, since in list(hub.gone.items()) if host in joined}
-            give_up({host for host, since in gone.items() if since < last})
+            unreachable = {host: since for host, since in list(hub.gone.items()) if host in joined}
+            give_up({host for host, since in unreachable.items() if since < last})
             if self._watch is not None and (why := self._watch()):
                 raise AgentError(tuple(waiting), "host", why)
-            return [*waiting, *(spec.vehicle for host in gone if host in joined for spec in joined[host][1])]
+            return [*waiting, *(spec.vehicle for host in unreachable if host in joined for spec in joined[host][1])]
 
         timeout_s, needed = self._agents.join_timeout_s, lambda vehicle: indispensable(spec_of[vehicle])
         for knock in knocking(hub, timeout_s, missing, self._tell, needed):
@@ -211,8 +211,8 @@ class Hosts:
             except (AgentError, ScenarioError) as error:
                 asked_for = [self._spec_of.get(vehicle) for vehicle in crew.vehicles]
                 if not all(spec is not None and not indispensable(spec) for spec in asked_for):
-                    for other in crews:
-                        other.release(f"the run cannot start: {error}")
+                    for each in crews:
+                        each.release(f"the run cannot start: {error}")
                     raise
                 self._tell(f"{error}; the run starts without it")
                 crew.dismiss(str(error))
@@ -236,8 +236,8 @@ class Hosts:
         return Crew(link, specs, **timeouts, on_built=self._compare_code)
 
     def _crew_at(self, link: "ZenohLink", specs: Sequence[AgentSpec]) -> Crew:
-        who = ", ".join(spec.vehicle for spec in specs)
-        self._links.append((who, link))
+        vehicles = ", ".join(spec.vehicle for spec in specs)
+        self._links.append((vehicles, link))
         return self._crew(link, specs)
 
     def _compare_code(self, built: Built) -> None:
@@ -279,8 +279,8 @@ class Hosts:
             if link is not None:
                 self._tell(f"{', '.join(hello.vehicles)} joined")
                 # The same class may lie in another folder on the host's machine.
-                there = {} if hello.kind is None else {"kind": hello.kind, "folder": hello.folder}
-                specs = [msgspec.structs.replace(self._specs[vehicle], **there) for vehicle in hello.vehicles]
+                changes = {} if hello.kind is None else {"kind": hello.kind, "folder": hello.folder}
+                specs = [msgspec.structs.replace(self._specs[vehicle], **changes) for vehicle in hello.vehicles]
                 places[0].welcome(self._crew_at(link, specs))
 
 

@@ -168,16 +168,16 @@ class _Presence:
 
 def _batch(inbox: "queue.SimpleQueue[zenoh.Sample]", every_s: float) -> list[zenoh.Sample]:
     """Samples that arrive within ``every_s``; if that is 0, waits for the first and returns all that are there."""
-    found: list[zenoh.Sample] = []
+    samples: list[zenoh.Sample] = []
     last = time.monotonic() + (every_s or POLL_S)
     while (left_s := last - time.monotonic()) > 0.0:
         try:
-            found.append(inbox.get(timeout=left_s))
+            samples.append(inbox.get(timeout=left_s))
         except queue.Empty:
             break
         if not every_s and inbox.empty():
             break
-    return found
+    return samples
 
 
 def _topic_value(sample: zenoh.Sample) -> TopicValue | None:
@@ -330,14 +330,14 @@ def _access(session: zenoh.Session, name: str, bundle: "Bundle | None") -> Check
     subscriber = session.declare_subscriber(f"{key_names.TOPIC}echo/{name}", Callback(on_echo, indirect=False))
     ask(session, name, ECHO)
     try:
-        hears = answers.get(timeout=PATIENCE_S if bundle is None or bundle.role == "observer" else PATIENCE_S / 4)
+        is_receiving = answers.get(timeout=PATIENCE_S if bundle is None or bundle.role == "observer" else PATIENCE_S / 4)
     except queue.Empty:
-        hears = False
+        is_receiving = False
     subscriber.undeclare()  # type: ignore[no-untyped-call]
     speaks = ask(session, _SOMEBODY) is not None
-    topics = "receives the topics of the run" if hears else "does not receive the topics of the run"
+    topics = "receives the topics of the run" if is_receiving else "does not receive the topics of the run"
     others = "may act for other vehicles" if speaks else "acts only for itself"
     if bundle is None:
         return ("access", True, f"no certificates are required: anyone in reach of this endpoint {topics} and {others}")
-    right = hears == (bundle.role == "observer") and not speaks
+    right = is_receiving == (bundle.role == "observer") and not speaks
     return ("access", right, f"'{name}' {topics} and {others}" + ("" if right else f", which is wrong for a {bundle.role}"))

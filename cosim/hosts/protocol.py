@@ -208,11 +208,11 @@ def check_events(stepped: Sequence[Event], vehicles: Mapping[str, int], names: f
     keys = set[str]()
     for event in stepped:
         key = event.key
-        vehicle, _, what = key.partition("/")
+        vehicle, _, subtopic = key.partition("/")
         due_ns = vehicles.get(vehicle)
         if due_ns is None:
             raise ValueError(f"an event of {plain(vehicle, LONGEST_NAME)}, which is not one of its vehicles")
-        kinds = _KINDS.get(what)
+        kinds = _KINDS.get(subtopic)
         if kinds is None:
             raise ValueError(f"{plain(key, LONGEST_NAME)}, a topic that agents may not publish")
         if event.time_ns != due_ns:
@@ -276,9 +276,9 @@ def _rare(value: object, vehicle: str, due_ns: int, names: frozenset[str]) -> No
 def check_built(answer: "Built", specs: Sequence[AgentSpec]) -> None:
     """Validate the answer to `Build`: `ValueError` unless it has the requested agents, with their own vehicles' topics only."""
     spec_of = {spec.vehicle: spec for spec in specs}
-    found = sorted(info.vehicle for info in answer.agents)
-    if found != sorted(spec_of):
-        names = plain(", ".join(found) or "none", LONGEST_LINE)
+    vehicles = sorted(info.vehicle for info in answer.agents)
+    if vehicles != sorted(spec_of):
+        names = plain(", ".join(vehicles) or "none", LONGEST_LINE)
         raise ValueError(f"agents for {names}; expected {', '.join(spec_of)}")
     for info in answer.agents:
         try:
@@ -286,8 +286,8 @@ def check_built(answer: "Built", specs: Sequence[AgentSpec]) -> None:
         except ValueError as error:
             raise ValueError(f"an agent for {info.vehicle} with {error}") from None
     _code(answer.code, spec_of)
-    sees = {f"{spec.vehicle}/{what}" for spec in specs for what in (*_SEES, *spec.sensors)}
-    for keys, allowed in ((answer.reads, {RECEPTIONS}), (answer.latest, sees)):
+    topics = {f"{spec.vehicle}/{subtopic}" for spec in specs for subtopic in (*_SEES, *spec.sensors)}
+    for keys, allowed in ((answer.reads, {RECEPTIONS}), (answer.latest, topics)):
         for key in keys:
             if key not in allowed:
                 raise ValueError(f"a subscription to {plain(key, LONGEST_NAME)}, which its agents may not read")
@@ -311,9 +311,9 @@ def _agent(info: AgentInfo, spec: AgentSpec) -> None:
         raise ValueError(f"the class {plain(info.agent, LONGEST_NAME)}, expected {spec.kind}")
     if strange := [name for name in info.taken if name not in spec.defaults]:
         raise ValueError(f"a default that [agents] does not have: {plain(strange[0], LONGEST_NAME)}")
-    for names, what in ((info.known, "parameters"), (info.sensors, "sensors"), (info.files, "files")):
+    for names, label in ((info.known, "parameters"), (info.sensors, "sensors"), (info.files, "files")):
         if len(names) > 1000 or any(plain(name, LONGEST_NAME) != name for name in names):
-            raise ValueError(f"{what} that are too many, too long or cannot be shown")
+            raise ValueError(f"{label} that are too many, too long or cannot be shown")
     if strange := [name for name in info.params if name not in info.known or name in _OF_SCENARIO]:
         raise ValueError(f"an unknown parameter: {plain(strange[0], LONGEST_NAME)}")
     try:

@@ -284,11 +284,11 @@ class RemoteHost:
             inbox = self._look_around(open_step, inbox)
         whole = len(self._crews) == 1 and not self._away
         for crew in self._crews:
-            mine = list(inbox) if whole else [event for event in inbox if _vehicle(event) in crew.vehicles]
+            events = list(inbox) if whole else [event for event in inbox if _vehicle(event) in crew.vehicles]
             received = self._mail.take(now_ns, crew.vehicles)
             if received is not None:
-                mine.append(Event(RECEPTIONS, now_ns, pruned(received)))
-            crew.send(protocol.Act(now_ns, mine))
+                events.append(Event(RECEPTIONS, now_ns, pruned(received)))
+            crew.send(protocol.Act(now_ns, events))
             open_step.crews.append(crew)
         return min([train.after(now_ns) for train in self._trains])
 
@@ -311,7 +311,7 @@ class RemoteHost:
         return events
 
     def _due(self, now_ns: int) -> frozenset[str]:
-        due = [whose for train, whose in self._trains.items() if len(self._trains) == 1 or train.hits(now_ns)]
+        due = [vehicles for train, vehicles in self._trains.items() if len(self._trains) == 1 or train.hits(now_ns)]
         return due[0] if len(due) == 1 else frozenset().union(*due)
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:

@@ -133,8 +133,8 @@ def _fault(host: HostTable, names: Mapping[str, int], hosted: Mapping[str, str])
     """Key and problem of a host that contradicts itself or earlier hosts, or None."""
     if not host.vehicles or len({*host.vehicles}) < len(host.vehicles):
         return "vehicles", "must contain at least one vehicle, each only once"
-    if taken := [vehicle for vehicle in host.vehicles if vehicle in hosted]:
-        return "vehicles", f"'{taken[0]}' already has a host, '{hosted[taken[0]]}'"
+    if duplicates := [vehicle for vehicle in host.vehicles if vehicle in hosted]:
+        return "vehicles", f"'{duplicates[0]}' already has a host, '{hosted[duplicates[0]]}'"
     if host.called in names:
         return "name", f"host[{names[host.called]}] is also named '{host.called}': use distinct names"
     if host.ssh.startswith("-") or re.search(r"\s", host.ssh):

@@ -109,11 +109,11 @@ class Exchange:
 
     def publish(self, now: int, slot: Slot) -> None:
         """Publish all events up to this slot of this instant."""
-        future, here = self._future, (now, slot)
+        future, moment = self._future, (now, slot)
         due, self._present = self._present, {}
-        while future and future[0] < here:
+        while future and future[0] < moment:
             self._tell(self._later.pop(heapq.heappop(future)))
-        if future and future[0] == here:
+        if future and future[0] == moment:
             present, due = due, self._later.pop(heapq.heappop(future))
             for key, events in present.items():  # earlier events of a key come first
                 due[key] = due[key] + events if key in due else events

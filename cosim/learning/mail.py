@@ -53,14 +53,14 @@ class Mail:
         Args:
             arrival_ns, rssi_dbm: (w, n, n - 1) by sender and receiver; -1: lost.
         """
-        sender, place, receiver, there = _transposed(arrival_ns.shape[1])
+        sender, receiver_place, receiver, sender_place = _transposed(arrival_ns.shape[1])
         arrived = (arrival_ns >= 0) & (arrival_ns <= now_ns)
-        newer = arrived[:, sender, place] & (self.sent_ns[:, receiver, there] <= sent_ns)
+        newer = arrived[:, sender, receiver_place] & (self.sent_ns[:, receiver, sender_place] <= sent_ns)
         world, pair = np.nonzero(newer)
-        at = world, receiver[pair], there[pair]
+        at = world, receiver[pair], sender_place[pair]
         self.message[at] = message[world, sender[pair]]
         self.sent_ns[at] = sent_ns
-        self.rssi_dbm[at] = rssi_dbm[world, sender[pair], place[pair]]
+        self.rssi_dbm[at] = rssi_dbm[world, sender[pair], receiver_place[pair]]
 
     def ages(self, now_ns: int) -> dict[str, NDArray[Any]]:
         """Fields of `Worlds` at a time."""

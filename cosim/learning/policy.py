@@ -74,7 +74,7 @@ def layers_of(arrays: Mapping[str, NDArray[Any]]) -> Callable[[Floats], Floats]:
     pairs = [(arrays[f"w{number}"].astype(float), arrays[f"b{number}"].astype(float)) for number in range(len(arrays) // 2)]
     if not pairs or any(w.ndim != 2 or b.shape != w.shape[1:] for w, b in pairs):
         raise ValueError("needs matrices w0, w1, ... (inputs, outputs) and vectors b0, b1, ... (outputs,)")
-    if any(one[0].shape[1] != two[0].shape[0] for one, two in pairwise(pairs)):
+    if any(layer[0].shape[1] != next_layer[0].shape[0] for layer, next_layer in pairwise(pairs)):
         raise ValueError("the outputs of a layer must be the inputs of the next one")
     scale = arrays.get("scale", np.ones(len(pairs[0][0]))).astype(float)
     if scale.shape != (len(pairs[0][0]),) or not all(np.isfinite(each).all() for each in arrays.values()):
@@ -117,8 +117,8 @@ def load_network(path: str | Path) -> Network:
 
 
 def _npz(path: Path) -> Network:
-    with np.load(path, allow_pickle=False) as found:
-        arrays = {name: found[name] for name in found.files}
+    with np.load(path, allow_pickle=False) as file:
+        arrays = {name: file[name] for name in file.files}
     if META not in arrays:
         raise UsageError(f"{path}: is no policy: it has no entry '{META}' (vcmvsp.policy.save_network writes one)")
     meta = msgspec.json.decode(arrays.pop(META).tobytes(), type=PolicyMeta)
@@ -156,12 +156,12 @@ def task_of_meta(meta: PolicyMeta, kind: type[Task] | None = None) -> Task:
     """
     if kind is None and meta.task not in TASKS:
         raise ValueError(f"trained for the task '{meta.task}': derive an agent from vcmvsp.policy.Policy and set task_class")
-    made = (kind or TASKS[meta.task])()
+    task = (kind or TASKS[meta.task])()
     for name, value in meta.settings.items():
-        if not hasattr(made, name):
-            raise ValueError(f"the task {made.name} has no setting '{name}'")
-        setattr(made, name, tuple(value) if isinstance(value, list) else value)
-    return made
+        if not hasattr(task, name):
+            raise ValueError(f"the task {task.name} has no setting '{name}'")
+        setattr(task, name, tuple(value) if isinstance(value, list) else value)
+    return task
 
 
 class Policy(Agent):

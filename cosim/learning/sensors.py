@@ -45,8 +45,8 @@ class SensorVector:
 
     def values(self, readings: Mapping[str, Any]) -> Floats:
         """The numbers (size,), within their bounds."""
-        found = [_numbers(readings[name]) for name in self._sizes]
-        return np.clip(np.concatenate(found), *self.bounds)
+        parts = [_numbers(readings[name]) for name in self._sizes]
+        return np.clip(np.concatenate(parts), *self.bounds)
 
 
 def _numbers(reading: Reading) -> Floats:

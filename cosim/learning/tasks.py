@@ -102,11 +102,11 @@ class Formation(Task):
         """The first vehicle sends the point, the others extrapolate it by the age of the message; all drive to their places."""
         shape = observations.own.shape[:-1]
         leader = np.arange(shape[-1]) == 0
-        known, message = observations.features[..., 2:6], observations.message[..., 0, :]
+        target, message = observations.features[..., 2:6], observations.message[..., 0, :]
         heard = message[..., :2] * self.reach_m + message[..., 2:4] * observations.age_s[..., :1]
-        point = np.where(leader[:, None], known[..., :2], heard)
-        velocity = np.where(leader[:, None], known[..., 2:4], message[..., 2:4])
-        there = leader | (observations.heard[..., 0] > 0)
+        point = np.where(leader[:, None], target[..., :2], heard)
+        velocity = np.where(leader[:, None], target[..., 2:4], message[..., 2:4])
+        is_informed = leader | (observations.heard[..., 0] > 0)
         way = point + observations.features[..., :2] - observations.own[..., :2] + velocity  # a second ahead
         actions = np.zeros((*shape, self.action_size))
         if self.flies:
@@ -116,11 +116,11 @@ class Formation(Task):
             turn = np.arctan2(np.sin(turn), np.cos(turn))
             actions[..., 0] = np.hypot(way[..., 0], way[..., 1]) * np.cos(turn) / self.max_speed
             actions[..., 1] = 2.0 * turn / self.max_yaw_rate
-        actions[~there, : self.motions] = 0.0
+        actions[~is_informed, : self.motions] = 0.0
         send = self.motions
         actions[..., send] = np.where(leader, 1.0, -1.0)
-        actions[..., send + 1 : send + 3] = known[..., :2] / self.reach_m
-        actions[..., send + 3 : send + 5] = known[..., 2:4]
+        actions[..., send + 1 : send + 3] = target[..., :2] / self.reach_m
+        actions[..., send + 3 : send + 5] = target[..., 2:4]
         return np.clip(actions, -1.0, 1.0)
 
     def _slots(self) -> Floats:
@@ -179,16 +179,16 @@ class Search(Task):
         inside = ((cell >= 0) & (cell < CELLS)).all(axis=-1)
         w, n = np.nonzero(inside)
         worlds.memory["seen"][w, n, cell[w, n, 1] * CELLS + cell[w, n, 0]] = True
-        found = worlds.memory["seen"].any(axis=1)
-        new = found & ~worlds.memory["found"]
-        worlds.memory["found"] = found
+        seen = worlds.memory["seen"].any(axis=1)
+        new = seen & ~worlds.memory["found"]
+        worlds.memory["found"] = seen
         reward = new.sum(axis=-1) / (CELLS * CELLS)
-        return np.broadcast_to(reward[:, None], inside.shape).copy(), found.all(axis=-1)
+        return np.broadcast_to(reward[:, None], inside.shape).copy(), seen.all(axis=-1)
 
     def shared(self, worlds: Worlds) -> Floats:
         """1 for each cell that any vehicle has seen, (w, 64)."""
-        found: Floats = worlds.memory["found"].astype(float)
-        return found
+        seen: Floats = worlds.memory["found"].astype(float)
+        return seen
 
     def marks(self, worlds: Worlds) -> Floats:
         """Cells that no vehicle has seen, (k, 2) m."""
@@ -299,10 +299,10 @@ class Gates(Task):
         way = observations.features[..., :3]
         gate = observations.own[..., :3] + way
         others = observations.message[..., :3] * self.reach_m
-        theirs = np.sqrt(((gate[..., None, :] - others) ** 2).sum(axis=-1))
+        others_distance_m = np.sqrt(((gate[..., None, :] - others) ** 2).sum(axis=-1))
         distance_m = np.sqrt((way**2).sum(axis=-1))
         before = np.tri(self.vehicles, self.vehicles - 1, -1, dtype=bool)  # of the others, those before each vehicle
-        nearer = theirs < distance_m[..., None] + np.where(before, 4.0, -4.0)
+        nearer = others_distance_m < distance_m[..., None] + np.where(before, 4.0, -4.0)
         rank = ((observations.heard > 0) & nearer).sum(axis=-1)
         way = way - np.stack([3.0 * rank, np.zeros_like(distance_m), np.zeros_like(distance_m)], axis=-1)
         far_m = np.sqrt((way**2).sum(axis=-1))

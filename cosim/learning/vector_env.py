@@ -107,9 +107,9 @@ class WorldsEnv:
     def _begin(self, seed: int) -> None:
         seeds = range(seed, seed + self.num_envs)
         self._next_seed, self._ticks = seed + self.num_envs, 0
-        begun = [self.scenario.begin(each) for each in seeds]
-        poses = np.stack([starts for starts, _ in begun])
-        self._memory = {name: np.stack([np.asarray(memory[name]) for _, memory in begun]) for name in begun[0][1]}
+        episodes = [self.scenario.begin(each) for each in seeds]
+        poses = np.stack([starts for starts, _ in episodes])
+        self._memory = {name: np.stack([np.asarray(memory[name]) for _, memory in episodes]) for name in episodes[0][1]}
         self._done = np.zeros(self.num_envs, np.bool_)
         self._frames = _NO_FRAMES
         self._mail = Mail(self.num_envs, len(self.names), self.task.message_floats)

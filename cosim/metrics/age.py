@@ -77,26 +77,26 @@ def links(radio: Table, pairs: Collection[Pair] | None = None) -> dict[Pair, Lin
     return histories(Parts(radio, informed), pairs).by_pair()
 
 
-def histories(got: Iterable[ReceptionRows], pairs: Collection[Pair] | None = None) -> LinkHistories:
+def histories(parts: Iterable[ReceptionRows], pairs: Collection[Pair] | None = None) -> LinkHistories:
     """Reception histories of all links, or of wanted ones, from receptions in parts that name the same vehicles."""
     names: tuple[Sequence[str], Sequence[str]] = (), ()
     counts = np.zeros(0, np.int64)
-    for part in got:
+    for part in parts:
         names = part.receivers, part.senders
-        found = np.bincount(_code(part), minlength=len(part.receivers) * len(part.senders))
-        counts = counts + found if len(counts) else found
+        part_counts = np.bincount(_code(part), minlength=len(part.receivers) * len(part.senders))
+        counts = counts + part_counts if len(counts) else part_counts
     if pairs is not None:
         codes = _codes(names, pairs)
         chosen = np.zeros_like(counts)
         chosen[codes] = counts[codes]
         counts = chosen
-    known = np.flatnonzero(counts)
+    link_codes = np.flatnonzero(counts)
     starts = np.cumsum(counts) - counts  # where the next reception of each link goes
     total = int(counts.sum())
     result = LinkHistories(
-        _pairs(names, known), np.append(starts[known], total), np.empty(total, np.int64), np.empty(total, np.int64)
+        _pairs(names, link_codes), np.append(starts[link_codes], total), np.empty(total, np.int64), np.empty(total, np.int64)
     )
-    for part in got:
+    for part in parts:
         code = _code(part)
         order = _by_link(part)
         if pairs is not None:
@@ -118,20 +118,20 @@ def _pairs(names: tuple[Sequence[str], Sequence[str]], codes: Array) -> list[Pai
 
 def _codes(names: tuple[Sequence[str], Sequence[str]], pairs: Collection[Pair]) -> Array:
     """Numbers of links, as far as both names are known."""
-    to, by = (codes_of(known, [pair[side] for pair in pairs]) for side, known in enumerate(names))
+    to, by = (codes_of(side_names, [pair[side] for pair in pairs]) for side, side_names in enumerate(names))
     return (to * len(names[1]) + by)[(to >= 0) & (by >= 0)]
 
 
-def _code(got: ReceptionRows) -> Array:
+def _code(part: ReceptionRows) -> Array:
     """Number of the link of each reception: links to one receiver are adjacent."""
-    return got.to.astype(np.int64) * len(got.senders) + got.by
+    return part.to.astype(np.int64) * len(part.senders) + part.by
 
 
-def _by_link(got: ReceptionRows) -> Array:
+def _by_link(part: ReceptionRows) -> Array:
     """The receptions in the order of their links; within a link, in their own order."""
-    narrow = np.uint16 if max(len(got.receivers), len(got.senders)) < 1 << 16 else np.int64  # radix sort, in linear time
-    by_sender = np.argsort(got.by.astype(narrow), kind="stable")
-    return np.asarray(by_sender[np.argsort(got.to[by_sender].astype(narrow), kind="stable")])
+    narrow = np.uint16 if max(len(part.receivers), len(part.senders)) < 1 << 16 else np.int64  # radix sort, in linear time
+    by_sender = np.argsort(part.by.astype(narrow), kind="stable")
+    return np.asarray(by_sender[np.argsort(part.to[by_sender].astype(narrow), kind="stable")])
 
 
 def _put_in_order(links: LinkHistories) -> None:
@@ -153,19 +153,19 @@ def _links_with(turns: Array, starts: Array) -> list[int]:
 
 
 def age_metrics(
-    got: Iterable[ReceptionRows], follows: Sequence[Placement], ticks: Mapping[str, Ticks], window: Window, end_ns: int
+    parts: Iterable[ReceptionRows], follows: Sequence[Placement], ticks: Mapping[str, Ticks], window: Window, end_ns: int
 ) -> dict[str, float | None]:
     """Age of the newest message (s) at the receivers' ticks in the window; its mean over time, and the mean of its peaks."""
     spans = [(name, *span) for name in followers(ticks, follows) for span in stretches(name, follows)]
     intervals = [((name, at.leader), since, until) for name, since, until, at in spans if at.leader is not None]
-    found = histories(got, {pair for pair, _, _ in intervals} if follows else None)
+    receptions = histories(parts, {pair for pair, _, _ in intervals} if follows else None)
     if not follows:
-        intervals = [(pair, 0, FOREVER_NS) for pair in found.pairs if pair[0] in ticks]
-    counted = _stretches(found, intervals)
+        intervals = [(pair, 0, FOREVER_NS) for pair in receptions.pairs if pair[0] in ticks]
+    counted = _stretches(receptions, intervals)
     begin, last = window_ns(window)
-    over_time, peak = _sawtooth(found, counted.cut(begin, min(last, end_ns)))
-    ages = _at_ticks(found, counted, ticks, window, end_ns)
-    del found
+    over_time, peak = _sawtooth(receptions, counted.cut(begin, min(last, end_ns)))
+    ages = _at_ticks(receptions, counted, ticks, window, end_ns)
+    del receptions
     return {
         **quantiles(ages, ("mean", "p95", "max")),
         "time_average": over_time,
@@ -173,31 +173,31 @@ def age_metrics(
     }
 
 
-def _stretches(found: LinkHistories, intervals: Sequence[tuple[Pair, int, int]]) -> _Stretches:
+def _stretches(receptions: LinkHistories, intervals: Sequence[tuple[Pair, int, int]]) -> _Stretches:
     """The stretches of known links, given link, begin and end (ns) of each."""
-    place = {pair: number for number, pair in enumerate(found.pairs)}
-    known = [(place[pair], since, until) for pair, since, until in intervals if pair in place]
-    link, since, until = np.array(known, np.int64).reshape(-1, 3).T
-    return _Stretches(link, np.maximum(since, found.received_ns[found.starts[link]]), until)
+    place = {pair: number for number, pair in enumerate(receptions.pairs)}
+    rows = [(place[pair], since, until) for pair, since, until in intervals if pair in place]
+    link, since, until = np.array(rows, np.int64).reshape(-1, 3).T
+    return _Stretches(link, np.maximum(since, receptions.received_ns[receptions.starts[link]]), until)
 
 
-def _sawtooth(found: LinkHistories, counted: _Stretches) -> tuple[float | None, float | None]:
+def _sawtooth(receptions: LinkHistories, counted: _Stretches) -> tuple[float | None, float | None]:
     """Mean of the age over the time of all stretches, and of its peaks, s; None without any."""
     if not len(counted.link):
         return None, None
-    batches = [_teeth(found, counted.some(rows)) for rows in _batches(np.diff(found.starts)[counted.link])]
+    batches = [_teeth(receptions, counted.some(rows)) for rows in _batches(np.diff(receptions.starts)[counted.link])]
     areas, lengths = np.concatenate([areas for areas, _ in batches]), (counted.end_ns - counted.begin_ns) / SECOND_NS
     peaks = np.concatenate([peaks for _, peaks in batches])
     over_time = float(np.cumsum(areas)[-1] / np.cumsum(lengths)[-1])
     return over_time, float(np.mean(peaks)) if peaks.size else None
 
 
-def _teeth(found: LinkHistories, counted: _Stretches) -> tuple[Array, Array]:
+def _teeth(receptions: LinkHistories, counted: _Stretches) -> tuple[Array, Array]:
     """Integral of the age over each stretch, s2, and the ages just before the receptions that lowered them, s."""
-    first, stop = (_after(found, counted.link, at_ns) for at_ns in (counted.begin_ns, counted.end_ns))
+    first, stop = (_after(receptions, counted.link, at_ns) for at_ns in (counted.begin_ns, counted.end_ns))
     counts = stop - first + 1
     rows = _ranges(first - 1, counts)
-    begins, ends, sent = found.received_ns[rows], np.empty_like(rows), found.sent_ns[rows]
+    begins, ends, sent = receptions.received_ns[rows], np.empty_like(rows), receptions.sent_ns[rows]
     head = np.cumsum(counts) - counts
     ends[:-1], ends[head + counts - 1], begins[head] = begins[1:], counted.end_ns, counted.begin_ns
     last = ends > begins  # of messages that arrive at the same time
@@ -214,18 +214,18 @@ def _teeth(found: LinkHistories, counted: _Stretches) -> tuple[Array, Array]:
 
 def _squares(values: Array, head: Array, counts: Array) -> Array:
     """Sum of the squares of each run of values, given where it begins and how many it has: as of ``run @ run``, to the bit."""
-    found = np.empty(len(counts))
+    sums = np.empty(len(counts))
     for count in np.unique(counts).tolist():
         which = np.flatnonzero(counts == count)
         runs = values[head[which][:, np.newaxis] + np.arange(count)]
-        found[which] = np.vecdot(runs, runs)
-    return found
+        sums[which] = np.vecdot(runs, runs)
+    return sums
 
 
-def _at_ticks(found: LinkHistories, counted: _Stretches, ticks: Mapping[str, Ticks], window: Window, end_ns: int) -> Array:
+def _at_ticks(receptions: LinkHistories, counted: _Stretches, ticks: Mapping[str, Ticks], window: Window, end_ns: int) -> Array:
     """Age at each tick of the receiver in each stretch, s."""
     begin, last = window_ns(window)
-    trains = [ticks[found.pairs[link][0]] for link in counted.link.tolist()]
+    trains = [ticks[receptions.pairs[link][0]] for link in counted.link.tolist()]
     at_ns: dict[Ticks, Array] = {}
     for train in dict.fromkeys(trains):
         at_ns[train] = np.array([train.at(k) for k in train.between(begin, min(last + 1, end_ns))], np.int64)
@@ -235,34 +235,34 @@ def _at_ticks(found: LinkHistories, counted: _Stretches, ticks: Mapping[str, Tic
         row += len(some.link)
         counts = np.diff(at_ns[train].searchsorted([some.begin_ns, some.end_ns]), axis=0)[0]
         some, counts = some.some(counts > 0), counts[counts > 0]
-        for rows in _batches(np.diff(found.starts)[some.link] + counts):
+        for rows in _batches(np.diff(receptions.starts)[some.link] + counts):
             batches.append((some.some(rows), at_ns[train], int(counts[rows].sum())))
     ages, row = np.empty(sum(count for *_, count in batches)), 0
     for some, at, count in batches:
-        ages[row : row + count] = _ages_ns(found, some, at) / SECOND_NS
+        ages[row : row + count] = _ages_ns(receptions, some, at) / SECOND_NS
         row += count
     return ages
 
 
-def _ages_ns(found: LinkHistories, counted: _Stretches, at_ns: Array) -> Array:
+def _ages_ns(receptions: LinkHistories, counted: _Stretches, at_ns: Array) -> Array:
     """Age at the instants of each stretch, one stretch after the other; every stretch has an instant."""
     first, stop = at_ns.searchsorted([counted.begin_ns, counted.end_ns])
-    begin, end = (_after(found, counted.link, at_ns[each]) for each in (first, stop - 1))
+    begin, end = (_after(receptions, counted.link, at_ns[each]) for each in (first, stop - 1))
     counts, came = stop - first, end - begin
     head = np.cumsum(counts) - counts
-    known_at = np.repeat(head - first, came) + at_ns.searchsorted(found.received_ns[_ranges(begin, came)])
+    known_at = np.repeat(head - first, came) + at_ns.searchsorted(receptions.received_ns[_ranges(begin, came)])
     step = np.bincount(known_at, minlength=int(counts.sum()))  # by which the newest reception changes from instant to instant
     step[head] += begin - 1
     step[head[1:]] -= end[:-1] - 1
-    return np.asarray(at_ns[_ranges(first, counts)] - found.sent_ns[np.cumsum(step)])
+    return np.asarray(at_ns[_ranges(first, counts)] - receptions.sent_ns[np.cumsum(step)])
 
 
-def _after(found: LinkHistories, link: Array, at_ns: Array) -> Array:
+def _after(receptions: LinkHistories, link: Array, at_ns: Array) -> Array:
     """First reception of each link after a time, by bisection of all at once; without one, the end of the link."""
-    low, high = found.starts[link], found.starts[link + 1]
+    low, high = receptions.starts[link], receptions.starts[link + 1]
     while (low < high).any():
         middle = (low + high) // 2
-        later = found.received_ns[np.minimum(middle, len(found.received_ns) - 1)] > at_ns
+        later = receptions.received_ns[np.minimum(middle, len(receptions.received_ns) - 1)] > at_ns
         low, high = np.where(later | (low == high), low, middle + 1), np.where(later, middle, high)
     return low
 

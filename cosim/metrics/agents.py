@@ -43,18 +43,18 @@ def _sums(rows: Array, begin: int, end: int) -> Array:
     """Integrals over time: 1, |v|^2 and w^2 under command; 1, |dv/dt|^2 and (dw/dt)^2 between commands."""
     rows = rows[np.append(np.diff(rows[:, 0]) > 0, True)[: len(rows)]]  # the last of several at one instant counts
     time, values = rows[:, 0], rows[:, 1:]
-    held = np.diff(np.append(time, end).clip(begin, end)) / SECOND_NS
-    held[np.isnan(values[:, 0])] = 0.0
+    held_s = np.diff(np.append(time, end).clip(begin, end)) / SECOND_NS
+    held_s[np.isnan(values[:, 0])] = 0.0
     step, apart = np.diff(values, axis=0), np.diff(time) / SECOND_NS
     judged = (time[1:] >= begin) & (time[1:] <= end) & ~np.isnan(step[:, 0])
     step, apart = step[judged], apart[judged]
-    squared = np.where(held[:, np.newaxis] > 0.0, values, 0.0) ** 2  # zero time times infinity would be NaN
+    squared = np.where(held_s[:, np.newaxis] > 0.0, values, 0.0) ** 2  # zero time times infinity would be NaN
     changed = step**2 / apart[:, np.newaxis]
     return np.array(
         [
-            held.sum(),
-            held @ squared[:, :3].sum(axis=1),
-            held @ squared[:, 3],
+            held_s.sum(),
+            held_s @ squared[:, :3].sum(axis=1),
+            held_s @ squared[:, 3],
             apart.sum(),
             changed[:, :3].sum(),
             changed[:, 3].sum(),
@@ -63,12 +63,12 @@ def _sums(rows: Array, begin: int, end: int) -> Array:
 
 
 def _summary(sums: Array) -> dict[str, float | None]:
-    held, speed, yaw_rate, apart, acceleration, yaw_acceleration = sums.tolist()
-    if not held:
+    held_s, speed, yaw_rate, apart, acceleration, yaw_acceleration = sums.tolist()
+    if not held_s:
         return dict.fromkeys(KEYS)
     return {
-        "speed_rms_m_s": (speed / held) ** 0.5,
-        "yaw_rate_rms_rad_s": (yaw_rate / held) ** 0.5,
+        "speed_rms_m_s": (speed / held_s) ** 0.5,
+        "yaw_rate_rms_rad_s": (yaw_rate / held_s) ** 0.5,
         "acceleration_rms_m_s2": (acceleration / apart) ** 0.5 if apart else None,
         "yaw_acceleration_rms_rad_s2": (yaw_acceleration / apart) ** 0.5 if apart else None,
         "effort_m2_s": speed,
@@ -108,12 +108,12 @@ def hardware_metrics(
     statuses: Mapping[str, Sequence[tuple[int, RealStatus]]],
     incidents: Sequence[tuple[str, Incident]],
     fixes: Mapping[str, int],
-    got: Iterable[ReceptionRows],
+    parts: Iterable[ReceptionRows],
 ) -> dict[str, Any]:
     """The ``hardware`` part of each real vehicle, from its timed statuses (ns), incidents and received fixes."""
     return {
         vehicle: _of_one(
-            history, [each for name, each in incidents if name == vehicle], fixes.get(vehicle, 0), _delays_s(got, vehicle)
+            history, [each for name, each in incidents if name == vehicle], fixes.get(vehicle, 0), _delays_s(parts, vehicle)
         )
         for vehicle, history in sorted(statuses.items())
     }
@@ -149,12 +149,12 @@ def limited_by_s(history: Sequence[tuple[int, RealStatus]]) -> dict[str, float]:
     return {cause: held_ns / SECOND_NS for cause, held_ns in sorted(by_ns.items())}
 
 
-def _delays_s(got: Iterable[ReceptionRows], sender: str) -> Array:
-    parts = [np.empty(0)]
-    for part in got:
+def _delays_s(parts: Iterable[ReceptionRows], sender: str) -> Array:
+    delays_s = [np.empty(0)]
+    for part in parts:
         own = part.by == code_of(part.senders, sender)
-        parts.append((part.received_ns[own] - part.sent_ns[own]) / SECOND_NS)
-    return np.concatenate(parts)
+        delays_s.append((part.received_ns[own] - part.sent_ns[own]) / SECOND_NS)
+    return np.concatenate(delays_s)
 
 
 def _numbers(values: Sequence[float | None]) -> Array:

@@ -30,9 +30,9 @@ class BatteryReadings:
 
     def metrics(self) -> dict[str, Any]:
         """The numbers of each vehicle with a battery."""
-        found = {}
+        batteries = {}
         for vehicle, reading in self._last.items():
             empty_ns = self._empty_ns.get(vehicle)
             numbers = {name: reading.values[value] for value, name in _NAMES.items()}
-            found[vehicle] = {**numbers, "empty_s": None if empty_ns is None else empty_ns / SECOND_NS}
-        return found
+            batteries[vehicle] = {**numbers, "empty_s": None if empty_ns is None else empty_ns / SECOND_NS}
+        return batteries

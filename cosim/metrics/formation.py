@@ -196,8 +196,8 @@ def _settling_s(time_ns: Array, errors: Array) -> float | None:
     measured = np.any(np.isfinite(errors), axis=0)
     instants = np.arange(errors.shape[1])
     last = np.maximum.accumulate(np.where(np.isfinite(errors), instants, 0), axis=1)  # the newest measured instant
-    held = np.take_along_axis(errors, last, axis=1)
-    unsettled = np.flatnonzero(np.any(held[:, measured] > SETTLED_M, axis=0))
+    last_errors = np.take_along_axis(errors, last, axis=1)
+    unsettled = np.flatnonzero(np.any(last_errors[:, measured] > SETTLED_M, axis=0))
     times = time_ns[measured]
     since = unsettled[-1] + 1 if unsettled.size else 0
     return float(times[since] / SECOND_NS) if since < len(times) else None
@@ -213,10 +213,10 @@ def _response(steps: Sequence[tuple[Array, Array]]) -> tuple[float | None, float
     Each step is recorded instants (m,) in ns and the error z (m,) in the follower's frame, m: z1 + i z2; NaN where
     unknown.
     """
-    known = [(time_ns[there], z[there]) for time_ns, z in steps if (there := np.isfinite(z)).any()]
-    if not known:
+    finite_steps = [(time_ns[is_finite], z[is_finite]) for time_ns, z in steps if (is_finite := np.isfinite(z)).any()]
+    if not finite_steps:
         return None, None
-    time_ns, z = max(known, key=lambda step: abs(step[1][0]))
+    time_ns, z = max(finite_steps, key=lambda step: abs(step[1][0]))
     start = abs(z[0])
     if start <= SETTLED_M:
         return None, None
@@ -243,9 +243,9 @@ def shape_errors(moved: Motion, follows: Sequence[Placement]) -> Array:
         squared, members = np.zeros(span.stop - span.start), np.zeros(span.stop - span.start)
         for columns, slots in teams:
             own = misfit_squared(places[span, columns], slots)
-            there = np.isfinite(own)  # a team that lacks a member does not count
-            squared[there] += own[there]
-            members[there] += len(columns)
+            is_complete = np.isfinite(own)  # a team that lacks a member does not count
+            squared[is_complete] += own[is_complete]
+            members[is_complete] += len(columns)
         result[span] = np.sqrt(np.divide(squared, members, out=np.full_like(squared, np.nan), where=members > 0))
     return result
 
@@ -285,10 +285,10 @@ def _teams(names: Sequence[str], placed: Mapping[str, Follows]) -> list[Team]:
             continue
         where[first], members = 0j, [first]
         for member in members:  # grows during the loop
-            for other, slot in links[member]:
-                if other not in where:
-                    where[other] = where[member] + slot
-                    members.append(other)
+            for neighbour, slot in links[member]:
+                if neighbour not in where:
+                    where[neighbour] = where[member] + slot
+                    members.append(neighbour)
         teams.append(([names.index(member) for member in members], np.array([where[member] for member in members])))
     return teams
 
@@ -329,7 +329,7 @@ def reformed_s(noted: Noted, settled: Mapping[str, float | None]) -> float | Non
     None if no lane was ever narrow, or if a team has not formed again: its lane stays narrow, a member has not settled
     (``settled``, s, by leader), or the team kept the shape of the narrow lane to the end.
     """
-    taken = []
+    durations_s = []
     for leader, settled_s in settled.items():
         lane, shapes = noted.of(leader, "lane"), noted.of(leader, "shape")
         if all(state == FREE for _, state in lane):
@@ -338,5 +338,5 @@ def reformed_s(noted: Noted, settled: Mapping[str, float | None]) -> float | Non
         then = [state for time_ns, state in lane if time_ns <= changed_ns]
         if settled_s is None or lane[-1][1] != FREE or (then and then[-1] != FREE):
             return None
-        taken.append(round(max(0.0, settled_s - lane[-1][0] / SECOND_NS), 9))
-    return max(taken, default=None)
+        durations_s.append(round(max(0.0, settled_s - lane[-1][0] / SECOND_NS), 9))
+    return max(durations_s, default=None)

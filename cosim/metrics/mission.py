@@ -55,7 +55,7 @@ class Mission:
 
     def __init__(self) -> None:
         self._histories: dict[tuple[str, str], list[tuple[int, str]]] = {}
-        self._left: dict[tuple[str, str], str] = {}  # values at the loss of an agent
+        self._at_loss: dict[tuple[str, str], str] = {}  # values at the loss of an agent
         self._map_bytes: dict[str, list[float]] = {}  # per agent; a replacement agent begins at 0
         self._maps: dict[str, ProbabilityMap] = {}
         self._marked = False
@@ -89,21 +89,21 @@ class Mission:
         for name in KEPT:
             history = self._histories.get((vehicle, name))
             if history and history[-1][1]:
-                self._left[vehicle, name] = history[-1][1]
+                self._at_loss[vehicle, name] = history[-1][1]
                 history.append((time_ns, ""))
 
     def restore(self, vehicle: str, time_ns: int) -> None:
         """Record that an agent is back; its last notes apply until it notes others."""
         for name in KEPT:
-            before = self._left.pop((vehicle, name), "")
+            before = self._at_loss.pop((vehicle, name), "")
             if before and not (history := self._histories[vehicle, name])[-1][1]:
                 history.append((time_ns, before))
 
-    def see(self, vehicle: str, shown: ProbabilityMap | Sightings | Mosaic) -> None:
+    def see(self, vehicle: str, value: ProbabilityMap | Sightings | Mosaic) -> None:
         """Record a map (the newest counts), sightings or a mosaic; each marks its vehicle as on a mission."""
         self._marked = True
-        if isinstance(shown, ProbabilityMap):
-            self._maps[vehicle] = shown
+        if isinstance(value, ProbabilityMap):
+            self._maps[vehicle] = value
 
     def of(self, vehicle: str, name: str) -> Sequence[tuple[int, str]]:
         """Times (ns) and values that a vehicle noted as commander, task or target; consecutive values differ; ``""``: none."""
@@ -121,12 +121,12 @@ class Mission:
             return None
         first_s: dict[str, float | None] = {target.name: None for target in targets}
         false_finds = 0
-        for found in self.found:
-            target = target_at(targets, found)
+        for find in self.found:
+            target = target_at(targets, find)
             if target is None:
                 false_finds += 1
             elif first_s[target.name] is None:
-                first_s[target.name] = found.time_ns / SECOND_NS
+                first_s[target.name] = find.time_ns / SECOND_NS
         changes = [history for (_, name), history in self._histories.items() if name == "commander"]
         commanders = [[name for _, name in history if name] for history in changes]  # ignores gaps without a commander
         return {
@@ -157,10 +157,10 @@ class Mission:
         return np.array([value in values for _, value in history])[newest]
 
 
-def target_at(targets: Sequence[Target], found: Found) -> Target | None:
+def target_at(targets: Sequence[Target], find: Found) -> Target | None:
     """The nearest target to a find that was within `NEAR_M` and matches its name; None without one."""
-    time_s = found.time_ns / SECOND_NS
-    away = [(math.dist(target.place(time_s), found.place), target) for target in targets if found.name in ("", target.name)]
+    time_s = find.time_ns / SECOND_NS
+    away = [(math.dist(target.place(time_s), find.place), target) for target in targets if find.name in ("", target.name)]
     near = [pair for pair in away if pair[0] <= NEAR_M]
     return min(near, key=lambda pair: pair[0])[1] if near else None
 
@@ -179,9 +179,9 @@ def searched_ratio(maps: Iterable[ProbabilityMap]) -> float | None:
         x, y = left + cell_m * (np.arange(columns) + 0.5), bottom + cell_m * (np.arange(rows) + 0.5)
         covered, seen = np.zeros((len(y), len(x))), np.zeros((len(y), len(x)), np.bool_)
         for other, seen_there in grids.items():
-            inside, there = _looked_up(other, seen_there, x, y)
+            inside, is_seen = _looked_up(other, seen_there, x, y)
             covered += inside
-            seen |= there
+            seen |= is_seen
         area += float((cell_m**2 / covered).sum())
         seen_area += float((cell_m**2 / covered)[seen].sum())
     return seen_area / area if area else None
@@ -192,9 +192,9 @@ def _looked_up(grid: tuple[float, ...], seen: Array, x: Array, y: Array) -> tupl
     left, bottom, cell_m, *_ = grid
     (rows, columns), (i, j) = seen.shape, (np.floor((each - edge) / cell_m) for each, edge in ((y, bottom), (x, left)))
     up, along = (i >= 0) & (i < rows), (j >= 0) & (j < columns)
-    inside, there = up[:, None] & along, np.zeros((len(y), len(x)), np.bool_)
-    there[inside] = seen[np.ix_(i[up].astype(int), j[along].astype(int))].ravel()
-    return inside, there
+    inside, is_seen = up[:, None] & along, np.zeros((len(y), len(x)), np.bool_)
+    is_seen[inside] = seen[np.ix_(i[up].astype(int), j[along].astype(int))].ravel()
+    return inside, is_seen
 
 
 def _number(noted: object) -> float:

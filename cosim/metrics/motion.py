@@ -36,8 +36,8 @@ class Motion:
 
 def motion(states: Table) -> Motion:
     """Convert the table of states to dense arrays."""
-    found = [np.unique(numbers(block, "time_ns")) for block in blocks_of(states, ("time_ns",))]
-    times, values = np.unique(np.concatenate(found)), np.empty((4, 0, 0))
+    instants = [np.unique(numbers(block, "time_ns")) for block in blocks_of(states, ("time_ns",))]
+    times, values = np.unique(np.concatenate(instants)), np.empty((4, 0, 0))
     names: tuple[str, ...] = ()
     for block in blocks_of(states, ("time_ns", "vehicle", *_POSE)):
         names, code = names_of(block, "vehicle")

@@ -38,12 +38,12 @@ class NoteStatistic:
     def __call__(self, run: Any) -> float | None:
         """The statistic; None without such notes."""
         begin_ns, end_ns = window_ns(run.window_s)
-        time_ns, found = numbers(run.notes, "time_ns"), numbers(run.notes, "value", math.nan)
+        time_ns, values = numbers(run.notes, "time_ns"), numbers(run.notes, "value", math.nan)
         (names, name), (vehicles, vehicle) = names_of(run.notes, "name"), names_of(run.notes, "vehicle")
-        counted = (time_ns >= begin_ns) & (time_ns <= end_ns) & np.isfinite(found)
+        counted = (time_ns >= begin_ns) & (time_ns <= end_ns) & np.isfinite(values)
         counted &= np.isin(name, [code for code, each in enumerate(names) if each == self._note])
         counted &= np.isin(vehicle, [code for code, each in enumerate(vehicles) if not self.vehicles or each in self.vehicles])
-        return self._statistic(found[counted], vehicle[counted]) if counted.any() else None
+        return self._statistic(values[counted], vehicle[counted]) if counted.any() else None
 
 
 def _final(values: Array, vehicle: Array) -> float:

@@ -42,9 +42,9 @@ def receptions(radio: pa.Table) -> ReceptionRows:
     """The received frames of the table."""
     (receivers, to), (senders, by) = names_of(radio, "receiver"), names_of(radio, "sender")
     received, sent = numbers(radio, "received_ns", null=-1), numbers(radio, "sent_ns")
-    got = received >= 0
-    if not got.all():
-        to, by, sent, received = to[got], by[got], sent[got], received[got]
+    is_received = received >= 0
+    if not is_received.all():
+        to, by, sent, received = to[is_received], by[is_received], sent[is_received], received[is_received]
     return ReceptionRows(receivers, senders, to, by, sent, received)
 
 
@@ -53,18 +53,23 @@ def informed(radio: pa.Table) -> ReceptionRows:
 
     A relayed message counts only at its destinations (`cosim.metrics.routing`).
     """
-    got = receptions(radio)
+    received = receptions(radio)
     if "origin" not in radio.column_names:
-        return got
+        return received
     rows = np.flatnonzero(numbers(radio, "received_ns", null=-1) >= 0)
     (origins, by), (destinations, only) = names_of(radio, "origin"), names_of(radio, "destination")
     by, only = by[rows], only[rows]
     has_origin, is_broadcast = np.array(origins) != "", np.array(destinations) == ""
-    is_addressee = has_origin[by] & (codes_of(got.receivers, origins)[by] != got.to)
-    is_addressee &= is_broadcast[only] | (codes_of(got.receivers, destinations)[only] == got.to)
+    is_addressee = has_origin[by] & (codes_of(received.receivers, origins)[by] != received.to)
+    is_addressee &= is_broadcast[only] | (codes_of(received.receivers, destinations)[only] == received.to)
     sent_ns = numbers(radio, "origin_sent_ns")[rows]
     return ReceptionRows(
-        got.receivers, origins, got.to[is_addressee], by[is_addressee], sent_ns[is_addressee], got.received_ns[is_addressee]
+        received.receivers,
+        origins,
+        received.to[is_addressee],
+        by[is_addressee],
+        sent_ns[is_addressee],
+        received.received_ns[is_addressee],
     )
 
 
@@ -99,12 +104,12 @@ def radio_metrics(radio: Table, ages: dict[str, float | None]) -> dict[str, Any]
         frames += int(np.count_nonzero(np.diff(frame, prepend=newest)))  # the rows of a frame are adjacent
         newest = int(frame[-1]) if len(frame) else newest
         delays_s.append(delays[delays >= 0] / SECOND_NS)
-    got, under_way = counts["received"], counts.pop(UNDER_WAY, 0)
+    received, under_way = counts["received"], counts.pop(UNDER_WAY, 0)
     decided = radio.num_rows - under_way
     return {
         "frames": frames,
-        "receptions": got,
-        "delivery_ratio": got / decided if decided else None,
+        "receptions": received,
+        "delivery_ratio": received / decided if decided else None,
         "under_way": under_way,
         "losses": {cause: counts[cause] for cause in sorted(counts) if cause != "received" and counts[cause]},
         "delay_s": quantiles(np.concatenate(delays_s), ("mean", "p50", "p95", "p99", "max")),
@@ -119,8 +124,8 @@ def quantiles(values: Array, names: Sequence[str]) -> dict[str, float | None]:
     percents = {"min": 0, "median": 50} | {name: int(name[1:]) for name in names if name[0] == "p"}
     of: dict[str, Any] = {"mean": np.mean, "sd": np.std, "max": np.max}
     ranked = [name for name in names if name not in of]
-    found = dict(zip(ranked, np.percentile(values, [percents[name] for name in ranked]).tolist(), strict=True))
-    return {name: float(of[name](values)) if name in of else found[name] for name in names}
+    percentiles = dict(zip(ranked, np.percentile(values, [percents[name] for name in ranked]).tolist(), strict=True))
+    return {name: float(of[name](values)) if name in of else percentiles[name] for name in names}
 
 
 SPAN_NS = SECOND_NS  # time covered by one graph
@@ -130,27 +135,27 @@ DECIMALS = 9  # eigenvalues agree on all machines to this precision
 
 
 def connectivity_metrics(
-    got: Iterable[ReceptionRows], vehicles: Sequence[str], window: Window, end_ns: int
+    parts: Iterable[ReceptionRows], vehicles: Sequence[str], window: Window, end_ns: int
 ) -> dict[str, float | None]:
     """The ``connectivity`` part; None for a single vehicle, more than `MOST_VEHICLES`, or a window shorter than `SPAN_NS`."""
     begin, last = window_ns(window)
     graphs = (min(last, end_ns) - begin) // SPAN_NS
     if not 2 <= len(vehicles) <= MOST_VEHICLES or graphs < 1:
         return dict.fromkeys(("mean", "min", "connected_share"))
-    values = algebraic_connectivity(adjacency(got, vehicles, begin, graphs))
+    values = algebraic_connectivity(adjacency(parts, vehicles, begin, graphs))
     return {"mean": float(values.mean()), "min": float(values.min()), "connected_share": float((values > 0.0).mean())}
 
 
-def adjacency(got: Iterable[ReceptionRows], vehicles: Sequence[str], begin_ns: int, graphs: int) -> Array:
+def adjacency(parts: Iterable[ReceptionRows], vehicles: Sequence[str], begin_ns: int, graphs: int) -> Array:
     """Adjacency of the vehicles in each of ``graphs`` seconds, in either direction: (graphs, n, n) bool."""
     n = len(vehicles)
-    heard = np.zeros(graphs * n * n, np.bool_)
-    for part in got:
+    is_heard = np.zeros(graphs * n * n, np.bool_)
+    for part in parts:
         to, by = codes_of(vehicles, part.receivers)[part.to], codes_of(vehicles, part.senders)[part.by]
         when = (part.received_ns - begin_ns) // SPAN_NS
         counted = (when >= 0) & (when < graphs)
-        heard[((when * n + to) * n + by)[counted]] = True
-    either = heard.reshape(graphs, n, n)
+        is_heard[((when * n + to) * n + by)[counted]] = True
+    either = is_heard.reshape(graphs, n, n)
     return either | either.transpose(0, 2, 1)
 
 

@@ -53,11 +53,11 @@ class Routing:
         counts["messages"] += 1
         counts["forwarded"] += max(0, frames - 1)
         counts["no_route"] += not frames
-        came = [routed.to in (None, receiver) for receiver in routed.receivers]
-        for hops, received_ns in compress(zip(routed.hops, routed.received_ns, strict=True), came):
+        is_addressee = [routed.to in (None, receiver) for receiver in routed.receivers]
+        for hops, received_ns in compress(zip(routed.hops, routed.received_ns, strict=True), is_addressee):
             self._arrivals.extend((hops, received_ns - routed.sent_ns))
         addressees = len(self._names) - 2 if routed.to is None else 1
-        counts["decided"] += sum(came) if routed.under_way else addressees
+        counts["decided"] += sum(is_addressee) if routed.under_way else addressees
 
     def metrics(self) -> dict[str, Any]:
         """The ``routing`` part, of the whole run. Messages still under way at its end have not failed."""
@@ -82,13 +82,13 @@ class Routing:
         """
         nothing = len(self._names) - 1
         messages = np.append(np.array(self._messages, np.int64), (nothing, nothing, *_NOBODY)).reshape(-1, 5).T
-        known, frames = np.array(self._frames, np.int64).reshape(-1, 2), numbers(radio, "frame")
-        place = np.full(1 + max(known[:, 0].max(initial=-1), frames.max(initial=-1)), -1)
-        place[known[:, 0]] = known[:, 1]
+        frame_rows, frames = np.array(self._frames, np.int64).reshape(-1, 2), numbers(radio, "frame")
+        place = np.full(1 + max(frame_rows[:, 0].max(initial=-1), frames.max(initial=-1)), -1)
+        place[frame_rows[:, 0]] = frame_rows[:, 1]
         of = place[frames]  # -1: an aborted run never reports some messages
         origin, to, fate = (messages[row][of].astype(np.int32) for row in (0, 1, 4))
         if radio_of is not None:
-            direct = ~np.isin(radio_of[frames], radio_of[known[:, 0]])
+            direct = ~np.isin(radio_of[frames], radio_of[frame_rows[:, 0]])
             senders, sender = names_of(radio, "sender")
             origin[direct] = codes_of(self._names, senders)[sender[direct]]
         columns = (
@@ -110,8 +110,8 @@ def unreached_s(radio: pa.Table, receiver: str, origin: str) -> Array:
     own, its = by == code_of(origins, origin), (to == code_of(destinations, "")) | (to == code_of(destinations, receiver))
     matches = own & its & (fate == code_of(fates, "over"))
     number, sent_ns = numbers(radio, "origin_number", null=-1), numbers(radio, "origin_sent_ns")
-    came = own & (at == code_of(receivers, receiver)) & ~nulls(radio, "received_ns") & (number >= 0)
+    is_received = own & (at == code_of(receivers, receiver)) & ~nulls(radio, "received_ns") & (number >= 0)
     lost_ns = np.full(1 + number.max(initial=-1), -1)  # by number
     lost_ns[number[matches]] = sent_ns[matches]
-    lost_ns[number[came]] = -1
+    lost_ns[number[is_received]] = -1
     return np.asarray(np.sort(lost_ns[lost_ns >= 0]) / SECOND_NS)

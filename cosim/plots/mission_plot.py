@@ -50,7 +50,7 @@ def mission(log: MissionLog, moved: Motion, targets: Sequence[Target], outlines:
     Stars are finds, crosses false finds, triangles abandoned targets; on the maps, stars are true positions.
     """
     with style(MAP):
-        shapes = [shown.seen.shape for maps in log.maps.values() for _, shown in maps[:1]]
+        shapes = [grid.seen.shape for maps in log.maps.values() for _, grid in maps[:1]]
         rows, columns = shapes[0] if shapes else (1, 1)
         slenderness = np.clip(rows / max(columns, 1), 0.4, 2.5)  # aspect ratio of the maps: height over width
         heights = 1.1 + 0.3 * len(log.vehicles), 0.9 + 2.35 * slenderness  # inches
@@ -74,7 +74,7 @@ def mosaic(log: MissionLog, moved: Motion, targets: Sequence[Target]) -> Figure:
             axes.imshow(np.dstack((each.pixels, alpha)), **_extent(each.left, each.bottom, each.cell_m, each.pixels))
         for index, name in enumerate(log.vehicles):
             _track(axes, moved, name, index, log.end_ns, halo=True)
-            sightings = [found for _, each in log.sightings.get(name, ()) for found in each.found]
+            sightings = [sighting for _, each in log.sightings.get(name, ()) for sighting in each.found]
             places = np.array([each.place for each in sightings]).reshape(-1, 2)
             axes.plot(*places.T, color=color_of(index), **DOT)
         _true_places(axes, targets, log.end_ns, named=True)
@@ -113,8 +113,8 @@ def chosen_pictures(log: MissionLog) -> list[tuple[int, str, Sightings]]:
     For each vehicle and target: the first picture, then those in which the target's position differs most.
     """
     pairs: dict[tuple[str, str], list[tuple[int, str, Sightings]]] = {}
-    for name, shown in log.sightings.items():
-        for time_ns, sightings in shown:
+    for name, series in log.sightings.items():
+        for time_ns, sightings in series:
             if sightings.jpeg and sightings.found:
                 pairs.setdefault((name, _best(sightings).target), []).append((time_ns, name, sightings))
     groups = sorted(pairs.values(), key=lambda group: group[0][:2])[:SHEET]
@@ -163,11 +163,11 @@ def _timeline(axes: Axes, log: MissionLog, targets: Sequence[Target]) -> None:
     for side in ("left", "top", "right"):
         axes.spines[side].set_visible(False)
     axes.tick_params(axis="y", length=0.0)
-    shown: list[Artist] = [Patch(**_band(name), label=name) for name in COMMANDERS if name in commanders]
-    shown += [Patch(**_band("other"), label="other")] if commanders - COMMANDERS.keys() else []
+    handles: list[Artist] = [Patch(**_band(name), label=name) for name in COMMANDERS if name in commanders]
+    handles += [Patch(**_band("other"), label="other")] if commanders - COMMANDERS.keys() else []
     for mark, words in ((MARKED, "found"), (FALSE, "no target there"), (GIVEN_UP, "given up")):
-        shown.append(Line2D([], [], label=words, **mark))
-    axes.legend(handles=shown, ncols=len(shown), **ABOVE)
+        handles.append(Line2D([], [], label=words, **mark))
+    axes.legend(handles=handles, ncols=len(handles), **ABOVE)
 
 
 def _band(commander: str) -> dict[str, Any]:
@@ -180,16 +180,16 @@ def _band(commander: str) -> dict[str, Any]:
 
 
 def _finds(axes: Axes, log: MissionLog, targets: Sequence[Target]) -> None:
-    known: set[tuple[str, str]] = set()
-    for found in log.noted.found:
-        if found.vehicle not in log.vehicles:
+    labelled: set[tuple[str, str]] = set()
+    for find in log.noted.found:
+        if find.vehicle not in log.vehicles:
             continue
-        row, target = log.vehicles.index(found.vehicle), target_at(targets, found)
-        axes.plot(found.time_ns / SECOND_NS, row, zorder=6, **(MARKED if target else FALSE))
-        name = target.name if target else found.name
-        if (found.vehicle, name) not in known:
-            known.add((found.vehicle, name))
-            _say(axes, found.time_ns / SECOND_NS, row - 0.36, name, "bottom")
+        row, target = log.vehicles.index(find.vehicle), target_at(targets, find)
+        axes.plot(find.time_ns / SECOND_NS, row, zorder=6, **(MARKED if target else FALSE))
+        name = target.name if target else find.name
+        if (find.vehicle, name) not in labelled:
+            labelled.add((find.vehicle, name))
+            _say(axes, find.time_ns / SECOND_NS, row - 0.36, name, "bottom")
 
 
 def _say(axes: Axes, time_s: float, height: float, words: str, where: str) -> None:
@@ -202,15 +202,15 @@ def instants_of(log: MissionLog, targets: Sequence[Target]) -> list[tuple[int, s
     Where less has happened, the largest gaps are halved.
     """
     finds: dict[str, int] = {}
-    for found in log.noted.found:
-        if (target := target_at(targets, found)) is not None:
-            finds.setdefault(target.name, found.time_ns)
+    for find in log.noted.found:
+        if (target := target_at(targets, find)) is not None:
+            finds.setdefault(target.name, find.time_ns)
     events = [(time_ns, f"{name} found") for name, time_ns in sorted(finds.items(), key=lambda each: each[1])]
     events += [(time_ns, f"{target} given up") for name in log.vehicles for time_ns, target in log.noted.lost(name)]
     chosen = {log.end_ns: "the end"}
-    for time_ns, what in events:
-        if len(chosen) < INSTANTS and all(abs(time_ns - other) > APART * log.end_ns for other in chosen):
-            chosen[time_ns] = what
+    for time_ns, event in events:
+        if len(chosen) < INSTANTS and all(abs(time_ns - chosen_ns) > APART * log.end_ns for chosen_ns in chosen):
+            chosen[time_ns] = event
     while len(chosen) < min(INSTANTS, log.end_ns):
         begin, end = max(pairwise(sorted({0, *chosen})), key=lambda gap: gap[1] - gap[0])
         chosen[(begin + end) // 2] = ""
@@ -219,8 +219,8 @@ def instants_of(log: MissionLog, targets: Sequence[Target]) -> list[tuple[int, s
 
 def _maps(figure: FigureBase, log: MissionLog, moved: Motion, targets: Sequence[Target], outlines: Sequence[Array]) -> None:
     chosen = instants_of(log, targets)
-    shown, image = figure.subplots(1, len(chosen), sharex=True, sharey=True, squeeze=False)[0], None
-    for number, (axes, (now, what)) in enumerate(zip(shown, chosen, strict=True), start=1):
+    panels, image = figure.subplots(1, len(chosen), sharex=True, sharey=True, squeeze=False)[0], None
+    for number, (axes, (now, event)) in enumerate(zip(panels, chosen, strict=True), start=1):
         grids, surest = surest_map(log, now)
         if grids is not None:
             extent = _extent(grids.left, grids.bottom, grids.cell_m, surest)
@@ -231,10 +231,10 @@ def _maps(figure: FigureBase, log: MissionLog, moved: Motion, targets: Sequence[
             _track(axes, moved, name, index, now)
         _true_places(axes, targets, now, named=number == 1)
         _square(axes)
-        axes.set_title(": ".join(filter(None, (f"{now / SECOND_NS:g} s", what))))
+        axes.set_title(": ".join(filter(None, (f"{now / SECOND_NS:g} s", event))))
         axes.label_outer()
     if image is not None:
-        figure.colorbar(image, ax=shown, shrink=0.7, pad=0.01, label="P(target) [1]")
+        figure.colorbar(image, ax=panels, shrink=0.7, pad=0.01, label="P(target) [1]")
 
 
 def _track(axes: Axes, moved: Motion, name: str, index: int, now_ns: int, *, halo: bool = False) -> None:

@@ -48,7 +48,7 @@ class _Above:
         self._low, self._scale = _frame_of(log, moved)
         self._outlines = [self._px(outline) for outline in outlines]
         self._trails = self._px(np.moveaxis(moved.position[:2], 0, -1))  # (m, n, 2)
-        self._there: Array = np.isfinite(moved.position[:2].sum(axis=0))
+        self._is_known: Array = np.isfinite(moved.position[:2].sum(axis=0))
         self._base = _paper()
         self._base_of: tuple[int, ...] | None = None  # number of maps of each vehicle in the cached background
 
@@ -72,7 +72,7 @@ class _Above:
         import cv2
 
         column, color = self._moved.column(name), _bgr(rgb_of(self._log.vehicles.index(name)))
-        trail = self._trails[:until, column][self._there[:until, column]]
+        trail = self._trails[:until, column][self._is_known[:until, column]]
         if not len(trail):
             return
         cv2.polylines(picture, [trail], False, color, 1, cv2.LINE_AA)
@@ -129,22 +129,22 @@ class _Above:
 class _Beside:
     def __init__(self, log: MissionLog) -> None:
         self._log = log
-        taken = {name: [each for each in log.sightings.get(name, ()) if each[1].jpeg] for name in log.vehicles}
-        chosen = sorted(taken, key=lambda name: not taken[name])[:MOST_PICTURES]
-        self._shown = {name: shown for name, shown in taken.items() if name in chosen}
-        count = len(self._shown)
+        pictures_of = {name: [each for each in log.sightings.get(name, ()) if each[1].jpeg] for name in log.vehicles}
+        chosen = sorted(pictures_of, key=lambda name: not pictures_of[name])[:MOST_PICTURES]
+        self._pictures_of = {name: pictures for name, pictures in pictures_of.items() if name in chosen}
+        count = len(self._pictures_of)
         self._columns = 1 if count <= 2 else 2
         self._height, self._width = MAP_PX // -(-max(count, 1) // self._columns), SIDE_PX // self._columns
         self._cache: dict[str, tuple[int, Array]] = {}
 
     def at(self, now_ns: int) -> Array:
         picture = np.full((MAP_PX, SIDE_PX, 3), 20, np.uint8)
-        for place, (name, shown) in enumerate(self._shown.items()):
+        for place, (name, pictures) in enumerate(self._pictures_of.items()):
             top, left = place // self._columns * self._height, place % self._columns * self._width
             cell = picture[top : top + self._height, left : left + self._width]
-            newest = bisect_right(shown, now_ns, key=lambda each: each[0]) - 1
+            newest = bisect_right(pictures, now_ns, key=lambda each: each[0]) - 1
             if newest >= 0:
-                small = self._picture(name, newest, shown[newest][1])
+                small = self._picture(name, newest, pictures[newest][1])
                 y, x = 24 + (cell.shape[0] - 24 - small.shape[0]) // 2, (cell.shape[1] - small.shape[1]) // 2
                 cell[y : y + small.shape[0], x : x + small.shape[1]] = small
             commander = _newest(self._log.noted.of(name, "commander"), now_ns) or ""

@@ -25,36 +25,36 @@ _BLUE, _RED = OKABE_ITO[1], OKABE_ITO[2]
 _DEEPEST_DB = 15.0  # below the detection floor; weaker levels share one colour
 
 
-def coverage(found: "Map") -> Figure:
+def coverage(radio_map: "Map") -> Figure:
     """Two maps with common axes: mean level, with a contour at the detection floor, and share of frames received."""
     with style(MAP):
-        width, height = np.ptp(found.x), np.ptp(found.y)
+        width, height = np.ptp(radio_map.x), np.ptp(radio_map.y)
         wide = width > 1.6 * height
         size = (7.0, 1.6 + 12.0 * height / width) if wide else (10.5, 1.2 + 4.4 * height / width)
         figure = Figure(figsize=(size[0], min(size[1], 12.0)), layout="compressed")
         above, below = figure.subplots(*((2, 1) if wide else (1, 2)), sharex=True, sharey=True)
-        top = max(float(found.level_dbm.max()), found.floor_dbm + 1.0)
-        low = max(float(found.level_dbm.min()), found.floor_dbm - _DEEPEST_DB)
-        _field(figure, above, found, found.level_dbm, (low, top), _LEVEL, "mean received level [dBm]")
-        _contours(above, found, found.level_dbm, {found.floor_dbm: f"{found.floor_dbm:.0f} dBm"})
-        label = f"received frames of {found.size_bytes} bytes [%]"
-        _field(figure, below, found, 100.0 * found.success, (0.0, 100.0), _SUCCESS, label)
-        _contours(below, found, 100.0 * found.success, {50.0: "50 %"})
+        top = max(float(radio_map.level_dbm.max()), radio_map.floor_dbm + 1.0)
+        low = max(float(radio_map.level_dbm.min()), radio_map.floor_dbm - _DEEPEST_DB)
+        _field(figure, above, radio_map, radio_map.level_dbm, (low, top), _LEVEL, "mean received level [dBm]")
+        _contours(above, radio_map, radio_map.level_dbm, {radio_map.floor_dbm: f"{radio_map.floor_dbm:.0f} dBm"})
+        label = f"received frames of {radio_map.size_bytes} bytes [%]"
+        _field(figure, below, radio_map, 100.0 * radio_map.success, (0.0, 100.0), _SUCCESS, label)
+        _contours(below, radio_map, 100.0 * radio_map.success, {50.0: "50 %"})
         for axes in (above, below):
-            _scene(axes, found)
+            _scene(axes, radio_map)
         below.set_xlabel("x east [m]")
         above.set_xlabel("" if wide else "x east [m]")
         above.set_ylabel("y north [m]")
         below.set_ylabel("y north [m]" if wide else "")
-        _titles(figure, above, found)
+        _titles(figure, above, radio_map)
         return figure
 
 
 def _field(
-    figure: Figure, axes: Axes, found: "Map", values: Array, bounds: tuple[float, float], colors: str, label: str
+    figure: Figure, axes: Axes, radio_map: "Map", values: Array, bounds: tuple[float, float], colors: str, label: str
 ) -> None:
-    half = 0.5 * (found.x[1] - found.x[0])
-    extent = (found.x[0] - half, found.x[-1] + half, found.y[0] - half, found.y[-1] + half)
+    half = 0.5 * (radio_map.x[1] - radio_map.x[0])
+    extent = (radio_map.x[0] - half, radio_map.x[-1] + half, radio_map.y[0] - half, radio_map.y[-1] + half)
     low, high = bounds
     image = axes.imshow(
         values, origin="lower", extent=extent, cmap=colors, vmin=low, vmax=high, interpolation="nearest", aspect="equal"
@@ -62,42 +62,45 @@ def _field(
     figure.colorbar(image, ax=axes, label=label, extend="min" if values.min() < low else "neither", pad=0.02)
 
 
-def _contours(axes: Axes, found: "Map", values: Array, words: dict[float, str]) -> None:
+def _contours(axes: Axes, radio_map: "Map", values: Array, words: dict[float, str]) -> None:
     levels = [level for level in words if values.min() < level < values.max()]
     if levels and min(values.shape) > 1:
-        lines = axes.contour(found.x, found.y, values, levels=levels, colors="white", linewidths=1.1, linestyles="solid")
+        lines = axes.contour(
+            radio_map.x, radio_map.y, values, levels=levels, colors="white", linewidths=1.1, linestyles="solid"
+        )
         for text in axes.clabel(lines, fmt={level: words[level] for level in levels}, fontsize=7, inline_spacing=2):
             text.set_path_effects([effects.withStroke(linewidth=2.0, foreground="black")])
 
 
-def _scene(axes: Axes, found: "Map") -> None:
-    materials = sorted({solid.material for solid in found.solids})
-    for solid in found.solids:
+def _scene(axes: Axes, radio_map: "Map") -> None:
+    materials = sorted({solid.material for solid in radio_map.solids})
+    for solid in radio_map.solids:
         color = _color_of(materials, solid.material)
         for piece in solid.uprights():
             axes.fill(*piece.corners.T, facecolor=color, edgecolor=color, linewidth=2.0, zorder=3, path_effects=_WHITE)
-    near_m, named = 0.07 * max(np.ptp(found.x), np.ptp(found.y)), list[tuple[float, float]]()
-    for name in sorted(found.places, key=lambda name: name != found.vehicle):  # the sender first: its name, and its star, stay
-        x, y, _ = found.places[name]
-        sends = name == found.vehicle
+    near_m, labelled = 0.07 * max(np.ptp(radio_map.x), np.ptp(radio_map.y)), list[tuple[float, float]]()
+    # the sender first: its name, and its star, stay
+    for name in sorted(radio_map.places, key=lambda name: name != radio_map.vehicle):
+        x, y, _ = radio_map.places[name]
+        sends = name == radio_map.vehicle
         shape: dict[str, Any] = {"marker": "*", "markersize": 12, "zorder": 6} if sends else {"marker": "o", "zorder": 5}
         axes.plot(x, y, color="white", markeredgecolor="black", **shape)
-        if all(np.hypot(x - a, y - b) > near_m for a, b in named):
-            named.append((x, y))
+        if all(np.hypot(x - a, y - b) > near_m for a, b in labelled):
+            labelled.append((x, y))
             note = axes.annotate(name, (x, y), xytext=(5, 5), textcoords="offset points", fontsize=8, zorder=7)
             note.set_path_effects(_WHITE)
 
 
-def _titles(figure: Figure, axes: Axes, found: "Map") -> None:
-    share = 100.0 * float((found.level_dbm >= found.floor_dbm).mean())
+def _titles(figure: Figure, axes: Axes, radio_map: "Map") -> None:
+    share = 100.0 * float((radio_map.level_dbm >= radio_map.floor_dbm).mean())
     gap = "\n" if figure.get_figwidth() < 10.0 else " "
     figure.suptitle(
-        f"{found.scenario}: coverage of {found.vehicle} ({found.preset}, seed {found.seed}, "
-        f"receivers {found.height_m:g} m high)\n"
-        f"{share:.0f} % of the area hears it at {found.floor_dbm:.1f} dBm or more;{gap}"
-        f"{100.0 * found.success.mean():.0f} % of the frames arrive, without random loss and collisions"
+        f"{radio_map.scenario}: coverage of {radio_map.vehicle} ({radio_map.preset}, seed {radio_map.seed}, "
+        f"receivers {radio_map.height_m:g} m high)\n"
+        f"{share:.0f} % of the area hears it at {radio_map.floor_dbm:.1f} dBm or more;{gap}"
+        f"{100.0 * radio_map.success.mean():.0f} % of the frames arrive, without random loss and collisions"
     )
-    materials = sorted({solid.material for solid in found.solids})
+    materials = sorted({solid.material for solid in radio_map.solids})
     if materials:
         lines = [Line2D([], [], color=_color_of(materials, each), linewidth=3) for each in materials]
         axes.legend(lines, materials, ncols=len(materials), **ABOVE)

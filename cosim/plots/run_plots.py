@@ -56,8 +56,8 @@ def trajectory(
     solids = PolyCollection(outlines, facecolor="0.88", edgecolor="0.72", linewidth=0.5, zorder=1)
     axes.add_collection(solids, autolim=False)  # the tracks determine the axis limits
     last = len(moved.time_ns) - 1
-    shown: list[int] = np.unique(np.linspace(0, last, SNAPSHOTS).round().astype(int)).tolist() if last > 0 else []
-    for instant in shown:
+    instants: list[int] = np.unique(np.linspace(0, last, SNAPSHOTS).round().astype(int)).tolist() if last > 0 else []
+    for instant in instants:
         _draw_formation(axes, moved, follows, instant)
     for i, name in enumerate(moved.names):
         if name in stations:
@@ -66,9 +66,9 @@ def trajectory(
             )
             continue
         axes.plot(x[:, i], y[:, i], **{**line_of(i), "markevery": [0]}, label=name, zorder=3)
-        for instant in shown[1:]:
+        for instant in instants[1:]:
             pose = x[instant, i], y[instant, i], moved.yaw[instant, i]
-            draw_vehicle(axes, pose, color_of(i), 14.0 if instant == shown[-1] else 9.0)
+            draw_vehicle(axes, pose, color_of(i), 14.0 if instant == instants[-1] else 9.0)
     axes.plot([], [], color=GREY, linestyle="", marker="o", markersize=4.0, label=START)
     axes.plot([], [], color=GREY, linestyle="", marker=">", markersize=6.0, label=WAY)
     if follows:
@@ -209,8 +209,8 @@ def _draw_losses(axes: Axes, moved: Motion, radio: pa.Table, follows: Sequence[P
     if followers:
         axes.eventplot(lost, colors=colors, lineoffsets=list(range(len(lost))), linelengths=0.75, linewidths=0.7)
     axes.set_ylim(len(lost) - 0.5, -0.5)
-    named = followers if len(followers) <= NAMED else []
-    axes.set_yticks(range(len(named)), named, fontsize="small")
+    labels = followers if len(followers) <= NAMED else []
+    axes.set_yticks(range(len(labels)), labels, fontsize="small")
     axes.tick_params(axis="y", length=0.0)
     axes.grid(visible=False)
     axes.spines["left"].set_visible(False)
@@ -238,7 +238,7 @@ def _lost_s(radio: pa.Table, receiver: str, sender: str) -> Array:
 def _legend(axes: Axes) -> None:
     handles, labels = axes.get_legend_handles_labels()
     vehicles = [place for place, label in enumerate(labels) if label not in EXPLAINED]
-    shown = [*vehicles[:LISTED], *(place for place, label in enumerate(labels) if label in EXPLAINED)]
-    axes.legend([handles[place] for place in shown], [labels[place] for place in shown], ncols=5, **ABOVE)
+    places = [*vehicles[:LISTED], *(place for place, label in enumerate(labels) if label in EXPLAINED)]
+    axes.legend([handles[place] for place in places], [labels[place] for place in places], ncols=5, **ABOVE)
     if len(vehicles) > LISTED:
         axes.set_title(f"and {len(vehicles) - LISTED} more", loc="right", fontsize="small")

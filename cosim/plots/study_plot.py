@@ -124,16 +124,16 @@ def heat_map(summary: pa.Table, keys: Sequence[str], metric: str, title: str = "
         return figure
 
 
-def _line(axes: Axes, table: Table, what: tuple[str, str], rows: list[int], look: dict[str, Any]) -> None:
-    x, mean, low, high = _values(table, *what, rows)
+def _line(axes: Axes, table: Table, quantities: tuple[str, str], rows: list[int], look: dict[str, Any]) -> None:
+    x, mean, low, high = _values(table, *quantities, rows)
     axes.fill_between(x, low, high, color=look["color"], alpha=0.2, linewidth=0.0, zorder=2)
     axes.plot(x, mean, markersize=3.5, zorder=3, **look)
 
 
-def _bars(axes: Axes, table: Table, what: tuple[str, str], rows: list[int], spread: float, look: dict[str, Any]) -> None:
-    key, metric = what
-    shown = _distinct(table.columns[key]) if key else [""]
-    places = [shown.index(table.columns[key][row]) + spread if key else spread for row in rows]
+def _bars(axes: Axes, table: Table, quantities: tuple[str, str], rows: list[int], spread: float, look: dict[str, Any]) -> None:
+    key, metric = quantities
+    values = _distinct(table.columns[key]) if key else [""]
+    places = [values.index(table.columns[key][row]) + spread if key else spread for row in rows]
     _, mean, low, high = _values(table, "", metric, rows)
     error = np.nan_to_num(np.array([mean - low, high - mean]))
     axes.errorbar(places, mean, error, **{**look, "linestyle": ""}, capsize=3, markersize=5, zorder=3)
@@ -157,11 +157,11 @@ def _scale(axes: Axes, table: Table, metric: str) -> None:
         axes.set_ylim(bottom=0.0)
 
 
-def _axis(panels: Iterable[Axes], shown: int, table: Table, key: str) -> None:
-    columns = min(shown, 2)
+def _axis(panels: Iterable[Axes], count: int, table: Table, key: str) -> None:
+    columns = min(count, 2)
     for index, axes in enumerate(panels):
-        axes.set_visible(index < shown)
-        if index + columns >= shown:
+        axes.set_visible(index < count)
+        if index + columns >= count:
             axes.set_xlabel(_axis_label(key) if key else "")
             axes.tick_params(labelbottom=True)
         if not table.numeric:
@@ -193,8 +193,8 @@ def _look(index: int, count: int, *, ordered: bool) -> dict[str, Any]:
     return {"color": color_of(index), "marker": marker_of(index)}
 
 
-def _field(table: Table, what: tuple[str, str, str], rows: list[int]) -> Array:
-    x_key, y_key, metric = what
+def _field(table: Table, quantities: tuple[str, str, str], rows: list[int]) -> Array:
+    x_key, y_key, metric = quantities
     xs, ys = (sorted(_distinct(table.columns[key])) for key in (x_key, y_key))
     field = np.full((len(ys), len(xs)), np.nan)
     for row in rows:
@@ -244,12 +244,12 @@ def _sorted(summary: pa.Table, keys: Sequence[str]) -> Table:
 
 
 def _groups(table: Table, others: Sequence[str]) -> dict[str, list[int]]:
-    found: dict[str, list[int]] = {}
+    rows_of: dict[str, list[int]] = {}
     columns = [table.columns[key] for key in others]
     words = [dict(zip(values, _labels(values), strict=True)) for values in map(_distinct, columns)]
     for row in range(len(table.columns["n"])):
-        found.setdefault(", ".join(own[column[row]] for own, column in zip(words, columns, strict=True)), []).append(row)
-    return found
+        rows_of.setdefault(", ".join(own[column[row]] for own, column in zip(words, columns, strict=True)), []).append(row)
+    return rows_of
 
 
 def _distinct(values: Sequence[Any]) -> list[Any]:

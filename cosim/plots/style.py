@@ -177,6 +177,6 @@ def _make_light(figure: Figure) -> None:
         collection.set_rasterized(len(collection.get_paths()) > most)
 
 
-def _shorter(found: re.Match[str]) -> str:
-    numbers = _NUMBER.sub(lambda number: f"{float(number[0]):.2f}".rstrip("0").rstrip("."), found[2])
-    return f"{found[1]}{numbers}"
+def _shorter(match: re.Match[str]) -> str:
+    numbers = _NUMBER.sub(lambda number: f"{float(number[0]):.2f}".rstrip("0").rstrip("."), match[2])
+    return f"{match[1]}{numbers}"

@@ -105,16 +105,16 @@ class LinkedProcess(ChildProcess):
     """``python -m MODULE FD ARGUMENTS``: a process beside the run; FD is the other end of its `link`, which it inherits."""
 
     def __init__(self, module: str, *arguments: str) -> None:
-        self.link, there = pair()
+        self.link, child_end = pair()
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-        with there:
+        with child_end:
             # Own session: Ctrl-C and a closing terminal do not reach it, so it can release its resources in order.
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", module, str(there.fileno()), *arguments],
+                [sys.executable, "-P", "-m", module, str(child_end.fileno()), *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=sys.__stderr__,
                 env=environment,
-                pass_fds=(there.fileno(),),
+                pass_fds=(child_end.fileno(),),
                 start_new_session=True,
             )
 
@@ -175,8 +175,8 @@ class LocalLink:
 
 def pair() -> tuple[LocalLink, socket.socket]:
     """A link, and the socket that a child process inherits as its other end."""
-    here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    return LocalLink(here), there
+    own_end, child_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    return LocalLink(own_end), child_end
 
 
 def ending(code: int) -> str:

@@ -54,11 +54,13 @@ class ForkServer:
         if not FORKS:
             return self
         with contextlib.ExitStack() as opened:
-            self._requests, theirs = socket.socketpair()
+            self._requests, child_end = socket.socketpair()
             opened.enter_context(self._requests)
             arguments = self._module, *self._imports
-            with theirs:
-                self._process = ChildProcess(MODULE, *arguments, files=self._files, stdin=theirs.fileno(), stdout=self._stdout)
+            with child_end:
+                self._process = ChildProcess(
+                    MODULE, *arguments, files=self._files, stdin=child_end.fileno(), stdout=self._stdout
+                )
             opened.callback(self._process.wait)
             opened.callback(self._process.kill)
             self._open = opened.pop_all()
@@ -95,18 +97,18 @@ class _Fork:
         self._server, self._lock = server, threading.Lock()
         self._pid: int | None = None
         self._code: int | None = None
-        with contextlib.ExitStack() as theirs, contextlib.ExitStack() as ours:
+        with contextlib.ExitStack() as child_ends, contextlib.ExitStack() as own_ends:
             self._report, report = os.pipe()
-            theirs.callback(os.close, report)
-            ours.callback(os.close, self._report)
+            child_ends.callback(os.close, report)
+            own_ends.callback(os.close, self._report)
             self.stdin: IO[bytes] | None = None
             if stdin == subprocess.PIPE:
                 stdin, own = os.pipe()
-                theirs.callback(os.close, stdin)
-                self.stdin = ours.enter_context(os.fdopen(own, "wb"))
+                child_ends.callback(os.close, stdin)
+                self.stdin = own_ends.enter_context(os.fdopen(own, "wb"))
             socket.send_fds(requests, [NUMBER.pack(len(arguments))], [stdin, report])
             requests.sendall(arguments)
-            ours.pop_all()
+            own_ends.pop_all()
         # Open for as long as this object: a thread may wait for the report while another one reads its end.
         weakref.finalize(self, os.close, self._report)
 

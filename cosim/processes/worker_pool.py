@@ -53,10 +53,10 @@ class Worker:
 
     def __init__(self, call: Callable[[Any], Any], start: Callable[..., ChildProcess]) -> None:
         with _starting():
-            ours, theirs = socket.socketpair()
-            self._pipe: Connection[Any, Any] = Connection(ours.detach())
-            with theirs:
-                self._process = start(stdin=theirs.fileno())
+            own_end, child_end = socket.socketpair()
+            self._pipe: Connection[Any, Any] = Connection(own_end.detach())
+            with child_end:
+                self._process = start(stdin=child_end.fileno())
         with contextlib.suppress(OSError):  # the worker has ended, which `await_ready` reports
             self._pipe.send_bytes(pickle.dumps(call))
 

@@ -172,8 +172,8 @@ class Accumulators:
                     return self._with_radios(facts, columns, rows)
                 if not routing or not (columns is None or set(columns) & set(ROUTES)):
                     return radio_table(frames, facts, columns, rows)
-                known = None if columns is None else {*columns, "frame", "sent_ns"}
-                table = routing.table(radio_table(frames, facts, known, rows))
+                base_columns = None if columns is None else {*columns, "frame", "sent_ns"}
+                table = routing.table(radio_table(frames, facts, base_columns, rows))
                 return table if columns is None else table.select([*columns])
 
             self._tables = (
@@ -192,8 +192,8 @@ class Accumulators:
         """The table of frames of several radios, with a column of their names."""
         is_routed = bool(self._routing) and (columns is None or bool(set(columns) & set(ROUTES)))
         needed = {"frame", "sent_ns", "sender"} if is_routed else {"frame"}
-        known = None if columns is None else needed.union(columns)
-        table = radio_table(self._frames, facts, known, rows)
+        base_columns = None if columns is None else needed.union(columns)
+        table = radio_table(self._frames, facts, base_columns, rows)
         radio_of = np.array(self._radio_of, np.int32)
         if is_routed:
             table = self._routing.table(table, radio_of)
@@ -242,8 +242,8 @@ class Accumulators:
     def _take_follows(self, key: str, time_ns: int, follows: types.Follows) -> None:
         vehicle = vehicle_of(key)
         if follows.leader is not None and follows.leader not in self._run.vehicles:
-            known = ", ".join(self._run.vehicles)
-            raise ScenarioError(f"{vehicle} follows {follows.leader!r}, which is not a vehicle of this run; vehicles: {known}")
+            names = ", ".join(self._run.vehicles)
+            raise ScenarioError(f"{vehicle} follows {follows.leader!r}, which is not a vehicle of this run; vehicles: {names}")
         self._follows.append(Placement(time_ns, vehicle, follows))
 
     def _take_note(self, key: str, time_ns: int, note: types.Note) -> None:

@@ -454,9 +454,9 @@ def label_of(sighting: Sighting) -> str:
     return f"{sighting.target} {sighting.score:.2f}".strip()
 
 
-def _grid(shown: ProbabilityMap | Mosaic, names: tuple[str, ...], cells: Array, time_ns: int) -> Grid:
+def _grid(ground: ProbabilityMap | Mosaic, names: tuple[str, ...], cells: Array, time_ns: int) -> Grid:
     _, columns, depth = cells.shape
-    corner, size = Pose(Vector3(shown.left, shown.bottom)), Vector2(shown.cell_m, shown.cell_m)
+    corner, size = Pose(Vector3(ground.left, ground.bottom)), Vector2(ground.cell_m, ground.cell_m)
     fields = [PackedElementField(name, offset) for offset, name in enumerate(names)]
     return Grid(Time.of(time_ns), "world", corner, columns, size, columns * depth, depth, fields, cells.tobytes())
 

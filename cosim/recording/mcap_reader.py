@@ -62,8 +62,8 @@ def of_topic(stream: BinaryIO, topic: str) -> Iterator[tuple[int, bytes]]:
         is_whole = stream.read() == MCAP0_MAGIC
     stream.seek(0)
     with contextlib.nullcontext() if is_whole else contextlib.suppress(ValueError):
-        found = contents(stream, lambda each, _: each == topic, by_index=True)
-        yield from ((each.time_ns, each.data) for each in found if each.topic)
+        entries = contents(stream, lambda each, _: each == topic, by_index=True)
+        yield from ((each.time_ns, each.data) for each in entries if each.topic)
 
 
 def contents(

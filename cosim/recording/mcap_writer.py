@@ -96,8 +96,8 @@ class Form(NamedTuple):
 def schema_of(message_type: type) -> Schema:
     """JSON Schema of a message type: ``foxglove.*`` for Foxglove's, ``vcmvsp.*`` for the platform's values."""
     name = message_type.__name__
-    known = issubclass(message_type, FoxgloveMessage)
-    title = f"foxglove.{name}" if known else f"vcmvsp.{name.removesuffix('Report')}"
+    is_foxglove = issubclass(message_type, FoxgloveMessage)
+    title = f"foxglove.{name}" if is_foxglove else f"vcmvsp.{name.removesuffix('Report')}"
     (root,), definitions = msgspec.json.schema_components([message_type], schema_hook=_array_schema)
     for each in (Message, FrameReport, Datagrams):
         for name in ("radio", *PATHS):  # only with several radios; only where rays are traced

@@ -55,9 +55,9 @@ def read_mission(stream: BinaryIO, vehicles: tuple[str, ...], end_ns: int) -> Mi
     log = MissionLog(vehicles, end_ns)
     with contextlib.suppress(ValueError, LookupError):  # not a mission message, or an unreadable picture
         for topic, time_ns, data in messages(stream):
-            vehicle, _, what = topic.partition("/")
+            vehicle, _, subtopic = topic.partition("/")
             if vehicle in vehicles:
-                _take(log, vehicle, what, time_ns, data)
+                _take(log, vehicle, subtopic, time_ns, data)
     for vehicle, sightings in log.sightings.items():
         log.sightings[vehicle] = [each for each in sightings if each[1].found or each[1].jpeg]
     return log
@@ -68,8 +68,8 @@ def surest_map(log: MissionLog, now_ns: int) -> tuple[ProbabilityMap | None, Arr
 
     Uses the grid of the first vehicle with a map and ignores other grids. Also returns that map, which holds the grid's origin.
     """
-    newest = [[shown for time_ns, shown in maps if time_ns <= now_ns][-1:] for maps in log.maps.values()]
-    maps = [shown for each in newest for shown in each]
+    newest = [[grid for time_ns, grid in maps if time_ns <= now_ns][-1:] for maps in log.maps.values()]
+    maps = [grid for each in newest for grid in each]
     if not maps:
         return None, np.zeros((0, 0), np.uint8)
     same = [each for each in maps if _grid_of(each) == _grid_of(maps[0])]
@@ -78,8 +78,8 @@ def surest_map(log: MissionLog, now_ns: int) -> tuple[ProbabilityMap | None, Arr
     return maps[0], np.take_along_axis(values, sure[None], axis=0)[0]
 
 
-def _take(log: MissionLog, vehicle: str, what: str, time_ns: int, data: bytes) -> None:
-    match what:
+def _take(log: MissionLog, vehicle: str, subtopic: str, time_ns: int, data: bytes) -> None:
+    match subtopic:
         case "note":
             log.noted.take(vehicle, time_ns, _read_note(data).values)
         case "host":
@@ -88,9 +88,9 @@ def _take(log: MissionLog, vehicle: str, what: str, time_ns: int, data: bytes) -
         case "map":
             _take_map(log, vehicle, time_ns, data)
         case "mosaic":
-            shown = _read_grid(data).content
-            if isinstance(shown, Mosaic):
-                log.mosaics[vehicle] = shown
+            content = _read_grid(data).content
+            if isinstance(content, Mosaic):
+                log.mosaics[vehicle] = content
         case "sightings":
             _take_sightings(log, vehicle, time_ns, data)
         case "sightings/picture":
@@ -98,11 +98,11 @@ def _take(log: MissionLog, vehicle: str, what: str, time_ns: int, data: bytes) -
 
 
 def _take_map(log: MissionLog, vehicle: str, time_ns: int, data: bytes) -> None:
-    shown, maps = _read_grid(data).content, log.maps.setdefault(vehicle, [])
+    content, maps = _read_grid(data).content, log.maps.setdefault(vehicle, [])
     if maps and log.part(maps[-1][0]) == log.part(time_ns):
         maps.pop()
-    if isinstance(shown, ProbabilityMap):
-        maps.append((time_ns, shown))
+    if isinstance(content, ProbabilityMap):
+        maps.append((time_ns, content))
 
 
 def _take_sightings(log: MissionLog, vehicle: str, time_ns: int, data: bytes) -> None:
@@ -126,5 +126,5 @@ def _take_picture(log: MissionLog, vehicle: str, data: bytes) -> None:
     sightings[-1] = time_ns, msgspec.structs.replace(newest, jpeg=_read_picture(data).data)
 
 
-def _grid_of(shown: ProbabilityMap) -> tuple[float, ...]:
-    return shown.left, shown.bottom, shown.cell_m, *shown.probability.shape
+def _grid_of(grid: ProbabilityMap) -> tuple[float, ...]:
+    return grid.left, grid.bottom, grid.cell_m, *grid.probability.shape

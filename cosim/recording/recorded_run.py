@@ -247,12 +247,12 @@ def _recorded(
         if before_ns is not None and record.time_ns >= before_ns:
             break
         end_ns = max(end_ns, record.time_ns)
-        vehicle, _, what = record.topic.partition("/")
+        vehicle, _, subtopic = record.topic.partition("/")
         if record.topic == "radio/frame":
             frames.extend((values.of(record),))
-        elif what == "state" and vehicle in source.vehicles:
+        elif subtopic == "state" and vehicle in source.vehicles:
             instants.setdefault(record.time_ns, {})[vehicle] = values.of(record)
-        elif what == "follows":
+        elif subtopic == "follows":
             follows.append(schema.Placement(record.time_ns, vehicle, read_json(record.data, types.Follows)))
     if not instants:
         raise UsageError(f"{source.folder}: {FILE} is still empty: the run was killed early, or has just started")

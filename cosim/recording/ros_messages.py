@@ -48,10 +48,10 @@ class RosMessage(Protocol):
 @cache
 def store() -> Typestore:
     """The message definitions."""
-    found = get_typestore(Stores.ROS2_JAZZY)  # 0.1 s
+    typestore = get_typestore(Stores.ROS2_JAZZY)  # 0.1 s
     for name, definition in OWN_TYPES.items():
-        found.register(get_types_from_msg(definition, name))
-    return found
+        typestore.register(get_types_from_msg(definition, name))
+    return typestore
 
 
 def encoded(message: RosMessage) -> bytes:
@@ -99,8 +99,8 @@ def transforms(message: messages.FrameTransforms, time_ns: int) -> RosMessage:
 
 def transform(time_ns: int, parent: str, child: str, place: Vec3, turn: Quaternion) -> RosMessage:
     """geometry_msgs/TransformStamped: parent_from_child."""
-    there = make("geometry_msgs/Transform", vector(*place), _turn(*turn))
-    return make("geometry_msgs/TransformStamped", header(time_ns, parent), child, there)
+    parent_from_child = make("geometry_msgs/Transform", vector(*place), _turn(*turn))
+    return make("geometry_msgs/TransformStamped", header(time_ns, parent), child, parent_from_child)
 
 
 def state(value: VehicleState, vehicle: str, time_ns: int, frame: str = WORLD) -> RosMessage:
@@ -128,9 +128,9 @@ def moving(
     twist_covariance: Array = NO_COVARIANCE,
 ) -> RosMessage:
     """nav_msgs/Odometry: the velocities are along the child's axes."""
-    there = make("geometry_msgs/PoseWithCovariance", pose(position, attitude), pose_covariance)
+    place = make("geometry_msgs/PoseWithCovariance", pose(position, attitude), pose_covariance)
     speeds = make("geometry_msgs/TwistWithCovariance", twist(linear, angular), twist_covariance)
-    return make("nav_msgs/Odometry", head, child, there, speeds)
+    return make("nav_msgs/Odometry", head, child, place, speeds)
 
 
 def twist(linear: Vec3, angular: Vec3) -> RosMessage:
@@ -158,8 +158,8 @@ def fix(message: messages.PoseInFrame) -> RosMessage:
     """geometry_msgs/PoseWithCovarianceStamped, at the time of measurement; variance of an unmeasured heading: `ANY_HEADING`."""
     covariance = np.zeros(36)
     covariance[[0, 7, 14]], covariance[35] = message.sigma_m**2, ANY_HEADING if message.yaw is None else message.sigma_rad**2
-    there = make("geometry_msgs/PoseWithCovariance", _pose_of(message.pose), covariance)
-    return make("geometry_msgs/PoseWithCovarianceStamped", header(message.timestamp.ns, message.frame_id), there)
+    place = make("geometry_msgs/PoseWithCovariance", _pose_of(message.pose), covariance)
+    return make("geometry_msgs/PoseWithCovarianceStamped", header(message.timestamp.ns, message.frame_id), place)
 
 
 def imu(value: Imu, vehicle: str, time_ns: int) -> RosMessage:

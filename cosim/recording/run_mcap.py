@@ -112,8 +112,8 @@ class Viewer:
         if is_cut:
             return
         if self._scene_is_due or (self._targets and time_ns - self._scene_ns >= SECOND_NS):  # once, however often it changed
-            drawn = scene(self._vehicles, self._radius_m, self._places, time_ns, self._targets)
-            self.write(SCENE, time_ns, drawn)
+            update = scene(self._vehicles, self._radius_m, self._places, time_ns, self._targets)
+            self.write(SCENE, time_ns, update)
             self._scene_is_due, self._scene_ns = False, time_ns
 
     def finish(self) -> None:
@@ -160,7 +160,7 @@ class Viewer:
             self.write(f"{key}/{CALIBRATION}", time_ns, fg.CameraCalibration.of(image, vehicle, time_ns))
         self.write(key, time_ns, fg.RawImage.of(image, vehicle, image.time_ns or time_ns))
 
-    def _put_shown(self, key: str, time_ns: int, shown: types.ProbabilityMap | types.Sightings | types.Mosaic) -> None:
+    def _put_shown(self, key: str, time_ns: int, value: types.ProbabilityMap | types.Sightings | types.Mosaic) -> None:
         number = self._vehicles.index(vehicle_of(key))
-        for topic, message in fg.messages_of(key, shown, time_ns, number):
+        for topic, message in fg.messages_of(key, value, time_ns, number):
             self.write(topic, time_ns, message)

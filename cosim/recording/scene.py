@@ -125,10 +125,10 @@ def _frame_of(name: str) -> str:
 
 
 def _by_color(vertices: Array, triangles: Array, colors: Array) -> list[fg.TriangleListPrimitive]:
-    found, which = np.unique(colors, axis=0, return_inverse=True)
+    palette, color_index = np.unique(colors, axis=0, return_inverse=True)
     parts = []
-    for number, (red, green, blue) in enumerate(found.tolist()):
-        used, indices = np.unique(triangles[which.ravel() == number], return_inverse=True)
+    for number, (red, green, blue) in enumerate(palette.tolist()):
+        used, indices = np.unique(triangles[color_index.ravel() == number], return_inverse=True)
         points = [fg.Vector3(*point) for point in vertices[used].tolist()]
         color = fg.Color(red / 255, green / 255, blue / 255)
         parts.append(fg.TriangleListPrimitive(fg.Pose(), points, color, indices.ravel().tolist()))

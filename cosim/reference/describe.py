@@ -34,14 +34,14 @@ def meanings(target: Callable[..., object], *, joined: bool = False) -> Mapping[
 
     With ``joined``, a class's text of a parameter follows that of its base instead of replacing it.
     """
-    found: dict[str, str] = {}
+    texts: dict[str, str] = {}
     for base in reversed(getattr(target, "__mro__", (target,))):
         own = _comments(base) if isinstance(base, type) and inspect.get_annotations(base) else {}
         for name, text in {**own, **_arguments(base.__doc__ or "")}.items():
-            words, before = text.strip().removesuffix("."), found.get(name, "") if joined else ""
+            words, before = text.strip().removesuffix("."), texts.get(name, "") if joined else ""
             if words:
-                found[name] = f"{before}; {words}" if before and before != words else words
-    return found
+                texts[name] = f"{before}; {words}" if before and before != words else words
+    return texts
 
 
 def summary(target: object) -> str:
@@ -56,14 +56,14 @@ def _comments(target: type[Any]) -> dict[str, str]:
     tokens = tokenize.generate_tokens(io.StringIO(source).readline)
     comments = {token.start[0]: token.string.lstrip("# ") for token in tokens if token.type == tokenize.COMMENT}
     fields = next(node.body for node in ast.parse(source).body if isinstance(node, ast.ClassDef))
-    found = {}
+    comment_of = {}
     for field in fields:
         if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name):
             first, last = field.lineno, field.end_lineno or field.lineno
             while lines[first - 2].lstrip().startswith("#"):
                 first -= 1
-            found[field.target.id] = " ".join(comments[line] for line in range(first, last + 1) if line in comments)
-    return found
+            comment_of[field.target.id] = " ".join(comments[line] for line in range(first, last + 1) if line in comments)
+    return comment_of
 
 
 def _arguments(docstring: str) -> dict[str, str]:
@@ -161,10 +161,10 @@ EXTRA_DOCS: Mapping[str, Mapping[str, str]] = {
 
 def keys(target: Described, common: type | None = None) -> dict[str, binding.Parameter]:
     """Parameters that a scenario can give, except those inherited unchanged from a common base class."""
-    known = keys(common) if common is not None and common in getattr(target, "__mro__", ()) else {}
+    inherited = keys(common) if common is not None and common in getattr(target, "__mro__", ()) else {}
     offered = {*OFFERED, *OFFERED_TO.get(target.__module__.removeprefix("vcmvsp.").partition(".")[0], ())}
     own = {name: each for name, each in binding.parameters(target).items() if name not in offered}
-    return {name: each for name, each in own.items() if each != known.get(name)}
+    return {name: each for name, each in own.items() if each != inherited.get(name)}
 
 
 def common_of(classes: Iterable[type]) -> type:
@@ -182,10 +182,10 @@ def about(target: Described) -> str:
 @functools.cache
 def first_meanings(target: Described) -> dict[str, str]:
     """Meaning of each parameter in its topmost documenting base class; subclasses only document their own default."""
-    found: dict[str, str] = {}
+    texts: dict[str, str] = {}
     for base in reversed(getattr(target, "__mro__", (target,))):
-        found = {**meanings(base), **found}
-    return found
+        texts = {**meanings(base), **texts}
+    return texts
 
 
 def split_default(parameter: binding.Parameter, words: str) -> tuple[str, str]:
@@ -214,8 +214,8 @@ def unit_of(name: str) -> str:
 def changed(value: object) -> object:
     """A default; of a table only values that differ from its own defaults."""
     if isinstance(value, msgspec.Struct):
-        known = binding.parameters(type(value))
-        return {name: own for name in known if (own := getattr(value, name)) != known[name].default}
+        parameters = binding.parameters(type(value))
+        return {name: own for name in parameters if (own := getattr(value, name)) != parameters[name].default}
     return value
 
 
@@ -256,8 +256,8 @@ class Key(msgspec.Struct, frozen=True, kw_only=True):
 def table_keys(target: Described, common: type | None = None) -> Mapping[str, binding.Parameter]:
     """Parameters of a class that are keys of a table."""
     ours = target.__module__ in (schema.__name__, Repeat.__module__)  # these classes have no offered parameters
-    known = binding.parameters(target) if ours else keys(target, common)
-    return {name: each for name, each in known.items() if name not in REST}
+    parameters = binding.parameters(target) if ours else keys(target, common)
+    return {name: each for name, each in parameters.items() if name not in REST}
 
 
 def keys_of(target: Described, common: type | None = None) -> Iterator[tuple[Key, binding.Parameter]]:
@@ -286,9 +286,9 @@ def schema_of(annotation: object) -> dict[str, Any]:
         text = msgspec.json.encode(msgspec.json.schema(annotation))
     except TypeError:  # an annotation for Python objects only
         return {}
-    found: dict[str, Any] = msgspec.json.decode(text.replace(rb"\\A", b"^").replace(rb"\\Z", b"$"))  # ECMAScript syntax
-    choices = [each for each in found.get("anyOf", []) if each != {"type": "null"}]  # TOML has no null
-    return _for_all_drafts(choices[0] if len(choices) == 1 else found)
+    node: dict[str, Any] = msgspec.json.decode(text.replace(rb"\\A", b"^").replace(rb"\\Z", b"$"))  # ECMAScript syntax
+    choices = [each for each in node.get("anyOf", []) if each != {"type": "null"}]  # TOML has no null
+    return _for_all_drafts(choices[0] if len(choices) == 1 else node)
 
 
 def _for_all_drafts(node: Any) -> Any:
@@ -297,10 +297,10 @@ def _for_all_drafts(node: Any) -> Any:
         return [_for_all_drafts(each) for each in node]
     if not isinstance(node, dict):
         return node
-    found = {name: _for_all_drafts(each) for name, each in node.items()}
-    if found.get("items") is False:
-        places = found["prefixItems"]
+    converted = {name: _for_all_drafts(each) for name, each in node.items()}
+    if converted.get("items") is False:
+        places = converted["prefixItems"]
         same = all(each == places[0] for each in places)
-        found |= {"items": places[0] if same else {"anyOf": places}}
-        found = {name: each for name, each in found.items() if name != "prefixItems" or not same}
-    return found
+        converted |= {"items": places[0] if same else {"anyOf": places}}
+        converted = {name: each for name, each in converted.items() if name != "prefixItems" or not same}
+    return converted

@@ -30,16 +30,16 @@ def scenario_schema() -> Schema:
     root: Schema = {"$schema": DRAFT, "title": "VCMVSP scenario", **tables.of_place(places()[0])}
     for place in places()[1:]:
         *parents, last = place.path.split(".")
-        here = root
+        parent = root
         for step in parents:
-            here = _inside(here, step)
-        _put(here, last, tables.of_place(place))
+            parent = _inside(parent, step)
+        _put(parent, last, tables.of_place(place))
     vehicle = _inside(_inside(root, "vehicle"), "NAME")
     shared = {name: each for name, each in vehicle["properties"].items() if name not in NOT_SHARED}
     root["properties"]["vehicles"] |= {"properties": shared}
-    tables.definitions["radio"], one = root["properties"]["radio"], {"$ref": "#/$defs/radio"}
-    several = {"type": "array", "items": {**one, "required": ["name"]}}
-    root["properties"]["radio"] = {"if": {"type": "array"}, "then": several, "else": one}
+    tables.definitions["radio"], reference = root["properties"]["radio"], {"$ref": "#/$defs/radio"}
+    several = {"type": "array", "items": {**reference, "required": ["name"]}}
+    root["properties"]["radio"] = {"if": {"type": "array"}, "then": several, "else": reference}
     return {**root, "$defs": tables.definitions}
 
 
@@ -58,8 +58,8 @@ def _put(schema: Schema, step: str, table: Schema) -> None:
         schema["additionalProperties"] = table
     else:
         properties = schema.setdefault("properties", {})
-        known = properties.get(step, {})
-        properties[step] = {**table, **{name: known[name] for name in ("description", "default") if name in known}}
+        placeholder = properties.get(step, {})
+        properties[step] = {**table, **{name: placeholder[name] for name in ("description", "default") if name in placeholder}}
 
 
 class _Tables:
@@ -89,28 +89,28 @@ class _Tables:
         branches = [{"if": _has_kind({"const": kind}), "then": {"$ref": f"#/$defs/{name}"}} for kind, name in kinds.items()]
         branches.append({"if": _has_kind({"not": {"enum": [*kinds]}}), "then": {"additionalProperties": True}})
         names = {name for each in kinds.values() for name in self.definitions[each]["properties"]}
-        known = {} if place.path in OPEN else {"propertyNames": {"enum": sorted({*names, *table["properties"]})}}
-        branches.append({"if": {"not": {"required": ["kind"]}}, "then": {**known, "additionalProperties": True}})
+        allowed_keys = {} if place.path in OPEN else {"propertyNames": {"enum": sorted({*names, *table["properties"]})}}
+        branches.append({"if": {"not": {"required": ["kind"]}}, "then": {**allowed_keys, "additionalProperties": True}})
         rest = {} if place.path == "agents" else {"unevaluatedProperties": False}
         return {**table, "allOf": branches, **rest}
 
     def _kind(self, group: str, kind: str, *, is_whole: bool) -> str:
         """Define the keys of a kind and return the definition's name; ``is_whole``: no other table may give its keys."""
         name = f"{group}.{kind}"
-        found = self.definitions[name] = self._object([registry.find(group, kind)])
+        definition = self.definitions[name] = self._object([registry.find(group, kind)])
         if not is_whole:
-            found.pop("required", None)
+            definition.pop("required", None)
         return name
 
     def _object(self, targets: Iterable[Described]) -> Schema:
         """The schema of one table with the keys of several classes."""
-        found: Schema = {"type": "object", "properties": {}}
+        table: Schema = {"type": "object", "properties": {}}
         required = []
         for target in targets:
             for key, parameter in keys_of(target):
-                found["properties"][key.name] = _described(key, self._values(parameter.annotation))
+                table["properties"][key.name] = _described(key, self._values(parameter.annotation))
                 required += [key.name] if key.required else []
-        return {**found, "required": required} if required else found
+        return {**table, "required": required} if required else table
 
     def _values(self, annotation: object) -> Schema:
         """The schema of an annotation's values."""

@@ -78,12 +78,12 @@ def tables(*paths: str, kinds: Collection[str] = ()) -> str:
     return "\n\n".join(map(_table, groups))
 
 
-def _are_alike(some: Section, other: Section) -> bool:
+def _are_alike(first: Section, second: Section) -> bool:
     """Whether two sections are the same table at two places, or kinds of one table with half of all keys in common."""
-    ours, theirs = ({key.name for key in each.keys} for each in (some, other))
-    if some.path != other.path:
-        return (ours, some.kind, some.about) == (theirs, other.kind, other.about)
-    return 2 * len(ours & theirs) >= len(ours | theirs)
+    first_keys, second_keys = ({key.name for key in each.keys} for each in (first, second))
+    if first.path != second.path:
+        return (first_keys, first.kind, first.about) == (second_keys, second.kind, second.about)
+    return 2 * len(first_keys & second_keys) >= len(first_keys | second_keys)
 
 
 def _table(sections: Sequence[Section]) -> str:
@@ -206,8 +206,10 @@ def _presets() -> str:
 
 
 def _setting(layer: str, content: Mapping[str, Any]) -> str:
-    known = binding.parameters(registry.find(layer, content["kind"]))
-    own = {name: value for name, value in params(content).items() if known[name].required or known[name].default != value}
+    parameters = binding.parameters(registry.find(layer, content["kind"]))
+    own = {
+        name: value for name, value in params(content).items() if parameters[name].required or parameters[name].default != value
+    }
     return ", ".join([f"`{content['kind']}`", *(f"`{name} = {toml(value)}`" for name, value in own.items())])
 
 
@@ -254,15 +256,15 @@ def grid(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 @functools.cache
 def index_text() -> str:
     """The up-to-date content of the index."""
-    found: dict[str, dict[str, None]] = {}
+    values_of: dict[str, dict[str, None]] = {}
     for path, values in _entries():
-        found.setdefault(path, {}).update(dict.fromkeys(values))
+        values_of.setdefault(path, {}).update(dict.fromkeys(values))
     tables = (
-        {path.rpartition(".")[0] for path in found}
+        {path.rpartition(".")[0] for path in values_of}
         | {each.path for each in full_reference().sections if each.listed}
         | {"vehicle"}
     )
-    return "".join("\t".join([path, *values]) + "\n" for path, values in found.items() if path not in tables)
+    return "".join("\t".join([path, *values]) + "\n" for path, values in values_of.items() if path not in tables)
 
 
 def _entries() -> Iterator[tuple[str, list[str]]]:

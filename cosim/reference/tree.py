@@ -124,7 +124,7 @@ def _kind(group: str, kind: str) -> Callable[[], Sequence[type]]:
 def places() -> Sequence[Place]:
     """All places, in display order."""
     layers = [Place(f"radio.{each}", each) for each in LAYERS]
-    known = {
+    places_of = {
         "physics": [Place("physics", "physics")],
         "world": [Place("world", "world")],
         "radio": [Place("radio", own=radio), *layers],
@@ -151,10 +151,11 @@ def places() -> Sequence[Place]:
         ],
         "station": [Place(STATION, own=lambda: [StationTable])],
     }
-    found = [
-        known.get(each) or ([Place(each, own=_field(each))] if _is_table(each) else []) for each in binding.parameters(Scenario)
+    groups = [
+        places_of.get(each) or ([Place(each, own=_field(each))] if _is_table(each) else [])
+        for each in binding.parameters(Scenario)
     ]
-    return [Place("", own=lambda: [Scenario]), *(place for each in found for place in each)]
+    return [Place("", own=lambda: [Scenario]), *(place for each in groups for place in each)]
 
 
 def _is_table(name: str) -> bool:
@@ -174,13 +175,13 @@ def of_place(place: Place) -> Iterator[Section]:
     if place.group in OF_ALL:
         common = describe.common_of(classes.values())
         own.append(common)
-    known = {registry.find(place.group, kind): kind for kind in place.kinds}
+    kind_of = {registry.find(place.group, kind): kind for kind in place.kinds}
     extra = tuple(extra_keys(place))
     if own or extra:
         keys = tuple(key for each in own for key, _ in keys_of(each))
         about = _about(own[0]) if own else EXTRA_ABOUT[place.path]
         yield Section(path=place.path, kind="", listed=False, about=about, keys=(*extra, *keys))
-    for target, kind in known.items():
+    for target, kind in kind_of.items():
         yield Section(
             path=place.path,
             kind=kind,
@@ -188,7 +189,7 @@ def of_place(place: Place) -> Iterator[Section]:
             about=_about(target),
             keys=tuple(key for key, _ in keys_of(target, common)),
         )
-    yield from _within(place.path, [*own, *known], set())
+    yield from _within(place.path, [*own, *kind_of], set())
 
 
 def _within(path: str, targets: Sequence[Described], seen: set[tuple[str, Described]]) -> Iterator[Section]:
@@ -270,8 +271,8 @@ def sections_of(section: str = "") -> Iterator[Section]:
         return (each for place in places() for each in of_place(place))
     spellings = list(_spellings(steps_of(re.sub(r"\[\d+\]", "", section)) or (section,)))
     for query in spellings:
-        if found := _match_path(query):
-            return iter(found)
+        if sections := _match_path(query):
+            return iter(sections)
     raise UsageError(f"vcmvsp reference {section}: {_nearest(section, spellings[0])}")
 
 
@@ -290,10 +291,10 @@ def _spellings(query: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
 def _match_path(query: tuple[str, ...]) -> list[Section]:
     """Sections, or parts of sections, for a path without user-chosen names."""
     top, *others = places()
-    named = [(place, 0) for place in others if _overlap(place.steps, query)]
+    whole = [(place, 0) for place in others if _overlap(place.steps, query)]
     within = [(place, cut) for place in others for cut in range(1, len(place.steps)) if _overlap(place.steps[cut:], query)]
     kinds = [(place, len(place.steps)) for place in others if query[:1] and query[0] in place.kinds]
-    for candidates in (named, [(top, 0)], [*within, *kinds]):
+    for candidates in (whole, [(top, 0)], [*within, *kinds]):
         chosen = [
             part
             for place, cut in candidates
@@ -316,8 +317,8 @@ def _part(section: Section, name: tuple[str, ...], place: Place, query: tuple[st
         kinds = [section.kind]
     if (name and name[: len(query)] == query) or query in [(*name, kind) for kind in kinds]:
         return section
-    named = [name, *((*name, kind) for kind in kinds)]
-    keys = tuple(key for key in section.keys if query in [(*each, key.name) for each in named])
+    names = [name, *((*name, kind) for kind in kinds)]
+    keys = tuple(key for key in section.keys if query in [(*each, key.name) for each in names])
     return msgspec.structs.replace(section, keys=keys) if keys else None
 
 

@@ -244,15 +244,15 @@ def _sending_period_s(run: MeasuredRun) -> float | None:
 
 def _sent_ns(radio: Table) -> dict[str, list[Array]]:
     """Sending times of each sender, in parts."""
-    found: dict[str, list[Array]] = {}
+    times_of: dict[str, list[Array]] = {}
     for block in blocks_of(radio, ("sender", "sent_ns")):
         names, by = names_of(block, "sender")
         times = numbers(block, "sent_ns")
         first = np.flatnonzero(np.diff(by, prepend=-1) | np.diff(times, prepend=-1))  # the rows of a frame are adjacent
         by, times = by[first], times[first]
         for code in np.flatnonzero(np.bincount(by)).tolist():
-            found.setdefault(names[code], []).append(times[by == code])
-    return found
+            times_of.setdefault(names[code], []).append(times[by == code])
+    return times_of
 
 
 def motion_laws(run: MeasuredRun) -> Iterator[Expected]:
@@ -296,10 +296,10 @@ def _straight(run: MeasuredRun, followers: list[Placement]) -> Iterator[Expected
     # The age at ticks has the variance T^2 p / (1 - p)^2 and from tick to tick the correlation p.
     ticks = max(1.0, lasted / period) * len(followers)
     spread = NORMAL_95 * speed * period * math.sqrt(p * (1.0 + p) / (1.0 - p) ** 3 / ticks) or None
-    found = run.metrics["formation"]
+    formation = run.metrics["formation"]
     holds = f"straight at {speed:g} m/s, estimator hold, messages usable after {age:g} s; bodies with inertia differ a little"
-    yield Expected("formation error, mean", mean, found["mean_m"], "v (d + T p / (1 - p))", holds, "m", spread)
-    yield Expected("formation error, RMS", rms, found["rms_m"], "the same, and its variance", "as above", "m", spread)
+    yield Expected("formation error, mean", mean, formation["mean_m"], "v (d + T p / (1 - p))", holds, "m", spread)
+    yield Expected("formation error, RMS", rms, formation["rms_m"], "the same, and its variance", "as above", "m", spread)
 
 
 def _circle(run: MeasuredRun, placed: Placement) -> Iterator[Expected]:

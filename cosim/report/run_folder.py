@@ -94,10 +94,10 @@ def content_of(folder: Path) -> RunContent:
 
 
 def _json(path: Path, schema: str) -> dict[str, Any]:
-    found: dict[str, Any] = read_json(limits.read_bytes(path), dict[str, Any])
-    if found.get("schema") != schema:
+    content: dict[str, Any] = read_json(limits.read_bytes(path), dict[str, Any])
+    if content.get("schema") != schema:
         raise ValueError(f"its schema is not {schema}: it was written by another version")
-    return found
+    return content
 
 
 def _links(recording: Recording, radio: TableFile) -> Links:

@@ -159,7 +159,7 @@ def _machine(about: Mapping[str, Any]) -> Iterator[Part]:
         yield Words("What the bridge carried for programs outside, and how late it left:")
         numbers = {name: value for name, value in carried.items() if name != "counts"}
         yield Facts([(BRIDGE.get(name, name), value) for name, value in numbers.items()])
-        rows = [[name, what, number] for name, counts in carried["counts"].items() for what, number in counts.items()]
+        rows = [[name, cause, number] for name, counts in carried["counts"].items() for cause, number in counts.items()]
         if rows:
             yield Rows(["vehicle", "not carried", "datagrams"], rows)
     if about.get("cuts_s"):
@@ -168,9 +168,9 @@ def _machine(about: Mapping[str, Any]) -> Iterator[Part]:
 
 
 def _title(content: RunContent) -> str:
-    found = content.metrics or content.scenario or content.head
-    name = found.get("scenario") or found.get("name") or "A run"
-    seed = found.get("seed")
+    facts = content.metrics or content.scenario or content.head
+    name = facts.get("scenario") or facts.get("name") or "A run"
+    seed = facts.get("seed")
     return str(name) if seed is None else f"{name}, seed {seed}"
 
 

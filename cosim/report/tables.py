@@ -26,31 +26,31 @@ def number_tables(metrics: Mapping[str, Any]) -> Iterator[tuple[str, Sequence[Pa
     for group, (title, introduction) in GROUPS.items():
         if group not in metrics:
             continue
-        found = metrics[group]
+        values = metrics[group]
         parts: list[Part] = [Words(introduction)] if introduction else []
         if group == "hardware":
-            parts += [_by_vehicle(group, found), *_explained(group, found)]
+            parts += [_by_vehicle(group, values), *_explained(group, values)]
         else:
-            parts += _table(group, found)
-            parts += [_by_vehicle(group, found[name]) for name in MANY if found.get(name)]
+            parts += _table(group, values)
+            parts += [_by_vehicle(group, values[name]) for name in MANY if values.get(name)]
         yield title, parts
 
 
 def fault_table(agents: Mapping[str, Any]) -> Sequence[Part]:
     """Agents with missed ticks or other faults; a sentence if there are none."""
-    faulty = {vehicle: found for vehicle, found in agents.items() if any(found.values())}
+    faulty = {vehicle: faults for vehicle, faults in agents.items() if any(faults.values())}
     if not faulty:
         return [Words("No agent missed a tick, and none was late.")]
     return [_by_vehicle("agents", faulty), *_explained("agents", faulty)]
 
 
-def _table(group: str, found: Mapping[str, Any]) -> Iterator[Part]:
-    pairs = [(path, value) for path, value in flat(found) if value is not None]
+def _table(group: str, values: Mapping[str, Any]) -> Iterator[Part]:
+    pairs = [(path, value) for path, value in flat(values) if value is not None]
     if pairs:
-        known = [(path, value, (group, *path)) for path, value in pairs]
-        rows = [[".".join(path), value, unit_of(name), metric_of(name).meaning] for path, value, name in known]
+        entries = [(path, value, (group, *path)) for path, value in pairs]
+        rows = [[".".join(path), value, unit_of(name), metric_of(name).meaning] for path, value, name in entries]
         yield Rows(["number", "value", "unit", "what it is"], rows)
-    if untold := [".".join(path) for path, value in flat(found) if value is None]:
+    if untold := [".".join(path) for path, value in flat(values) if value is None]:
         yield Words(f"There was nothing to measure for {', '.join(untold)}.")
 
 
@@ -94,9 +94,9 @@ def vehicle_table(content: RunContent) -> Sequence[Part]:
     rows: list[list[Any]] = []
     for name in names[:LISTED_VEHICLES]:
         own = table_of.get(name, {})
-        what = own.get("kind", kind) + (f", real ({own['driver'].get('kind', '')})" if "driver" in own else "")
+        label = own.get("kind", kind) + (f", real ({own['driver'].get('kind', '')})" if "driver" in own else "")
         agent = own["agent"].get("kind", content.scenario.get("agents", {}).get("kind", "")) if "agent" in own else ""
-        rows.append([name, what, agent, leaders.get(name, ""), *ways.get(name, [None] * 3), *air.get(name, [None] * 3)])
+        rows.append([name, label, agent, leaders.get(name, ""), *ways.get(name, [None] * 3), *air.get(name, [None] * 3)])
     head = ["vehicle", "kind", "agent", "follows", "way [m]", "mean speed [m/s]", "ends at [m]"]
     parts: list[Part] = [Rows([*head, "frames sent", "delivered of these [%]", "heard of others [%]"], rows)]
     if len(names) > LISTED_VEHICLES:
@@ -108,28 +108,28 @@ def _ways(content: RunContent) -> dict[str, list[Any]]:
     if content.recording is None:
         return {}
     moved = motion(content.recording.states)
-    found: dict[str, list[Any]] = {}
+    cells_of: dict[str, list[Any]] = {}
     for i, name in enumerate(moved.names):
-        there = np.isfinite(moved.position[:, :, i]).all(axis=0)
-        place, times = moved.position[:, there, i], moved.time_ns[there] / SECOND_NS
+        is_known = np.isfinite(moved.position[:, :, i]).all(axis=0)
+        place, times = moved.position[:, is_known, i], moved.time_ns[is_known] / SECOND_NS
         if not place.size:
             continue
         way = float(np.sqrt((np.diff(place, axis=1) ** 2).sum(axis=0)).sum())
         lasted = float(times[-1] - times[0])
         end = ",\u00a0".join(f"{value + 0.0:.2f}" for value in np.round(place[:, -1], 2).tolist())
-        found[name] = [way, way / lasted if lasted else None, end]
-    return found
+        cells_of[name] = [way, way / lasted if lasted else None, end]
+    return cells_of
 
 
 def _air(content: RunContent) -> dict[str, list[Any]]:
     if content.links is None or content.recording is None:
         return {}
-    links, found = content.links, {}
+    links, cells_of = content.links, {}
     decided = links.sent - links.under_way
     for i, name in enumerate(links.names):
         shares = [(links.received[part].sum(), decided[part].sum()) for part in (np.s_[i, :], np.s_[:, i])]
-        found[name] = [int(links.frames[i]), *(round(100.0 * float(got / of), 1) if of else None for got, of in shares)]
-    return found
+        cells_of[name] = [int(links.frames[i]), *(round(100.0 * float(got / of), 1) if of else None for got, of in shares)]
+    return cells_of
 
 
 def link_table(links: Links) -> Sequence[Part]:
@@ -143,8 +143,8 @@ def link_table(links: Links) -> Sequence[Part]:
         level = float(links.level_dbm[a, b])
         counts = [int(links.sent[a, b]), int(links.received[a, b])]
         counts += [int(links.under_way[a, b])] if under_way else []
-        shown = None if np.isnan(level) else round(level, 1)
-        rows.append([links.names[a], links.names[b], *counts, _percent(links.ratio(a, b)), shown, links.lost_to(a, b)])
+        level_cell = None if np.isnan(level) else round(level, 1)
+        rows.append([links.names[a], links.names[b], *counts, _percent(links.ratio(a, b)), level_cell, links.lost_to(a, b)])
     head = ["from", "to", "sent", "received", *(["under way"] if under_way else [])]
     head += ["delivered [%]", "mean level [dBm]", "lost to"]
     parts: list[Part] = [Rows(head, rows)]

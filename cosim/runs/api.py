@@ -72,24 +72,26 @@ class SlowAgents:
     def _watch(self) -> None:
         tick, since, is_reported = ("", -1), time.monotonic(), False
         while not self._over.wait(min(self._deadline_s / 4, 1.0)):
-            who, where = computing(sys._current_frames().get(self._run))  # noqa: SLF001  the only access to another thread's frame
-            if (who, self._now_ns()) != tick:
-                tick, since, is_reported = (who, self._now_ns()), time.monotonic(), False
-            elif who and not is_reported and (for_s := time.monotonic() - since) > self._deadline_s:
+            label, location = computing(sys._current_frames().get(self._run))  # noqa: SLF001  the only access to another thread's frame
+            if (label, self._now_ns()) != tick:
+                tick, since, is_reported = (label, self._now_ns()), time.monotonic(), False
+            elif label and not is_reported and (for_s := time.monotonic() - since) > self._deadline_s:
                 is_reported = True
-                self._tell(f"{who} has been computing for {for_s:.0f} s ({where}); Ctrl-C twice ends the run at once")
+                self._tell(f"{label} has been computing for {for_s:.0f} s ({location}); Ctrl-C twice ends the run at once")
 
 
 def computing(frame: FrameType | None) -> tuple[str, str]:
     """The agent that computes in a thread and its code location, in words; empty if none does."""
-    where = "" if frame is None else f"{Path(frame.f_code.co_filename).name} line {frame.f_lineno}, in {frame.f_code.co_name}"
-    who = ""
+    location = (
+        "" if frame is None else f"{Path(frame.f_code.co_filename).name} line {frame.f_lineno}, in {frame.f_code.co_name}"
+    )
+    label = ""
     while frame is not None:
         agent, runner = frame.f_locals.get("self"), frame.f_back and frame.f_back.f_locals.get("self")
         if isinstance(agent, Agent) and (vehicle := getattr(runner, "vehicle", "")):
-            who = f"agent {type(agent).__name__} of vehicle {vehicle}"
+            label = f"agent {type(agent).__name__} of vehicle {vehicle}"
         frame = frame.f_back
-    return who, where
+    return label, location
 
 
 def host_facts() -> dict[str, str]:
@@ -236,9 +238,9 @@ class Simulation:
         kernel.release()
         self._simulating_s, self._over = time.monotonic() - begin, True
         if isinstance(failure, AgentError):
-            gone = Presence(state="lost", since_ns=kernel.now_ns, why=plain(failure.cause))
+            presence = Presence(state="lost", since_ns=kernel.now_ns, why=plain(failure.cause))
             for vehicle in failure.vehicles:
-                recorder.on(Event(f"{vehicle}/host", kernel.now_ns, gone))
+                recorder.on(Event(f"{vehicle}/host", kernel.now_ns, presence))
         last = str(
             failure or (f"ended by its caller at {kernel.now_ns / SECOND_NS:.3f} s" if is_cut else "the run is complete")
         )
@@ -278,14 +280,14 @@ class Simulation:
 
     def _observer(self, recorder: Recorder) -> Observer:
         """Passes each event to the recording, then to the other observers."""
-        others = self._observers
-        if not others:
+        observers = self._observers
+        if not observers:
             return recorder.on
 
         def on(event: Event) -> None:
             recorder.on(event)
-            for other in others:
-                other(event)
+            for observer in observers:
+                observer(event)
 
         return on
 

@@ -70,17 +70,17 @@ class StackControl:
         time_ns, states = self._states.time_ns, self._states.value
         assert isinstance(states, States)  # noqa: S101
         columns = (states.position, states.velocity, states.attitude, states.angular_velocity)
-        found: dict[str, tuple[int, VehicleState]] = {}
+        truths: dict[str, tuple[int, VehicleState]] = {}
         for name, p, v, q, w in zip(states.names, *[each.tolist() for each in columns], strict=True):
-            found[name] = time_ns, VehicleState(position=(*p,), velocity=(*v,), attitude=(*q,), angular_velocity=(*w,))
+            truths[name] = time_ns, VehicleState(position=(*p,), velocity=(*v,), attitude=(*q,), angular_velocity=(*w,))
         for name, (*place, yaw) in self._first.items():
-            found[name] = time_ns, VehicleState(position=(place[0], place[1], place[2]), attitude=quaternion_from_yaw(yaw))
+            truths[name] = time_ns, VehicleState(position=(place[0], place[1], place[2]), attitude=quaternion_from_yaw(yaw))
         if self._pushed is not None:
             pushed = self._pushed.value
             assert isinstance(pushed, Pushed)  # noqa: S101
             for name, p, q in zip(pushed.names, pushed.position.tolist(), pushed.attitude.tolist(), strict=True):
-                found[name] = self._pushed.time_ns, VehicleState(position=(*p,), attitude=(*q,))
-        return found
+                truths[name] = self._pushed.time_ns, VehicleState(position=(*p,), attitude=(*q,))
+        return truths
 
     def go(self, *, paused: bool, steps: int = 0) -> None:
         """Pause the run, after so many steps, or continue it."""

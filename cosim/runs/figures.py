@@ -160,7 +160,7 @@ class Drawer:
         states, radio = (selected(table, table.schema.names) for table in (states, radio))
         names, sent = content.names, replace(content, states=states, radio=radio)
         try:
-            drawn = dict(self._pool.answers([(name, (name, sent)) for name in names], len(names)))
+            pictures = dict(self._pool.answers([(name, (name, sent)) for name in names], len(names)))
         except (WorkerDiedError, VcmvspError):
             return draw(content)
-        return {name: drawn[name] for name in names}
+        return {name: pictures[name] for name in names}

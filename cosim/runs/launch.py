@@ -178,17 +178,17 @@ def _why(host: HostTable, code: int, last: Sequence[str]) -> str:
 def _placing(path: Path, listed: HostsTable, parsed: Scenario) -> dict[str, Any]:
     """Settings that make the run wait for these hosts; an agent that no host runs is an error."""
     agents = {each.name: each.agent for each in parsed.vehicle}
-    named = [vehicle for host in listed.host for vehicle in host.vehicles]
-    for vehicle in named:
+    hosted = [vehicle for host in listed.host for vehicle in host.vehicles]
+    for vehicle in hosted:
         if vehicle not in agents:
             raise UsageError(f"{path}: {binding.unknown('vehicle', vehicle, agents)}")
         if agents[vehicle] is None:
             raise UsageError(f"{path}: '{vehicle}' has no agent in the scenario (agent = {{}} gives it the default one)")
     remote = [name for name, agent in agents.items() if agent and (agent.runs or parsed.agents.runs) == "zenoh"]
-    if missing := [name for name in remote if name not in named]:
+    if missing := [name for name in remote if name not in hosted]:
         hint = "add them to a [[host]] (without ssh: a process on this machine)"
         raise UsageError(f"{path}: no host runs the agents of {', '.join(missing)}: {hint}")
-    return {f"vehicle.{name}.agent.runs": "zenoh" for name in named if name not in remote}
+    return {f"vehicle.{name}.agent.runs": "zenoh" for name in hosted if name not in remote}
 
 
 def _listening(agents: AgentsTable, listed: HostsTable) -> str:

@@ -66,8 +66,8 @@ def replay(
     programs = bool(parsed.bridge.doors or parsed.stack)
     outside = (() if twin else real) + (("its programs",) if programs else ())
     if outside and not (folder / FILE).is_file():
-        what = f"{folder} has no {FILE} with the inputs of {', '.join(outside)}"
-        raise UsageError(f"{what}: replay with simulated vehicles (--twin)" if real and not twin else what)
+        message = f"{folder} has no {FILE} with the inputs of {', '.join(outside)}"
+        raise UsageError(f"{message}: replay with simulated vehicles (--twin)" if real and not twin else message)
     return api.run(
         loaded,
         agents=agents,  # type: ignore[arg-type]  # `run` checks them
@@ -105,8 +105,8 @@ def beside(run_dir: Path) -> Path:
 def _content(path: Path) -> dict[str, Any]:
     """Content of a run's JSON file; empty if it is missing or damaged."""
     with contextlib.suppress(OSError, ValueError):
-        found: dict[str, Any] = read_json(limits.read_bytes(path), dict[str, Any])
-        return found
+        content: dict[str, Any] = read_json(limits.read_bytes(path), dict[str, Any])
+        return content
     return {}
 
 

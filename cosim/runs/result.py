@@ -115,9 +115,9 @@ class Result:
             "age of information": (metrics["radio"]["age_s"]["mean"], "s"),
             **{f"own.{name}": (value, "") for name, value in metrics.get("own", {}).items()},
         }
-        known = [(name, f"{value:.4g} {unit}".strip()) for name, (value, unit) in names.items() if value is not None]
+        numbers = [(name, f"{value:.4g} {unit}".strip()) for name, (value, unit) in names.items() if value is not None]
         run = f"{metrics['scenario']}, seed {metrics['seed']}, {metrics['duration_s']:g} s"
-        return [("run", run), *known, *([("folder", str(self.folder))] if self.folder else [])]
+        return [("run", run), *numbers, *([("folder", str(self.folder))] if self.folder else [])]
 
     def plot(self) -> "dict[str, Figure]":
         """Figures by name; Jupyter shows them.
@@ -175,14 +175,14 @@ class Result:
         self._recorder.write_tables(folder)
         write_whole(folder / "metrics.json", to_json(self.metrics))
         write_whole(folder / "about.json", to_json(self.about))
-        shown = self._content()
-        pictures = draw(shown) if are_enabled() else {}
+        inputs = self._content()
+        pictures = draw(inputs) if are_enabled() else {}
         for name, picture in pictures.items():
             write_whole(folder / f"{name}.png", picture.png)
-        if self._video and shown.mission:
+        if self._video and inputs.mission:
             from vcmvsp.cosim.plots.mission_video import write_video
 
-            write_video(folder / "mission.mp4", shown.mission, motion(shown.states), shown.targets, shown.outlines)
+            write_video(folder / "mission.mp4", inputs.mission, motion(inputs.states), inputs.targets, inputs.outlines)
         report.write(folder, {name: picture.svg for name, picture in pictures.items()})
 
 

@@ -102,10 +102,10 @@ def drive(
     names = [each.name for each in parsed.vehicle]
     if vehicle not in names:
         raise UsageError(f"--vehicle {binding.unknown('vehicle', vehicle, names)}")
-    mine = parsed.vehicle[names.index(vehicle)]
-    kind = registry.find("vehicle", mine.kind, folder=source.folder, key=f"vehicle.{vehicle}.kind", origin=source)
+    table = parsed.vehicle[names.index(vehicle)]
+    kind = registry.find("vehicle", table.kind, folder=source.folder, key=f"vehicle.{vehicle}.kind", origin=source)
     flying = flies(kind)
-    order = command_of(command, mine.start[1], flies=flying)
+    order = command_of(command, table.start[1], flies=flying)
     steps = STEP_S * parsed.physics.get("rate_hz", 120.0)
     period_s = STEP_S if abs(steps - round(steps)) < 1e-9 else min(parsed.record.period_s, 0.1)
     alone = msgspec.structs.replace(
@@ -126,7 +126,7 @@ def drive(
         "schema": SCHEMA,
         "scenario": parsed.name,
         "vehicle": vehicle,
-        "kind": mine.kind,
+        "kind": table.kind,
         "command": command,
         **response.figures(order),
     }

@@ -48,10 +48,10 @@ KEYS = tuple(binding.parameters(Repeat))
 
 def repeated(listed: Sequence[Any], source: Source) -> list[Any]:
     """The vehicles, with one copy per ``count`` of repeated ones."""
-    counts = [one.get("count", 1) if isinstance(one, dict) else 1 for one in listed]
+    counts = [table.get("count", 1) if isinstance(table, dict) else 1 for table in listed]
     if (total := sum(each for each in counts if isinstance(each, int))) > MOST:
         raise source.error(f"{total} vehicles are too many (at most {MOST}): lower the counts", "vehicle")
-    return [each for one in listed for each in (_copies(one, source) if isinstance(one, dict) else [one])]
+    return [each for table in listed for each in (_copies(table, source) if isinstance(table, dict) else [table])]
 
 
 def names_copy(raw: Mapping[str, Any], key: str) -> bool:
@@ -66,21 +66,21 @@ def names_copy(raw: Mapping[str, Any], key: str) -> bool:
     return group == "vehicle" and any(name.startswith(stem) and name[len(stem) :].isdigit() for stem in stems)
 
 
-def _copies(one: dict[str, Any], source: Source) -> list[dict[str, Any]]:
-    key = f"vehicle.{one.get('name', '')}"
-    own = {name: one[name] for name in KEYS if name in one}
+def _copies(table: dict[str, Any], source: Source) -> list[dict[str, Any]]:
+    key = f"vehicle.{table.get('name', '')}"
+    own = {name: table[name] for name in KEYS if name in table}
     if not own:
-        return [one]
+        return [table]
     if "count" not in own:
         raise source.error("needs a count", f"{key}.{next(iter(own))}")
     repeat = binding.call(Repeat, own, key=key, origin=source)
-    rest = {name: value for name, value in one.items() if name not in KEYS}
+    rest = {name: value for name, value in table.items() if name not in KEYS}
     place = next((name for name in _PLACES if name in rest), "position")
     x, y, last = binding.convert(rest.get(place, (0.0, 0.0, 0.0)), Vec3, key=f"{key}.{place}", origin=source)
     columns, (dx, dy) = repeat.columns or repeat.count, repeat.spacing
     copies = []
     for i in range(repeat.count):
-        name, turn = f"{one.get('name', '')}{i + 1}", i * repeat.turn_rad
+        name, turn = f"{table.get('name', '')}{i + 1}", i * repeat.turn_rad
         copy = {**rest, "name": name, place: [x + i % columns * dx, y + i // columns * dy, last]}
         if turn and place == "pose":
             copy["pose"][2] += turn
@@ -289,21 +289,21 @@ def assign(raw: dict[str, Any], key: str, value: object, source: Source) -> None
         listed = raw.get(group)
         if len(parents) < 2 or not isinstance(listed, list):
             raise source.error(f"write {group}.NAME.KEY for a key of one {group}", key)
-    here: Any = raw
+    node: Any = raw
     for depth, part in enumerate(parents):
         if depth == 0 and isinstance(raw.get(part), list):
             if names_copy(raw, key):
                 raw["vehicle"] = repeated(raw["vehicle"], source)  # one copy gets its own value
-            here = {str(each.get("name")): each for each in raw.get(part, []) if isinstance(each, dict)}
-        elif depth == 1 and isinstance(raw.get(parents[0]), list) and part not in here:
-            raise source.error(binding.unknown(parents[0], part, here), key)
+            node = {str(each.get("name")): each for each in raw.get(part, []) if isinstance(each, dict)}
+        elif depth == 1 and isinstance(raw.get(parents[0]), list) and part not in node:
+            raise source.error(binding.unknown(parents[0], part, node), key)
         elif depth == 2 and parents[0] == "vehicle":  # one key of a table in [vehicles]
-            here = here.setdefault(part, copy.deepcopy(raw.get("vehicles", {}).get(part, {})))
+            node = node.setdefault(part, copy.deepcopy(raw.get("vehicles", {}).get(part, {})))
         else:
-            here = here.setdefault(part, {})
-        if not isinstance(here, dict):
+            node = node.setdefault(part, {})
+        if not isinstance(node, dict):
             raise source.error(f"'{'.'.join(parents[: depth + 1])}' is a value, not a table", key)
-    here[last] = copy.deepcopy(value)  # the caller's mapping must not change
+    node[last] = copy.deepcopy(value)  # the caller's mapping must not change
 
 
 def _mapping(value: object, key: str, source: Source) -> dict[str, Any]:
@@ -320,21 +320,21 @@ def _open_table(kind: Callable[..., T], raw: object, rest: str, key: str, source
     return binding.call(kind, {n: v for n, v in content.items() if n in own}, key=key, origin=source, arguments={rest: others})
 
 
-def _check_named(raw: object, here: str, source: Source) -> None:
+def _check_named(raw: object, path: str, source: Source) -> None:
     """Reject a ``[[vehicle]]`` or ``[[station]]`` that is not a table with a name."""
-    key, name = f"{here}.name", _mapping(raw, here, source).get("name")
+    key, name = f"{path}.name", _mapping(raw, path, source).get("name")
     if name is None:
         raise source.error("is missing", key)
     binding.convert(name, str, key=key, origin=source)
 
 
 def _vehicle(raw: dict[str, Any], defaults: Mapping[str, Any], source: Source) -> VehicleTable:
-    here = f"vehicle.{raw['name']}"
+    path = f"vehicle.{raw['name']}"
     content = {**defaults, **raw}
-    agent = None if "agent" not in content else _open_table(AgentTable, content.pop("agent"), "params", f"{here}.agent", source)
+    agent = None if "agent" not in content else _open_table(AgentTable, content.pop("agent"), "params", f"{path}.agent", source)
     if "kind" not in content:
-        raise ScenarioError("is missing, and [vehicles] has no kind for all", key=f"{here}.kind", source=source.of(here))
-    parsed = _open_table(VehicleTable, content, "params", here, source)
+        raise ScenarioError("is missing, and [vehicles] has no kind for all", key=f"{path}.kind", source=source.of(path))
+    parsed = _open_table(VehicleTable, content, "params", path, source)
     return msgspec.structs.replace(parsed, agent=agent)
 
 
@@ -356,10 +356,10 @@ def _radio(raw: object, vehicles: Sequence[VehicleTable], source: Source) -> Map
 
 
 def _station(raw: dict[str, Any], source: Source) -> StationTable:
-    here = f"station.{raw['name']}"
+    path = f"station.{raw['name']}"
     own = {name: value for name, value in raw.items() if name != "agent"}
-    agent = _open_table(AgentTable, raw["agent"], "params", f"{here}.agent", source) if "agent" in raw else None
-    return binding.call(StationTable, own, key=here, origin=source, arguments={"agent": agent}, also=["agent"])
+    agent = _open_table(AgentTable, raw["agent"], "params", f"{path}.agent", source) if "agent" in raw else None
+    return binding.call(StationTable, own, key=path, origin=source, arguments={"agent": agent}, also=["agent"])
 
 
 def _as_vehicle(station: StationTable) -> VehicleTable:
@@ -404,6 +404,6 @@ def _path_of(value: object, target: float, key: str = "") -> str:
         own = f"[{name}]" if isinstance(name, int) else f".{name}"
         if key in (*NAMED, "radio") and isinstance(each, dict) and isinstance(each.get("name"), str):
             own = f".{each['name']}"
-        if found := _path_of(each, target, f"{key}{own}".removeprefix(".")):
-            return found
+        if path := _path_of(each, target, f"{key}{own}".removeprefix(".")):
+            return path
     return ""

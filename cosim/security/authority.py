@@ -96,17 +96,17 @@ def issue(
     with _writing(target):
         signed = certificates.sign(_authority(folder), name, says, server=False, days=days)
         certificates.write(target, signed.key_pem + signed.certificate_pem + keys.ca_pem)
-        made = load_bundle(target)
-        _write_index(folder, keys.index.put(msgspec.structs.replace(entry, until=made.until)))
-    return made
+        bundle = load_bundle(target)
+        _write_index(folder, keys.index.put(msgspec.structs.replace(entry, until=bundle.until)))
+    return bundle
 
 
 def revoke(folder: Path, name: str) -> Entry:
     """Revoke the certificate of a name. Raises `UsageError` (the name has no certificate)."""
     keys = load(folder)
     if (entry := keys.index.find(name)) is None:
-        known = ", ".join(each.name for each in keys.index.issued) or "nobody"
-        raise UsageError(f"{folder}: no certificate for '{name}'; certificates: {known}")
+        names = ", ".join(each.name for each in keys.index.issued) or "nobody"
+        raise UsageError(f"{folder}: no certificate for '{name}'; certificates: {names}")
     entry = msgspec.structs.replace(entry, revoked=True)
     with _writing(folder):
         _write_index(folder, keys.index.put(entry))
@@ -150,14 +150,14 @@ def _renew_hub(folder: Path, names: Iterable[str], days: int) -> None:
 
 def _own_names() -> list[str]:
     name = socket.gethostname()
-    found = [name] if _HOST_NAME.fullmatch(name) else []
+    names = [name] if _HOST_NAME.fullmatch(name) else []
     with contextlib.suppress(OSError):
-        found += [str(each[4][0]).partition("%")[0] for each in socket.getaddrinfo(name, None)]
+        names += [str(each[4][0]).partition("%")[0] for each in socket.getaddrinfo(name, None)]
     for family, elsewhere in ((socket.AF_INET, "192.0.2.1"), (socket.AF_INET6, "2001:db8::1")):  # RFC 5737, RFC 3849
         with contextlib.suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
             probe.connect((elsewhere, 9))  # a datagram socket sends nothing here, but knows which address it would send from
-            found.append(str(probe.getsockname()[0]))
-    return found
+            names.append(str(probe.getsockname()[0]))
+    return names
 
 
 def _write_index(folder: Path, index: Index) -> None:
@@ -165,11 +165,11 @@ def _write_index(folder: Path, index: Index) -> None:
 
 
 @contextlib.contextmanager
-def _writing(what: Path) -> Iterator[None]:
+def _writing(path: Path) -> Iterator[None]:
     """Turn file errors into `UsageError`."""
     try:
         yield
     except OSError as error:
-        raise UsageError(f"{what}: cannot be written: {error.strerror}") from error
+        raise UsageError(f"{path}: cannot be written: {error.strerror}") from error
     except ValueError as error:
-        raise UsageError(f"{what}: {error}") from error
+        raise UsageError(f"{path}: {error}") from error

@@ -106,8 +106,8 @@ def sign(authority: Signed, name: str, others: Iterable[str], *, server: bool, d
     purpose = ExtendedKeyUsageOID.SERVER_AUTH if server else ExtendedKeyUsageOID.CLIENT_AUTH
     alternatives: list[x509.GeneralName] = []
     for each in others:
-        named = x509.IPAddress(ipaddress.ip_address(each)) if is_address(each) else x509.DNSName(each)
-        alternatives.append(named if server else x509.UniformResourceIdentifier(each))
+        host = x509.IPAddress(ipaddress.ip_address(each)) if is_address(each) else x509.DNSName(each)
+        alternatives.append(host if server else x509.UniformResourceIdentifier(each))
     key = ec.generate_private_key(ec.SECP256R1())
     draft = _draft(_subject(name), ca.subject, key.public_key(), days)
     draft = draft.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
@@ -266,9 +266,9 @@ class Bundle(msgspec.Struct, frozen=True):
 
     def check(self) -> str | None:
         """Raise `UsageError` if the certificate has expired; returns a warning if it soon will."""
-        named = "" if self.vehicles == (self.name,) else f" --as {self.name}"
-        what = f"observer {self.name}" if self.role == "observer" else f"vehicle {' '.join(self.vehicles)}{named}"
-        remedy = f"vcmvsp keys {what} --force --keys DIR"
+        option = "" if self.vehicles == (self.name,) else f" --as {self.name}"
+        arguments = f"observer {self.name}" if self.role == "observer" else f"vehicle {' '.join(self.vehicles)}{option}"
+        remedy = f"vcmvsp keys {arguments} --force --keys DIR"
         return _check(f"{self.path}: the certificate of '{self.name}'", self.since, self.until, remedy)
 
     def speaks_for(self, vehicles: Iterable[str]) -> None:
@@ -315,10 +315,10 @@ def load_bundle(path: Path) -> Bundle:
 
 def state_of(until: dt.datetime) -> str:
     """State of a certificate by its expiry: ``valid``, ``expires soon`` or ``expired``."""
-    left = until - now()
-    if left < dt.timedelta(0):
+    remaining = until - now()
+    if remaining < dt.timedelta(0):
         return "expired"
-    return "expires soon" if left < WARN else "valid"
+    return "expires soon" if remaining < WARN else "valid"
 
 
 def _check(what: str, since: dt.datetime, until: dt.datetime, remedy: str) -> str | None:

@@ -161,7 +161,7 @@ def parsed(endpoint: str) -> str | tuple[str, int]:
     protocol, _, path = with_slash(endpoint).partition("/")
     if protocol == "unix" and path and "\0" not in path:
         return path
-    found = endpoint_of(endpoint)
-    if not found or found.protocol != "tcp" or not found.host or found.port is None:
+    address = endpoint_of(endpoint)
+    if not address or address.protocol != "tcp" or not address.host or address.port is None:
         raise ValueError(f"'{endpoint}': must be tcp/HOST:PORT or unix/PATH, e.g. {DEFAULT}")
-    return found.host, found.port
+    return address.host, address.port

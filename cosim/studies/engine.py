@@ -145,8 +145,8 @@ def conduct(
                 _run(plan, answers, ask, progress, noted)
             except (KeyboardInterrupt, WorkersGoneError) as error:
                 again = "; the same command with --resume goes on" if out else ""
-                done = f"{len(answers.rows)} of {plan.size} runs are done{again}"
-                raise (VcmvspError(f"{error}: {done}") if str(error) else Interrupted(f"interrupted: {done}")) from None
+                status = f"{len(answers.rows)} of {plan.size} runs are done{again}"
+                raise (VcmvspError(f"{error}: {status}") if str(error) else Interrupted(f"interrupted: {status}")) from None
             table = answers.finish()
             if out is not None:
                 about = _about(plan, started, time.monotonic() - begin, plan.size - before, cluster=cluster, jobs=jobs)
@@ -159,8 +159,8 @@ Ask = Callable[[Iterator[tuple[plans.Run, Job]], int], Iterator[Answered]]
 
 def _run(plan: Plan, answers: Answers, ask: Ask, progress: Progress, noted: Noted) -> None:
     total, done, failed = plan.size, len(answers.rows), 0
-    known = frozenset(answers.rows)
-    jobs = ((run, Job(run.seed, plan.settings(run.point))) for run in plan.runs if run.key not in known)
+    finished = frozenset(answers.rows)
+    jobs = ((run, Job(run.seed, plan.settings(run.point))) for run in plan.runs if run.key not in finished)
     progress(done, failed, total)
     for run, row in ask(jobs, total - done):
         answers.add(run.key, row)
@@ -203,14 +203,16 @@ def _check_arguments(jobs: int | None, cluster: object, out: Path | None, *, res
         raise UsageError("--resume (continue) and --force (start again) exclude each other: leave one out")
 
 
-def _about(plan: Plan, started: datetime, wall_s: float, made: int, *, cluster: object, jobs: int | None) -> dict[str, Any]:
+def _about(
+    plan: Plan, started: datetime, wall_s: float, runs_made: int, *, cluster: object, jobs: int | None
+) -> dict[str, Any]:
     """Facts about a study that differ between two equal studies."""
     return {
         "schema": ABOUT_SCHEMA,
         "started": started.isoformat(),
         "wall_s": wall_s,
         "runs": plan.size,
-        "runs_made": made,  # the others were resumed
+        "runs_made": runs_made,  # the others were resumed
         "where": f"{jobs or cores()} jobs" if cluster is None else str(cluster),
         "host": api.host_facts(),
         "versions": plan.versions,
@@ -239,7 +241,7 @@ def examined(plan: Plan, base: Base, checking: Callable[[int, int], None] = lamb
         checking(number, len(chosen))
         for name, content in _check(plan, base, point).items():
             hashes.setdefault(name, set()).add(hashlib.sha256(content).hexdigest())
-    files = {name: " ".join(sorted(found)) for name, found in hashes.items()}
+    files = {name: " ".join(sorted(digests)) for name, digests in hashes.items()}
     versions = versions_of(PACKAGES)
     return msgspec.structs.replace(plan, metrics=_metrics(plan, base), files=files, versions=versions)
 

@@ -38,11 +38,11 @@ def write(folder: Path, table: pa.Table, plan: Plan, *, repeatable: bool = True)
     summary = summarise(table, list(plan.vary), plan.metrics)
     written = [folder / "summary.csv"]
     write_whole(written[0], to_csv(summary))
-    drawn = [path for name, figure in _figures(summary, plan).items() for path in style.save(figure, folder / name)]
-    drawings = {path.stem: path.read_text("utf-8") for path in drawn if path.suffix == ".svg"}
+    paths = [path for name, figure in _figures(summary, plan).items() for path in style.save(figure, folder / name)]
+    drawings = {path.stem: path.read_text("utf-8") for path in paths if path.suffix == ".svg"}
     report = folder / FILE
     write_whole(report, _page(table, summary, plan, drawings, repeatable=repeatable))
-    return [*written, *drawn, report]
+    return [*written, *paths, report]
 
 
 def report_again(folder: Path, out: Path | None = None) -> Path:
@@ -106,10 +106,10 @@ def toml_of(value: object) -> str:
 
 def _page(table: pa.Table, summary: pa.Table, plan: Plan, drawings: Mapping[str, str], *, repeatable: bool) -> str:
     failures = _failures(table, list(plan.vary))
-    shown = {"study": "Means at each point, and where they may lie.", "study-map": "Means over the first two keys."}
+    captions = {"study": "Means at each point, and where they may lie.", "study-map": "Means over the first two keys."}
     sections = [
         Section("What was varied", [Facts(_varied(plan))]),
-        Section("Figures", [Figure(svg, shown[name]) for name, svg in drawings.items()]),
+        Section("Figures", [Figure(svg, captions[name]) for name, svg in drawings.items()]),
         Section("Summary", [Words(_EXPLAINED), _table(summary, plan)]) if summary.num_rows else None,
         _failed(failures, list(plan.vary)) if failures else None,
         Section("Again", _again(plan, unfinished=bool(failures) or table.num_rows < plan.size)) if repeatable else None,
@@ -168,14 +168,14 @@ def _table(summary: pa.Table, plan: Plan) -> Rows:
     keys = list(plan.vary)
     columns = summary.to_pydict()
     partly = [metric for metric in plan.metrics if columns[f"{metric}.n"] != columns["n"]]
-    shown: list[tuple[str, str]] = [*((key, key) for key in keys), ("n", "n")]
+    headings: list[tuple[str, str]] = [*((key, key) for key in keys), ("n", "n")]
     if any(columns["failed"]):
-        shown.append(("failed", "failed"))
+        headings.append(("failed", "failed"))
     for metric in plan.metrics:
-        shown += [(f"{metric}.mean", metric), (f"{metric}.low", "low"), (f"{metric}.high", "high")]
-        shown += [(f"{metric}.n", "its n")] if metric in partly else []
-    rows = [[_plain(columns[name][row]) for name, _ in shown] for row in range(summary.num_rows)]
-    return Rows([title for _, title in shown], rows)
+        headings += [(f"{metric}.mean", metric), (f"{metric}.low", "low"), (f"{metric}.high", "high")]
+        headings += [(f"{metric}.n", "its n")] if metric in partly else []
+    rows = [[_plain(columns[name][row]) for name, _ in headings] for row in range(summary.num_rows)]
+    return Rows([title for _, title in headings], rows)
 
 
 def _failures(table: pa.Table, keys: Sequence[str]) -> list[list[Any]]:

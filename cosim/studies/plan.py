@@ -176,9 +176,9 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
     def read(cls, path: Path) -> "Plan":
         """Read the plan from a ``study.toml``."""
         try:
-            found = read_toml(limits.read_text(path))
-            first = found.pop("seed")
-            return msgspec.convert({**found, "seeds": list(range(first, first + found["seeds"]))}, cls)
+            table = read_toml(limits.read_text(path))
+            first = table.pop("seed")
+            return msgspec.convert({**table, "seeds": list(range(first, first + table["seeds"]))}, cls)
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise UsageError(f"{path} cannot be read: {' '.join(str(error).split())}") from error
 
@@ -249,20 +249,22 @@ def check_same(plan: Plan, stored: Plan, out: Path) -> None:
     Raises:
         UsageError: the studies differ; names the difference.
     """
-    for what, now, then in (
+    for subject, now, then in (
         ("the scenario", content(plan.scenario_toml), content(stored.scenario_toml)),
         ("--set", plan.set, stored.set),
         ("its file", *_in_both(plan.files, stored.files)),
         ("the version of", _ours(plan.versions), _ours(stored.versions)),
     ):
         if (difference := _difference(now, then)) is not None:
-            raise UsageError(f"--resume {out}: holds another study: {what} differs ({difference})")
+            raise UsageError(f"--resume {out}: holds another study: {subject} differs ({difference})")
     if list(plan.vary) != list(stored.vary):
         raise UsageError(f"--resume {out}: holds another study: it varies {', '.join(stored.vary)}, in this order")
     for key, values in stored.vary.items():
         present = {label(value) for value in plan.vary[key]}
-        if left := [value for value in map(label, values) if value not in present]:
-            raise UsageError(f"--resume {out}: values may be added, not left out: {key} was varied over {', '.join(left)} too")
+        if omitted := [value for value in map(label, values) if value not in present]:
+            raise UsageError(
+                f"--resume {out}: values may be added, not left out: {key} was varied over {', '.join(omitted)} too"
+            )
     if not {*stored.seeds} <= {*plan.seeds}:
         was = f"{stored.seeds[0]} to {stored.seeds[-1]}"
         raise UsageError(f"--resume {out}: seeds may be added, not left out: they were {was}")
@@ -283,10 +285,10 @@ def _vary(vary: Mapping[str, Any]) -> dict[str, list[Any]]:
 
 def _plain(value: object) -> object:
     """Convert a Python or NumPy value to TOML types."""
-    found = binding.plain(value.tolist() if hasattr(value, "tolist") else value)
-    if found is None:
+    converted = binding.plain(value.tolist() if hasattr(value, "tolist") else value)
+    if converted is None:
         raise ValueError(f"{binding.show(value)} is not a valid value of a scenario")
-    return found
+    return converted
 
 
 def _check_values(key: str, values: Sequence[Any], settings: Mapping[str, Any]) -> None:

@@ -41,13 +41,13 @@ unpacked = zlib.decompress
 
 def flat(metrics: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Every scalar of a nested mapping, by its path."""
-    found: dict[str, Any] = {}
+    scalars: dict[str, Any] = {}
     for name, value in metrics.items():
         if isinstance(value, Mapping):
-            found |= flat(value, f"{prefix}{name}.")
+            scalars |= flat(value, f"{prefix}{name}.")
         elif not isinstance(value, list | tuple):
-            found[f"{prefix}{name}"] = value
-    return found
+            scalars[f"{prefix}{name}"] = value
+    return scalars
 
 
 class Column:

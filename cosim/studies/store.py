@@ -74,18 +74,18 @@ def begun(folder: Path, *, resume: bool, force: bool) -> Plan | None:
     Raises:
         UsageError: the folder is not empty, and neither ``resume`` nor ``force`` is given.
     """
-    found = folder.iterdir() if folder.is_dir() else ()
-    there = {path.name for path in found if path.name != LOCK and path.suffix != PART}  # leftovers of a killed study
-    if force or not there:
+    paths = folder.iterdir() if folder.is_dir() else ()
+    names = {path.name for path in paths if path.name != LOCK and path.suffix != PART}  # leftovers of a killed study
+    if force or not names:
         Folder(folder, force=True)  # checks that it is writable
         return None
-    if PLAN not in there:
+    if PLAN not in names:
         why = "contains no study" if resume else "is not empty; choose another folder, or add --force to overwrite"
         raise UsageError(f"--out {folder}: {why}")
     plan = Plan.read(folder / PLAN)
     if not resume:
-        what = "add --resume to continue it, --force to start again"
-        raise UsageError(f"--out {folder}: already contains a study of {plan.scenario}: {what}, or choose another folder")
+        hint = "add --resume to continue it, --force to start again"
+        raise UsageError(f"--out {folder}: already contains a study of {plan.scenario}: {hint}, or choose another folder")
     return plan
 
 
@@ -107,8 +107,8 @@ class Store(Answers):
         with writing(self._folder), contextlib.ExitStack() as stack:
             self._folder.mkdir(parents=True, exist_ok=True)
             stack.enter_context(_locked(self._folder / LOCK))
-            for left in self._folder.glob(f".*{PART}"):
-                shutil.rmtree(left, ignore_errors=True)  # leftovers of a killed study
+            for leftover in self._folder.glob(f".*{PART}"):
+                shutil.rmtree(leftover, ignore_errors=True)  # leftovers of a killed study
             if stored := begun(self._folder, resume=self._resume, force=self._force):
                 check_same(self.plan, stored, self._folder)
                 self._recover(stored)

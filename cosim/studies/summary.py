@@ -69,7 +69,7 @@ def band(values: ArrayLike, name: str = "") -> Band:
         return Band(same, *((same, same) if len(values) > 1 else (None, None)))
     from scipy import stats  # slow import: half a second
 
-    found = stats.bootstrap(
+    interval = stats.bootstrap(
         (values,),
         np.mean,
         n_resamples=RESAMPLES,
@@ -78,7 +78,7 @@ def band(values: ArrayLike, name: str = "") -> Band:
         batch=max(1, 1_000_000 // len(values)),
         rng=rng.stream(0, f"study/summary/{name}"),
     ).confidence_interval
-    return Band(math.fsum(values) / len(values), float(found.low), float(found.high))
+    return Band(math.fsum(values) / len(values), float(interval.low), float(interval.high))
 
 
 def to_csv(summary: pa.Table) -> str:
@@ -103,11 +103,11 @@ def rows(summary: pa.Table, keys: Sequence[str], metrics: Sequence[str]) -> list
 
 
 def _points(table: pa.Table, keys: Sequence[str]) -> list[list[int]]:
-    found: dict[str, list[int]] = {}
+    rows_of: dict[str, list[int]] = {}
     listed = zip(*(table.column(key).to_pylist() for key in keys), strict=True) if keys else [()] * table.num_rows
     for index, values in enumerate(listed):
-        found.setdefault(json.dumps(values, sort_keys=True, default=str), []).append(index)
-    return list(found.values())
+        rows_of.setdefault(json.dumps(values, sort_keys=True, default=str), []).append(index)
+    return list(rows_of.values())
 
 
 def _values(table: pa.Table, metric: str) -> Array:

@@ -152,18 +152,18 @@ class Cluster:
         """
         source, study = enumerate(calls), uuid.uuid4().hex
         running: dict[str, Run] = {}
-        done = self._distributed.as_completed(loop=self._client.loop)
+        futures = self._distributed.as_completed(loop=self._client.loop)
         while True:
             for number, (run, job) in islice(source, max(0, self._room() - len(running))):
                 key = f"vcmvsp-{study}-{number}"
                 future = self._ask(self._client.submit, run_one, self._work, job, key=key, pure=False)
                 running[future.key] = run
-                done.add(future)
+                futures.add(future)
             if not running:
                 return
-            future = self._ask(next, done)
+            future = self._ask(next, futures)
             if future.status in ("lost", "pending"):  # its worker died with the answer: Dask repeats the run
-                done.add(future)
+                futures.add(future)
             else:
                 yield running.pop(future.key), self._answer(future)
 
@@ -173,10 +173,10 @@ class Cluster:
             return self._ask(future.result)
         return DIED if isinstance(error, self._distributed.KilledWorker) else failed(f"{type(error).__name__}: {error}")
 
-    def _ask(self, call: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
+    def _ask(self, call: Callable[..., Any], *arguments: Any, **keywords: Any) -> Any:
         """Call Dask; any of its errors, after a dead scheduler or a cancelled future, becomes `WorkersGoneError`."""
         try:
-            return call(*arguments, **named)
+            return call(*arguments, **keywords)
         except Exception as error:
             raise WorkersGoneError(f"the cluster at {self._name} is gone") from error
 
@@ -189,14 +189,14 @@ class Cluster:
 
     def _check_versions(self) -> None:
         try:
-            found: dict[str, str] = _in_time(lambda: self._client.run(version))
+            versions: dict[str, str] = _in_time(lambda: self._client.run(version))
         except Exception as error:  # a worker may raise anything
             raise UsageError(
                 f"--cluster {self._name}: a worker cannot run vcmvsp ({type(error).__name__}: {' '.join(str(error).split())})"
             ) from error
-        others = {worker: theirs for worker, theirs in found.items() if theirs != self._work.version}
-        for worker, theirs in others.items():
-            raise UsageError(f"--cluster {self._name}: {worker} has vcmvsp {theirs}, this is {self._work.version}")
+        others = {worker: installed for worker, installed in versions.items() if installed != self._work.version}
+        for worker, installed in others.items():
+            raise UsageError(f"--cluster {self._name}: {worker} has vcmvsp {installed}, this is {self._work.version}")
 
 
 def _in_time(call: Callable[[], T]) -> T:

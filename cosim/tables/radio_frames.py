@@ -64,17 +64,17 @@ class Names:
 
     def codes_of_groups(self, groups: Iterable[tuple[str, ...]]) -> Array:
         """Codes of the names in all groups, one group after the other."""
-        known, found = self._groups, []
+        codes_of, parts = self._groups, []
         for group in groups:
-            codes = known.get(group)
+            codes = codes_of.get(group)
             if codes is None:
                 if self._grouped > GROUPED_NAMES:
-                    known.clear()
+                    codes_of.clear()
                     self._grouped = 0
-                codes = known[group] = self.codes(group)
+                codes = codes_of[group] = self.codes(group)
                 self._grouped += len(group)
-            found.append(codes)
-        return joined(found, (0,), np.int32)
+            parts.append(codes)
+        return joined(parts, (0,), np.int32)
 
     def column(self, codes: Array) -> "pa.Array[Any]":
         """An Arrow column of the names of these codes."""
@@ -103,7 +103,7 @@ class Frames:
         self._knows_paths = False
         self._is_sorted = True
         self._latest_ns: list[int] = []  # last arrival in each part
-        self._named: dict[tuple[str, int], tuple[Names, Array]] = {}  # names and new codes of a column, for an end of the run
+        self._cache: dict[tuple[str, int], tuple[Names, Array]] = {}  # names and new codes of a column, for an end of the run
 
     def extend(self, reports: Iterable[FrameReport]) -> None:
         """Add frame reports; every frame comes once, in any order."""
@@ -173,10 +173,10 @@ class Frames:
 
     def _names(self, name: str, end_ns: int) -> tuple[Names, Array]:
         """The names of a column in the order in which its rows have them, and their new codes."""
-        if (name, end_ns) not in self._named:
+        if (name, end_ns) not in self._cache:
             self._outcomes.codes((UNDER_WAY,))
             if name in ("sender", "receiver"):
-                found = self._vehicles.in_order_of(
+                ordered = self._vehicles.in_order_of(
                     [
                         *self._codes_by_occurrence("receiver", self._vehicles),
                         *self._codes_by_occurrence("sender", self._vehicles),
@@ -184,9 +184,9 @@ class Frames:
                 )
             else:
                 names = self._outcomes if name == "outcome" else self._materials
-                found = names.in_order_of(self._codes_by_occurrence(name, names, end_ns))
-            self._named[name, end_ns] = found
-        return self._named[name, end_ns]
+                ordered = names.in_order_of(self._codes_by_occurrence(name, names, end_ns))
+            self._cache[name, end_ns] = ordered
+        return self._cache[name, end_ns]
 
     def _codes_by_occurrence(self, name: str, names: Names, end_ns: int = 2**63 - 1) -> Iterable[int]:
         """Codes of initially unknown names by first occurrence."""
@@ -224,8 +224,8 @@ class Frames:
                 packed[name] = joined([np.zeros(n, dtype) if part is None else part for part, n in parts], (0,), dtype)
         for name, dtype in PATHS.items():
             parts = zip(columns[name], counts, strict=True)
-            known = [np.full(n, np.nan) if part is UNSET else part for part, n in parts]
-            packed[name] = joined(known, (0,), dtype)
+            values = [np.full(n, np.nan) if part is UNSET else part for part, n in parts]
+            packed[name] = joined(values, (0,), dtype)
             self._knows_paths |= any(part is not UNSET for part in columns[name])
         self._keep(packed)
         self._waiting, self._held = [], 0
@@ -236,7 +236,7 @@ class Frames:
         self._latest_ns.append(int(packed["received_ns"].max(initial=-1)))
         self._is_sorted &= bool(packed["frame"][0] >= self._newest)
         self._newest = max(self._newest, int(packed["frame"][-1]))
-        self._named.clear()
+        self._cache.clear()
 
     def _sort(self) -> None:
         """Keep all parts anew in order of frame numbers, if the parts overlap."""
@@ -256,7 +256,7 @@ class Frames:
             if len(chosen):
                 into._keep(_selected(old, chosen, first_of))
         self._spool, self._latest_ns, self._is_sorted = into._spool, into._latest_ns, True
-        self._named.clear()
+        self._cache.clear()
 
 
 def _selected(spool: Spool, frames: Array, first_of: Array) -> dict[str, Array]:

@@ -146,8 +146,8 @@ Table = pa.Table | RunTable | TableFile
 
 def blocks_of(table: Table, columns: Collection[str]) -> Iterator[pa.Table]:
     """The columns of a table in parts, as far as they exist."""
-    known = [name for name in table.schema.names if name in columns]
-    return iter((table.select(known),)) if isinstance(table, pa.Table) else table.blocks(known)
+    names = [name for name in table.schema.names if name in columns]
+    return iter((table.select(names),)) if isinstance(table, pa.Table) else table.blocks(names)
 
 
 def selected(table: Table, columns: Collection[str]) -> pa.Table:
@@ -184,14 +184,14 @@ class StateRows:
     def columns(self, rows: tuple[int, int], names: Collection[str] = STATES_SCHEMA.names) -> dict[str, Any]:
         """The Arrow columns of these rows."""
         parts, cut = self._spool.around(*rows)
-        found = {}
+        arrays = {}
         for name in names:
             if name == "yaw":
                 qw, qx, qy, qz = (self._spool.read(each, parts, np.float64)[cut] for each in ATTITUDE)
-                found[name] = np.arctan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
+                arrays[name] = np.arctan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
             else:
-                found[name] = self._spool.read(name, parts, _STATE_TYPES.get(name, np.float64))[cut]
-        return {name: self._vehicles.column(each) if name == "vehicle" else column(each) for name, each in found.items()}
+                arrays[name] = self._spool.read(name, parts, _STATE_TYPES.get(name, np.float64))[cut]
+        return {name: self._vehicles.column(each) if name == "vehicle" else column(each) for name, each in arrays.items()}
 
     def _pack(self) -> None:
         rows = self._waiting
@@ -272,8 +272,8 @@ def states_table(
         for instant in instants:
             states.append(*instant)
     fields = [field for field in STATES_SCHEMA if columns is None or field.name in columns]
-    found = states.columns(rows or (0, states.rows), [field.name for field in fields])
-    return with_facts(list(found.values()), pa.schema(fields), facts)
+    arrays = states.columns(rows or (0, states.rows), [field.name for field in fields])
+    return with_facts(list(arrays.values()), pa.schema(fields), facts)
 
 
 def radio_table(
@@ -286,10 +286,10 @@ def radio_table(
     if not isinstance(frames, Frames):
         reports, frames = frames, Frames(facts.vehicles)
         frames.extend(reports)
-    known = [*RADIO_SCHEMA, *(PATHS_SCHEMA if frames.has_paths else ())]
-    fields = [field for field in known if columns is None or field.name in columns]
-    found = frames.columns(facts.end_ns, [field.name for field in fields], rows)
-    return with_facts(list(found.values()), pa.schema(fields), facts)
+    available = [*RADIO_SCHEMA, *(PATHS_SCHEMA if frames.has_paths else ())]
+    fields = [field for field in available if columns is None or field.name in columns]
+    arrays = frames.columns(facts.end_ns, [field.name for field in fields], rows)
+    return with_facts(list(arrays.values()), pa.schema(fields), facts)
 
 
 def write_table(table: Table, path: Path | BinaryIO) -> None:

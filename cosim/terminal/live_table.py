@@ -70,18 +70,18 @@ class LiveTable:
         names = list(every)
         if not names or width < 1 or height < 3:
             return []
-        shown = names if len(names) <= most else sorted(names, key=lambda name: _rank(every[name], now_ns))[:most]
-        vehicles = [every[name] for name in shown]
+        chosen = names if len(names) <= most else sorted(names, key=lambda name: _rank(every[name], now_ns))[:most]
+        vehicles = [every[name] for name in chosen]
         rows = {column.title: [column.cell(each, now_ns) for each in vehicles] for column in self._columns()}
-        rows = {"vehicle": [name[:CELL] for name in shown], **rows}
+        rows = {"vehicle": [name[:CELL] for name in chosen], **rows}
         columns = self._fitting(rows, width)
         lines = [_joined([(title, self._widths[title], left) for title, left in columns], width)]
-        for row in range(len(shown)):
+        for row in range(len(chosen)):
             cells = [(rows[title][row], self._widths[title], left) for title, left in columns]
             lines.append(_joined(cells, width))
         kinds = ["head", *(_kind(each) for each in vehicles)]
         table = [TableLine(text, kind) for text, kind in zip(lines, kinds, strict=True)]
-        rest = len(names) - len(shown)
+        rest = len(names) - len(chosen)
         return [*table, TableLine(f"... and {rest} more"[:width], "more")] if rest else table
 
     def _vehicles(self) -> dict[str, _Vehicle]:
@@ -138,11 +138,11 @@ class LiveTable:
             widest = max(map(len, cells))
             if widest:
                 self._widths[title] = max(self._widths.get(title, 0), len(title), widest)
-        known = {column.title: column for column in self._columns()}
+        column_of = {column.title: column for column in self._columns()}
         columns = [title for title in rows if title in self._widths]
         while len(columns) > 1 and sum(self._widths[each] + len(GAP) for each in columns) - len(GAP) > width:
-            columns.remove(min(columns[1:], key=lambda title: known[title].importance))
-        return [(title, title == "vehicle" or known[title].left) for title in columns]
+            columns.remove(min(columns[1:], key=lambda title: column_of[title].importance))
+        return [(title, title == "vehicle" or column_of[title].left) for title in columns]
 
 
 def _rank(vehicle: _Vehicle, now_ns: int) -> tuple[Any, ...]:

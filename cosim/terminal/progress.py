@@ -137,10 +137,10 @@ class Progress(StatusDisplay):
         self._now_ns = now_ns
         taken_s = max(time.monotonic() - self._begin, 1e-9)
         speed = now_ns / SECOND_NS / taken_s
-        left = f", {clock(taken_s * (end_ns - now_ns) / now_ns)} left" if now_ns else ""
+        remaining = f", {clock(taken_s * (end_ns - now_ns) / now_ns)} left" if now_ns else ""
         how_far, pace = f"{now_ns / SECOND_NS:.1f} of {end_ns / SECOND_NS:g} s", _times(speed)
         if self._terminal:
-            self._draw(now_ns, end_ns, f"{how_far}, {pace}{', writing' if over else left}")
+            self._draw(now_ns, end_ns, f"{how_far}, {pace}{', writing' if over else remaining}")
         else:
             self.tell(f"{how_far} simulated ({100 * now_ns // end_ns} %, {pace} real time)")
 
@@ -158,7 +158,7 @@ class StudyProgress(StatusDisplay):
 
     def __init__(self, *, quiet: bool, what: str = "runs") -> None:
         super().__init__(quiet=quiet)
-        self._what = what
+        self._noun = what
 
     _first: int | None = None  # number of runs done before this one started
     _begin = 0.0
@@ -178,7 +178,7 @@ class StudyProgress(StatusDisplay):
         now = time.monotonic()
         if self._first is None or done <= self._first:
             self._begin, self._first = now, done
-        words = f"{done} of {total} {self._what} done" + (f", {failed} failed" if failed else "")
+        words = f"{done} of {total} {self._noun} done" + (f", {failed} failed" if failed else "")
         if done > self._first:  # estimate of the time left: as long per run as so far
             words += f", {clock((now - self._begin) / (done - self._first) * (total - done))} left"
         if self._bounds is not None:
@@ -242,7 +242,7 @@ def _of_bridge(carried: Mapping[str, Any]) -> str:
     if carried["delivered"]:
         late = f"late by {1000 * carried['p50_s']:.2f} ms median, {1000 * carried['p99_s']:.2f} ms p99"
         words += f", {late}, {carried['over_1ms']} by more than 1 ms"
-    refused = (f"{number} {what} ({name})" for name, counts in carried["counts"].items() for what, number in counts.items())
+    refused = (f"{number} {cause} ({name})" for name, counts in carried["counts"].items() for cause, number in counts.items())
     return "; ".join((words, *refused))
 
 
@@ -291,8 +291,8 @@ def _short(value: float | None) -> str:
 
 def _of_mission(mission: Mapping[str, Any]) -> str:
     times = mission["found_s"]
-    found = ", ".join(f"{name} {'never' if time_s is None else f'{time_s:.1f} s'}" for name, time_s in times.items())
-    words = f"{mission['targets_found']} of {len(times)} targets found ({found}), {mission['targets_tracked']} tracked"
+    finds = ", ".join(f"{name} {'never' if time_s is None else f'{time_s:.1f} s'}" for name, time_s in times.items())
+    words = f"{mission['targets_found']} of {len(times)} targets found ({finds}), {mission['targets_tracked']} tracked"
     area = mission["area_seen_ratio"]
     return words + ("" if area is None else f", {100 * area:.0f} % of the area seen")
 

@@ -41,17 +41,17 @@ def check_agent(
     bytes); its commands and messages are finite and can be encoded; two agents with equal observations give equal outputs; it
     does not modify its observations; the wire encoding of observations makes no difference.
     """
-    shown = [_observation(vehicle, others, tick) for tick in range(ticks)]
-    plain = _play(make(), vehicle, others, shown)
-    _require(plain == _play(make(), vehicle, others, shown), "two agents with equal inputs acted differently")
+    observations = [_observation(vehicle, others, tick) for tick in range(ticks)]
+    plain = _play(make(), vehicle, others, observations)
+    _require(plain == _play(make(), vehicle, others, observations), "two agents with equal inputs acted differently")
     fresh = [_observation(vehicle, others, tick) for tick in range(ticks)]
-    wire = [encode(list(each.heard)) for each in shown]
+    wire = [encode(list(each.heard)) for each in observations]
     _require(wire == [encode(list(each.heard)) for each in fresh], "the agent modified its observation")
     received = [
         ReceivedMessages.of(_receptions.decode(each), observation.time_ns)
-        for each, observation in zip(wire, shown, strict=True)
+        for each, observation in zip(wire, observations, strict=True)
     ]
-    wired = [msgspec.structs.replace(observation, heard=each) for each, observation in zip(received, shown, strict=True)]
+    wired = [msgspec.structs.replace(observation, heard=each) for each, observation in zip(received, observations, strict=True)]
     _require(plain == _play(make(), vehicle, others, wired), "the agent acts differently in another process")
 
 
@@ -68,11 +68,11 @@ def check_channel(layer: Any, *, reciprocal: bool = True) -> None:
         "lost": _check_drawn,
         "delay_ns": _check_drawn,
     }
-    found = [verb for verb in verbs if callable(getattr(layer, verb, None))]
-    _require(bool(found), f"{type(layer).__name__} has none of the methods of a layer: {', '.join(verbs)}")
-    for verb in found:
+    methods = [verb for verb in verbs if callable(getattr(layer, verb, None))]
+    _require(bool(methods), f"{type(layer).__name__} has none of the methods of a layer: {', '.join(verbs)}")
+    for verb in methods:
         verbs[verb](layer, verb)
-    if "loss_db" in found and reciprocal:
+    if "loss_db" in methods and reciprocal:
         _check_reciprocity(layer)
 
 
@@ -91,7 +91,7 @@ def check_federate(make: Callable[[], Federate], run: RunInfo, inputs: Sequence[
     _require(first == second, "two federates with equal inputs returned different events")
 
 
-def _play(agent: Agent, vehicle: str, others: Sequence[str], shown: Sequence[Observation]) -> bytes:
+def _play(agent: Agent, vehicle: str, others: Sequence[str], observations: Sequence[Observation]) -> bytes:
     """All outputs of the agent, encoded."""
     from vcmvsp.cosim.assembly.parts.agent_host import AgentHost
 
@@ -101,9 +101,9 @@ def _play(agent: Agent, vehicle: str, others: Sequence[str], shown: Sequence[Obs
     federate, vehicles = AgentHost("agents", [spec], {vehicle: agent}), (*others, vehicle)
     messages = []
     try:
-        federate.start(RunInfo(scenario="check", seed=1, duration_ns=len(shown) * SECOND, vehicles=vehicles))
+        federate.start(RunInfo(scenario="check", seed=1, duration_ns=len(observations) * SECOND, vehicles=vehicles))
         now = 0
-        for observation in shown:
+        for observation in observations:
             inbox = [Event(f"{vehicle}/estimate", observation.time_ns, observation.state)]
             inbox.append(Event(RECEPTIONS, observation.time_ns, receptions_at(vehicle, observation.heard, vehicles)))
             step = federate.step(now, inbox)
@@ -164,9 +164,9 @@ def _check_reciprocity(layer: "PathLoss") -> None:
 
     rng = np.random.default_rng(3)
     for a, b in rng.uniform(-300.0, 300.0, (50, 2, 3)):
-        there, back = layer.loss_db(Paths.between(a, b[None])), layer.loss_db(Paths.between(b, a[None]))
-        law = f"loss from {a} to {b} is {there}, back {back}; pass reciprocal=False if this is intended"
-        _require(there.tolist() == back.tolist(), law)
+        forth_db, back_db = layer.loss_db(Paths.between(a, b[None])), layer.loss_db(Paths.between(b, a[None]))
+        law = f"loss from {a} to {b} is {forth_db}, back {back_db}; pass reciprocal=False if this is intended"
+        _require(forth_db.tolist() == back_db.tolist(), law)
 
 
 def _check_phy(layer: "Phy", verb: str) -> None:

@@ -94,16 +94,16 @@ def driver_security(keys: "Keys", vehicle: str) -> Config:
     return config | {"access_control": rules.config()}
 
 
-def hub_secret(secret: str, known: IO[bytes]) -> Config:
+def hub_secret(secret: str, file: IO[bytes]) -> Config:
     """Configuration of a hub that admits machines with its secret; the secret itself does not pass over the link.
 
     Args:
-        known: a file private to this process until the session is open.
+        file: a file private to this process until the session is open.
     """
-    known.write(f"{OPEN}:{secret}\n".encode())
-    known.seek(0)
+    file.write(f"{OPEN}:{secret}\n".encode())
+    file.seek(0)
     config = client_secret(secret)
-    config["transport"]["auth"]["usrpwd"]["dictionary_file"] = f"/dev/fd/{known.fileno()}"
+    config["transport"]["auth"]["usrpwd"]["dictionary_file"] = f"/dev/fd/{file.fileno()}"
     return config
 
 

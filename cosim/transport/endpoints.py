@@ -85,10 +85,10 @@ def check_interfaces(host: str, *, insecure: bool) -> None:
 
 def parts(endpoint: str) -> tuple[str, str, int]:
     """Protocol, host (an IPv6 address without its brackets) and port. Raises `UsageError` (invalid endpoint)."""
-    found = endpoint_of(endpoint)
-    if not found or found.protocol not in ("tcp", "tls") or not found.host or found.port is None:
+    address = endpoint_of(endpoint)
+    if not address or address.protocol not in ("tcp", "tls") or not address.host or address.port is None:
         raise UsageError(f"'{endpoint}': must be tcp/HOST:PORT or tls/HOST:PORT, e.g. tls/192.168.1.10:7447")
-    return found.protocol, found.host, found.port
+    return address.protocol, address.host, address.port
 
 
 @contextlib.contextmanager

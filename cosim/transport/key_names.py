@@ -54,9 +54,9 @@ def answer_key(ask: str) -> str:
     return f"{ask.removesuffix('ask')}answer"
 
 
-def host_key(name: str, zid: str, what: Literal["ask", "alive"]) -> str:
+def host_key(name: str, zid: str, purpose: Literal["ask", "alive"]) -> str:
     """A key of a host. Raises `ValueError` (the name or the id has characters that could make it another host's key)."""
-    key = f"vcmvsp/host/{name}/{zid}/{what}"
+    key = f"vcmvsp/host/{name}/{zid}/{purpose}"
     if speaker(key) is None:
         raise ValueError(f"no key of a host: {key!r}")
     return key
@@ -67,8 +67,8 @@ def speaker(key: str) -> tuple[str, str] | None:
 
     None: no machine's key, or one with wildcards.
     """
-    found = _KEY.fullmatch(key)
-    return (found[1] or found[2], found[3] or "") if found else None
+    match = _KEY.fullmatch(key)
+    return (match[1] or match[2], match[3] or "") if match else None
 
 
 def greet_key(name: str) -> str:
@@ -76,9 +76,9 @@ def greet_key(name: str) -> str:
     return f"vcmvsp/robot/{name}/greet"
 
 
-def robot_key(name: str, vehicle: str, zid: str, what: Literal["up", "down", "alive"]) -> str:
+def robot_key(name: str, vehicle: str, zid: str, purpose: Literal["up", "down", "alive"]) -> str:
     """A key of a robot. Raises `ValueError` (an argument has characters that could make it another robot's key)."""
-    key = f"vcmvsp/robot/{name}/{vehicle}/{zid}/{what}"
+    key = f"vcmvsp/robot/{name}/{vehicle}/{zid}/{purpose}"
     if robot_speaker(key) is None:
         raise ValueError(f"no key of a robot: {key!r}")
     return key
@@ -89,5 +89,5 @@ def robot_speaker(key: str) -> tuple[str, str, str] | None:
 
     None: no robot's key, or one with wildcards.
     """
-    found = _ROBOT.fullmatch(key)
-    return (found[1], found[2] or "", found[3] or "") if found else None
+    match = _ROBOT.fullmatch(key)
+    return (match[1], match[2] or "", match[3] or "") if match else None

@@ -42,11 +42,11 @@ def write_film(path: Path, pictures: Iterable[Array], fps: int) -> None:
         try:
             count = _encode(place, pictures, fps)
             with av.open(str(place)) as film:
-                found = sum(1 for packet in film.demux(video=0) if packet.size)
+                read_count = sum(1 for packet in film.demux(video=0) if packet.size)
         except av.FFmpegError as error:
             raise OSError(error.errno, error.strerror) from error
-        if found != count:
-            raise OSError(f"{found} of {count} pictures can be read back")
+        if read_count != count:
+            raise OSError(f"{read_count} of {count} pictures can be read back")
 
 
 def _encode(place: Path, pictures: Iterable[Array], fps: int) -> int:

@@ -26,8 +26,8 @@ def overlap_m(a: Array, b: Array) -> float:
     depth = math.inf
     for polygon in (a, b):
         axes = outward(polygon).T
-        mine, theirs = a @ axes, b @ axes
-        ahead, behind = mine.max(axis=0) - theirs.min(axis=0), theirs.max(axis=0) - mine.min(axis=0)
+        shadows_a, shadows_b = a @ axes, b @ axes
+        ahead, behind = shadows_a.max(axis=0) - shadows_b.min(axis=0), shadows_b.max(axis=0) - shadows_a.min(axis=0)
         depth = min(depth, float(np.minimum(ahead, behind).min()))
     return max(depth, 0.0)
 
@@ -92,8 +92,10 @@ class _Edges:
         if not len(meeting):
             return None
         numbers = (int(each[meeting[0]]) for each in (i, j))
-        one, other = (f"edge {self._number[k]}" + (f" of hole {self._ring[k] - 1}" if self._ring[k] else "") for k in numbers)
-        return one, other
+        first, second = (
+            f"edge {self._number[k]}" + (f" of hole {self._ring[k] - 1}" if self._ring[k] else "") for k in numbers
+        )
+        return first, second
 
     def inside(self, point: Array, without: int) -> bool:
         """Whether a point is inside, ignoring one ring: an odd number of edges lies east of it."""
@@ -121,8 +123,8 @@ def _meet(a: Array, b: Array, c: Array, d: Array) -> Array:
 
     def side(a: Array, b: Array, c: Array) -> Array:
         """On which side of a line through a and b each c lies: 1 left, -1 right, 0 on it."""
-        one, other = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]), (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
-        return np.asarray(np.sign(one - other))
+        first, second = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]), (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+        return np.asarray(np.sign(first - second))
 
     boxes = (np.minimum(a, b) <= np.maximum(c, d)) & (np.minimum(c, d) <= np.maximum(a, b))
     crossed: Array = (side(a, b, c) * side(a, b, d) <= 0.0) & (side(c, d, a) * side(c, d, b) <= 0.0)
@@ -203,9 +205,9 @@ def _opens(before: Point, corner: Point, after: Point, to: Point) -> bool:
 
 def _turn(p: Point, q: Point, r: Point) -> float:
     """Twice the area of a triangle: positive if it runs counter-clockwise; exact sign."""
-    one, other = (p[0] - r[0]) * (q[1] - r[1]), (p[1] - r[1]) * (q[0] - r[0])
-    turn = one - other
-    if abs(turn) > _ROUNDING * (abs(one) + abs(other)):
+    first, second = (p[0] - r[0]) * (q[1] - r[1]), (p[1] - r[1]) * (q[0] - r[0])
+    turn = first - second
+    if abs(turn) > _ROUNDING * (abs(first) + abs(second)):
         return turn
     px, py, qx, qy, rx, ry = map(Fraction, (*p, *q, *r))
     exact = (px - rx) * (qy - ry) - (py - ry) * (qx - rx)
@@ -237,14 +239,14 @@ def _any_inside(corners: Sequence[Point], triangle: tuple[int, int, int], ring: 
     return any(_turn(a, b, p) >= 0.0 and _turn(b, c, p) >= 0.0 and _turn(c, a, p) >= 0.0 for p in near)
 
 
-def _together(corners: Sequence[Point], one: list[int], other: list[int]) -> list[int] | None:
+def _together(corners: Sequence[Point], first: list[int], second: list[int]) -> list[int] | None:
     """The union of two polygons with a common edge, if it is convex."""
-    for i, a in enumerate(one):
-        b = one[(i + 1) % len(one)]
-        if a in other and b in other and other[(other.index(b) + 1) % len(other)] == a:
-            j = other.index(b)
-            rest = other[j:] + other[:j]  # b, a, ...
-            whole = one[: i + 1] + rest[2:] + one[i + 1 :]
+    for i, a in enumerate(first):
+        b = first[(i + 1) % len(first)]
+        if a in second and b in second and second[(second.index(b) + 1) % len(second)] == a:
+            j = second.index(b)
+            rest = second[j:] + second[:j]  # b, a, ...
+            whole = first[: i + 1] + rest[2:] + first[i + 1 :]
             if min(_turns([corners[k] for k in whole])) >= 0.0:
                 return whole
     return None

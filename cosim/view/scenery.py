@@ -117,8 +117,10 @@ def crafts_of(
     """
     agents = {info.vehicle: info for info in infos}
     kinds: VehicleKinds = {}  # cached: a user's file is executed once, not once per vehicle
-    found: Shapes = {} if shapes is None else shapes
-    return tuple(_craft(each, scenario, source, agents.get(each.name), kinds, drawn or {}, found) for each in scenario.vehicle)
+    all_shapes: Shapes = {} if shapes is None else shapes
+    return tuple(
+        _craft(each, scenario, source, agents.get(each.name), kinds, drawn or {}, all_shapes) for each in scenario.vehicle
+    )
 
 
 def _craft(
@@ -220,8 +222,8 @@ def _obstacles(world: "worlds.World", may_be_moved: bool) -> tuple[Obstacle, ...
     for bodies, movable in ((world.movables, may_be_moved), (world.moving, False)):
         for each in bodies:
             size, _, kind, color = each.solid.hull
-            shown = Obstacle(name=each.name, shape=kind, size=size, pose=each.pose(0.0), color=color, may_be_moved=movable)
-            obstacles.append(shown)
+            obstacle = Obstacle(name=each.name, shape=kind, size=size, pose=each.pose(0.0), color=color, may_be_moved=movable)
+            obstacles.append(obstacle)
     return tuple(obstacles)
 
 

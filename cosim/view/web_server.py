@@ -131,8 +131,8 @@ class Gate:
             return self._connecting(connection, headers)
         path = request.path.partition("?")[0]
         if path == "/":
-            known = self._has_token("", *_tokens(request.path)[:1])
-            return _html(connection, HTTPStatus.OK if known else HTTPStatus.FORBIDDEN, ENTRY.replace("NONCE", nonce))
+            has_token = self._has_token("", *_tokens(request.path)[:1])
+            return _html(connection, HTTPStatus.OK if has_token else HTTPStatus.FORBIDDEN, ENTRY.replace("NONCE", nonce))
         if not self._has_token("Bearer ", *headers.get_all("Authorization")):
             return connection.respond(HTTPStatus.FORBIDDEN, NO_TOKEN)
         if path != PAGE:

@@ -176,7 +176,7 @@ def _port_error(path: str, error: Exception) -> PortError:
     number = int(getattr(error, "errno", None) or 0)
     if not number and Path(path).exists():  # opened, but not configured
         number = errno.ENOTTY
-    there = ", ".join(sorted(each.device for each in comports())) or "none"
+    ports = ", ".join(sorted(each.device for each in comports())) or "none"
     unknown = (os.strerror(number) if number else str(error), "")
     problem, advice = next((texts for numbers, texts in _PROBLEMS.items() if number in numbers), unknown)
-    return PortError(path, problem, advice or f"available ports: {there}")
+    return PortError(path, problem, advice or f"available ports: {ports}")

@@ -103,8 +103,8 @@ class UdpPort:
         except OSError:
             self._socket.close()
             raise
-        here = self._socket.getsockname()[1]
-        self.url = f"{scheme or 'udpin:'}{bracketed(to[0])}:{to[1]}" if to else f"udpout:{LOOPBACK}:{here}"
+        port = self._socket.getsockname()[1]
+        self.url = f"{scheme or 'udpin:'}{bracketed(to[0])}:{to[1]}" if to else f"udpout:{LOOPBACK}:{port}"
 
     def waits_on(self) -> int:
         """Socket that becomes readable."""
@@ -134,14 +134,14 @@ class Pty:
     """A pseudo-terminal, and a link to it; its far end stays open here too. ``baud`` holds until a client sets a rate."""
 
     def __init__(self, link: Path | None, baud: int | None = None) -> None:
-        self._here, self._there = pty.openpty()
-        tty.setraw(self._there)
+        self._near_end, self._far_end = pty.openpty()
+        tty.setraw(self._far_end)
         if baud is not None:
-            settings = termios.tcgetattr(self._there)
+            settings = termios.tcgetattr(self._far_end)
             settings[4] = settings[5] = getattr(termios, f"B{baud}")
-            termios.tcsetattr(self._there, termios.TCSANOW, settings)
-        os.set_blocking(self._here, False)
-        self.url, self._link = os.ttyname(self._there), None
+            termios.tcsetattr(self._far_end, termios.TCSANOW, settings)
+        os.set_blocking(self._near_end, False)
+        self.url, self._link = os.ttyname(self._far_end), None
         if link is None:
             return
         try:
@@ -156,23 +156,23 @@ class Pty:
 
     def waits_on(self) -> int:
         """Descriptor of this end."""
-        return self._here
+        return self._near_end
 
     def read(self) -> bytes:
         """Bytes of the client, or none."""
         with contextlib.suppress(BlockingIOError):
-            return os.read(self._here, _READ)
+            return os.read(self._near_end, _READ)
         return b""
 
     def write(self, data: bytes) -> int:
         """Write without waiting."""
         with contextlib.suppress(BlockingIOError):
-            return os.write(self._here, data)
+            return os.write(self._near_end, data)
         return 0
 
     def baud(self) -> int:
         """The rate that the client has set; 0: unknown."""
-        speed = termios.tcgetattr(self._here)[5]
+        speed = termios.tcgetattr(self._near_end)[5]
         rates = (int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit())
         return next((rate for rate in rates if getattr(termios, f"B{rate}") == speed), 0)
 
@@ -180,8 +180,8 @@ class Pty:
         """Close the terminal, and remove the link."""
         if self._link is not None:
             self._link.unlink(missing_ok=True)
-        os.close(self._there)
-        os.close(self._here)
+        os.close(self._far_end)
+        os.close(self._near_end)
 
 
 Port = TcpListener | UdpPort | Pty

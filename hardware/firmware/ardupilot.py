@@ -61,15 +61,15 @@ class ArduPilot(UdpFirmware):
 
     def _take(self, data: bytes, sender: tuple[str, int]) -> bool:
         """Take a datagram; whether it has new outputs."""
-        found = outputs_of(data)
-        if found is None:
+        answer = outputs_of(data)
+        if answer is None:
             self._strange += 1
             return False
         if self._peer not in (None, sender):
             self._strangers += 1
             return False
         self._peer = sender
-        number, outputs = found
+        number, outputs = answer
         if number == self._frame:  # the line was lost
             self._write()
             return False

@@ -66,15 +66,15 @@ class Betaflight(UdpFirmware):
         """Start the process in a network of its own, and take over a socket from there."""
         if not self._words or self._process is not None:
             return
-        ours, theirs = socket.socketpair()
-        with ours, theirs:
-            starter = [sys.executable, "-I", str(STARTER), str(theirs.fileno()), str(self.port)]
+        own_end, child_end = socket.socketpair()
+        with own_end, child_end:
+            starter = [sys.executable, "-I", str(STARTER), str(child_end.fileno()), str(self.port)]
             self._booted_s = time.monotonic() + BOOT_S
-            self._process = FirmwareProcess([*starter, *self._words], keep=theirs.fileno())
-            theirs.close()
-            ours.settimeout(self.start_s)
+            self._process = FirmwareProcess([*starter, *self._words], keep=child_end.fileno())
+            child_end.close()
+            own_end.settimeout(self.start_s)
             with contextlib.suppress(OSError):
-                _, descriptors, _, _ = socket.recv_fds(ours, 1, 1)
+                _, descriptors, _, _ = socket.recv_fds(own_end, 1, 1)
                 if descriptors:
                     self._use(socket.socket(fileno=descriptors[0]))
         if self._socket is None:
@@ -104,11 +104,11 @@ class Betaflight(UdpFirmware):
                 data = self._open.recv(2048)
             except OSError:  # none is left, or nobody listens yet
                 break
-            found = outputs_of(data)
-            if found is None:
+            outputs = outputs_of(data)
+            if outputs is None:
                 self._strange += 1
             else:
-                self.outputs, fresh = found, True
+                self.outputs, fresh = outputs, True
         if not fresh and time.monotonic() > self._sent_s + AGAIN_S:
             self._write()
         return fresh

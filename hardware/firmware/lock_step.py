@@ -29,7 +29,7 @@ class LockStepFirmware:
     def __init__(self, links: Mapping[str, FirmwareLink], tell: Callable[[str], None] = lambda _: None) -> None:
         self.names = tuple(links)
         self._links, self._tell = [*links.values()], tell
-        self._commanders = {name: found for name, each in links.items() if (found := _commander(each)) is not None}
+        self._commanders = {name: commander for name, each in links.items() if (commander := _commander(each)) is not None}
         self._lost: dict[str, Sequence[float] | None] = {}  # outputs, by vehicle
         self._incidents: list[tuple[str, Incident]] = []
         self._began_s: float | None = None
@@ -83,8 +83,8 @@ class LockStepFirmware:
 
     def incidents(self) -> Sequence[tuple[str, Incident]]:
         """Incidents since the last call."""
-        found, self._incidents = self._incidents, []
-        return found
+        incidents, self._incidents = self._incidents, []
+        return incidents
 
     def close(self) -> None:
         """End connections and processes."""
@@ -140,7 +140,7 @@ def _commander(link: FirmwareLink) -> MavlinkCommander | StickPilot | None:
 
 
 def _silence(link: FirmwareLink) -> str:
-    came = f"; there were {link.refused}" if link.refused else ""
+    refused = f"; there were {link.refused}" if link.refused else ""
     if link.started:
-        return f"no outputs came for {link.timeout_s:g} s{came}"
-    return f"no outputs came within {link.start_s:g} s{came}{link.how_to_start}"
+        return f"no outputs came for {link.timeout_s:g} s{refused}"
+    return f"no outputs came within {link.start_s:g} s{refused}{link.how_to_start}"

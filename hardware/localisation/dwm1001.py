@@ -46,8 +46,8 @@ def encode(located: Located, index: int | None = None) -> bytes:
     quality = 1.0 if located.quality is None else located.quality
     percent = 0 if located.position is None else round(100.0 * quality)
     body = f"{x:.2f},{y:.2f},{z:.2f},{percent}"
-    who = "" if index is None else f"{index},{located.tag},"
-    return f"POS,{who}{body}{'' if index is None else ',x00'}\r\n".encode()
+    prefix = "" if index is None else f"{index},{located.tag},"
+    return f"POS,{prefix}{body}{'' if index is None else ',x00'}\r\n".encode()
 
 
 class Waker:

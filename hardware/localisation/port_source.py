@@ -63,9 +63,9 @@ def address(url: str) -> tuple[str, int]:
 
 
 def _problem(url: str, host: str, port: int, error: OSError) -> PortError:
-    other = "close the other program that listens there, or send positions to another port"
-    known = {
-        errno.EADDRINUSE: (f"port {port} is in use", other),
+    advice = "close the other program that listens there, or send positions to another port"
+    problems = {
+        errno.EADDRINUSE: (f"port {port} is in use", advice),
         errno.EADDRNOTAVAIL: (
             f"this machine has no interface with the address {host}",
             "use one of its own addresses, or 0.0.0.0 for all",
@@ -73,7 +73,7 @@ def _problem(url: str, host: str, port: int, error: OSError) -> PortError:
         errno.EACCES: (f"no permission to open port {port}", "use one above 1023"),
     }
     unknown = f"cannot listen there ({error.strerror or error})", "check address and network"
-    return PortError(url, *known.get(error.errno or 0, unknown))
+    return PortError(url, *problems.get(error.errno or 0, unknown))
 
 
 RETRY_S = 0.5

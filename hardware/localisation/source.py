@@ -250,7 +250,7 @@ class PositionSource:
         """Report that the port is lost."""
         with self._lock:
             self._notice("lost", cause)
-            self._gone = self._silent = True
+            self._is_lost = self._silent = True
 
     def back(self) -> None:
         """Report that the port is open again."""
@@ -271,7 +271,7 @@ class PositionSource:
         self._expect(time.monotonic_ns())
 
     def _expect(self, now_ns: int) -> None:
-        self._gone, self._told_why, self._since_ns = False, "", now_ns
+        self._is_lost, self._told_why, self._since_ns = False, "", now_ns
         self._bytes = self._count = 0
         self._transform.rejected.clear()
 
@@ -297,7 +297,7 @@ class PositionSource:
 
     def _look(self, now_ns: int) -> None:
         """Warn when positions stay away, and again for each new reason."""
-        if self._gone or now_ns - self._since_ns <= PATIENCE_S * SECOND_NS:
+        if self._is_lost or now_ns - self._since_ns <= PATIENCE_S * SECOND_NS:
             return
         why = self._why()
         if why != self._told_why:

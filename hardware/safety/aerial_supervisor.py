@@ -107,8 +107,8 @@ class AerialSupervisor(Supervisor):
 
         One that is clear in no way, because of rounding or a wrong pose, must not come nearer in any way.
         """
-        one = self._around(pose, others, np.array([level.row]))
-        return one.clearance <= 0.0 or (level.clear and not self._fits(across, one))
+        obstacle = self._around(pose, others, np.array([level.row]))
+        return obstacle.clearance <= 0.0 or (level.clear and not self._fits(across, obstacle))
 
     def _slow_down(
         self, target: Plane, requested: Plane, dt: float, obstacles: Sequence[tuple[Cause, Obstacles]]

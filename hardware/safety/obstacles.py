@@ -127,12 +127,12 @@ class Polygon:
         """The direction (rad) from a point outside to the nearest point of the sides."""
         along, to = self.b - self.a, (x, y) - self.a
         at = np.clip(np.einsum("ij,ij->i", to, along) / np.einsum("ij,ij->i", along, along), 0.0, 1.0)
-        away = to - at[:, None] * along
-        distance = np.hypot(away[:, 0], away[:, 1])
+        offset = to - at[:, None] * along
+        distance = np.hypot(offset[:, 0], offset[:, 1])
         best = int(np.argmin(distance))
         if distance[best] < _ON_M:
             return math.atan2(along[best, 0], -along[best, 1])  # inside is on the left
-        return math.atan2(-away[best, 1], -away[best, 0])
+        return math.atan2(-offset[best, 1], -offset[best, 0])
 
 
 class Outside:

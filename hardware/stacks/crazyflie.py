@@ -157,8 +157,8 @@ def _followed(set_point: SetPoint, state: VehicleState) -> Velocity:
     if set_point.body:
         x, y = rotate2(x, y, state.yaw)
     speeds = [
-        speed if place is None else speed + GAIN * (place - here)
-        for speed, place, here in zip((x, y, z), set_point.position, state.position, strict=True)
+        speed if place is None else speed + GAIN * (place - own)
+        for speed, place, own in zip((x, y, z), set_point.position, state.position, strict=True)
     ]
     rate = set_point.yaw_rate
     if set_point.yaw is not None:

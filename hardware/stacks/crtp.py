@@ -236,15 +236,15 @@ class Crazyflie:
     def _configured(self, command: int, number: int, rest: bytes) -> int:
         """Change a block of the log; returns the error number."""
         if command in (6, 7):
-            known = self._blocks.get(number, _Block(number)) if command == 7 else _Block(number)
+            block = self._blocks.get(number, _Block(number)) if command == 7 else _Block(number)
             added = [*struct.iter_unpack("<BH", rest[: len(rest) // 3 * 3])]  # cflib begins an entry that has no room
             if any(each >= len(self._log_names) or kind & 15 not in LOG_TYPES for kind, each in added):
                 return ENOENT
-            known.variables += [(self._log_names[each], kind & 15) for kind, each in added]
-            size = sum(struct.calcsize(LOG_TYPES[kind]) for _, kind in known.variables)
+            block.variables += [(self._log_names[each], kind & 15) for kind, each in added]
+            size = sum(struct.calcsize(LOG_TYPES[kind]) for _, kind in block.variables)
             if size > 26 or (number not in self._blocks and len(self._blocks) == MOST_BLOCKS):
                 return 7 if size > 26 else 12  # E2BIG, ENOMEM
-            self._blocks[number] = known
+            self._blocks[number] = block
             return 0
         if number not in self._blocks:
             return ENOENT

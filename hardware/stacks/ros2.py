@@ -287,9 +287,9 @@ class Ros2Stack:
                 where = f"{ros.ros_name(vehicle)[1:]}/gps/fix" if sensor == "fix" else f"{topic}/fix"
                 return [(self._open(where, "sensor_msgs/msg/NavSatFix"), lambda said: self._fix(said, frame))]
             case Image():
-                shown = self._open(f"{topic}/image_raw", "sensor_msgs/msg/Image")
+                image = self._open(f"{topic}/image_raw", "sensor_msgs/msg/Image")
                 camera = self._open(f"{topic}/camera_info", "sensor_msgs/msg/CameraInfo")
-                return [(shown, lambda said: ros.picture(said, frame)), (camera, lambda said: ros.pinhole(said, frame))]
+                return [(image, lambda said: ros.picture(said, frame)), (camera, lambda said: ros.pinhole(said, frame))]
         return []
 
     def _fix(self, fix: Fix, frame: str) -> ros.RosMessage:
@@ -436,9 +436,9 @@ def _check_size(*numbers: float) -> None:
         raise _Refused("content", f"numbers must be from {-LARGEST:g} to {LARGEST:g}")
 
 
-def _check_type(message: ReceivedMessage, *known: str) -> None:
-    if message.type not in known:
-        raise _Refused("type", f"it is {message.type}, not {' or '.join(known)}")
+def _check_type(message: ReceivedMessage, *types: str) -> None:
+    if message.type not in types:
+        raise _Refused("type", f"it is {message.type}, not {' or '.join(types)}")
 
 
 def _decoded(message: ReceivedMessage) -> Any:

@@ -196,13 +196,13 @@ def _check_pause(control: RunControl) -> None:
 
 
 def _features(control: RunControl, _: None) -> tuple[object, ...]:
-    found = [ENTITY_READ, RUN_READ, RUN_WRITTEN]
+    features = [ENTITY_READ, RUN_READ, RUN_WRITTEN]
     if control.obstacles:
-        found.append(ENTITY_WRITTEN)
+        features.append(ENTITY_WRITTEN)
     if control.may_pause:
-        found += [PAUSE, STEP, STEPS]
+        features += [PAUSE, STEP, STEPS]
     about = f"VCMVSP; a step is {control.step_s:g} s"
-    return (_message("SimulatorFeatures", np.array(sorted(found), np.uint16), [], about),)
+    return (_message("SimulatorFeatures", np.array(sorted(features), np.uint16), [], about),)
 
 
 def _state_of_run(control: RunControl, _: None) -> tuple[object, ...]:
@@ -245,15 +245,15 @@ def _entities(control: RunControl, request: Any) -> tuple[object, ...]:
 
 
 def _states(control: RunControl, request: Any) -> tuple[object, ...]:
-    found = _selected(control, request.filters)
-    return _result(), list(found), [_entity_state(*truth) for truth in found.values()]
+    entities = _selected(control, request.filters)
+    return _result(), list(entities), [_entity_state(*truth) for truth in entities.values()]
 
 
 def _row_and_state(control: RunControl, name: str) -> tuple[int, VehicleState]:
-    found = control.truths()
-    if name not in found:
-        raise _RefusedCall(NOT_FOUND, f"there is no '{name}'; there are {', '.join(found) or 'no states yet'}")
-    return found[name]
+    truths = control.truths()
+    if name not in truths:
+        raise _RefusedCall(NOT_FOUND, f"there is no '{name}'; there are {', '.join(truths) or 'no states yet'}")
+    return truths[name]
 
 
 def _state_of_entity(control: RunControl, request: Any) -> tuple[object, ...]:

@@ -212,10 +212,10 @@ class StationProcess:
         """Stop the robot and release everything; problems on the way."""
         problems = []
 
-        def tried(what: Callable[[], None], seconds: float, doing: str) -> None:
+        def tried(action: Callable[[], None], seconds: float, doing: str) -> None:
             try:
                 with within(seconds, self._vehicle, doing, self._hear_operator):
-                    what()
+                    action()
             except Exception as error:
                 problems.append(f"{doing}: {error}")
 

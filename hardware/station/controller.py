@@ -98,13 +98,13 @@ class StationController:
         if order is not None:
             self._take(order, now_ns if arrival_ns is None else arrival_ns)
         self._listen(now_ns)
-        here = self._estimator.at(now_ns)
-        if here is not None and not _finite(here.state):
-            here = None
-        self._look_for_jumps(here)
-        sent, causes = self._decide(now_ns, here)
+        estimate = self._estimator.at(now_ns)
+        if estimate is not None and not _finite(estimate.state):
+            estimate = None
+        self._look_for_jumps(estimate)
+        sent, causes = self._decide(now_ns, estimate)
         self._turns += 1
-        report = self._report(now_ns, here)
+        report = self._report(now_ns, estimate)
         return msgspec.structs.replace(report, sent=sent, causes=causes, late_s=late_s)
 
     def last_words(self, now_ns: int, failed: str = "", advice: str = "") -> StationReport:
@@ -137,15 +137,15 @@ class StationController:
                 self._fixes.append(fix)
         self._notices += self._gathered()
 
-    def _look_for_jumps(self, here: StateEstimate | None) -> None:
+    def _look_for_jumps(self, estimate: StateEstimate | None) -> None:
         """Check for a jump of the estimate: a small one is accepted, a large one stops the robot.
 
         A robot that was carried and a faulty positioning system cannot be distinguished here: in the second case the fence
         would be in the wrong place.
         """
-        if here is None:
+        if estimate is None:
             return
-        before, self._place = self._place, here.state.position
+        before, self._place = self._place, estimate.state.position
         if self._estimator.jumps > self._jumps:
             self._jumps = self._estimator.jumps
             jump_m = math.dist(before, self._place) if before else 0.0
@@ -167,12 +167,12 @@ class StationController:
             self._stuck = now_ns - self._pushed_ns > STUCK_S * SECOND_NS
         return self._stuck
 
-    def _decide(self, now_ns: int, here: StateEstimate | None) -> tuple[Velocity, tuple[str, ...]]:
+    def _decide(self, now_ns: int, estimate: StateEstimate | None) -> tuple[Velocity, tuple[str, ...]]:
         """Send a command; the command, and the causes of its difference from the requested one."""
-        order, received = self._order, self._last_message_times(now_ns, here)
+        order, received = self._order, self._last_message_times(now_ns, estimate)
         command = Velocity() if self.halted else order.command  # the supervisor slows down with the robot
         others = others_at(order.others, (now_ns - self._order_heard_ns) / SECOND_NS)
-        pose = None if here is None else self._supervisor.pose(here.state)
+        pose = None if estimate is None else self._supervisor.pose(estimate.state)
         decision = self._supervisor.step(now_ns, command, pose, others, received)
         causes = tuple(each.value for each in decision.causes)
         if not self.halted and not self._mission.flies and self._is_stuck(now_ns, order.command):
@@ -205,7 +205,7 @@ class StationController:
         self._released = True
         return decision.causes
 
-    def _last_message_times(self, now_ns: int, here: StateEstimate | None) -> LastReceived:
+    def _last_message_times(self, now_ns: int, estimate: StateEstimate | None) -> LastReceived:
         """Time of the newest message of each source; the command's age at the run is added to the time since its arrival.
 
         Lateness of the run is not the agent's fault: the robot continues within its limits for as long as a run may be silent.
@@ -222,7 +222,7 @@ class StationController:
         return LastReceived(
             operator_ns=None if self._operator_ns is None else min(self._operator_ns, now_ns),
             command_ns=command_ns,
-            positioning_ns=None if here is None else here.measured_ns,
+            positioning_ns=None if estimate is None else estimate.measured_ns,
             federation_ns=arrival_ns if order.number else None,
         )
 
@@ -264,7 +264,7 @@ class StationController:
             case _:
                 return cause.value
 
-    def _report(self, now_ns: int, here: StateEstimate | None) -> StationReport:
+    def _report(self, now_ns: int, estimate: StateEstimate | None) -> StationReport:
         order, sample = self._order, self._sample
         del self._notices[:-KEPT], self._fixes[:-KEPT]
         report = StationReport(
@@ -276,8 +276,10 @@ class StationController:
             sonar=tuple(sorted(self._sonar.items())),
             notices=tuple(self._notices),
         )
-        if here is not None:
-            report = msgspec.structs.replace(report, state=here.state, covariance=here.covariance, fix_age_s=here.fix_age_s)
+        if estimate is not None:
+            report = msgspec.structs.replace(
+                report, state=estimate.state, covariance=estimate.covariance, fix_age_s=estimate.fix_age_s
+            )
         if sample is None:
             return report
         return msgspec.structs.replace(

@@ -125,13 +125,13 @@ class StopCaller:
 
         Sockets of killed stations are removed.
         """
-        names, there = [each[:LONGEST_NAME] for each in vehicles], []
+        names, stations = [each[:LONGEST_NAME] for each in vehicles], []
         for folder in filter(_ours, folders()):
             for path in sorted(folder.iterdir()):
                 name = _FILE.fullmatch(path.name)
                 if name and (not names or name[2] in names) and self._say_to(path, verb):
-                    there.append(StationSocket(str(path), int(name[1]), name[2]))
-        return there
+                    stations.append(StationSocket(str(path), int(name[1]), name[2]))
+        return stations
 
     def _say_to(self, path: Path, verb: Verb) -> bool:
         try:

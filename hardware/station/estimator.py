@@ -94,13 +94,13 @@ class FusedEstimator:
     def _begin_again(self, now_ns: int) -> None:
         """Restart the filter from the present estimate and its uncertainty."""
         self._before = (self.gated, self.jumps)
-        here = self._fusion.estimate(now_ns)
-        if here is None or not here.heading_known:
+        estimate = self._fusion.estimate(now_ns)
+        if estimate is None or not estimate.heading_known:
             self._fusion = self._filter({"start": None})
             return
-        var_x, var_y, var_heading = here.covariance.diagonal().tolist()
+        var_x, var_y, var_heading = estimate.covariance.diagonal().tolist()
         sigmas = {"start_sigma_m": math.sqrt(max(var_x, var_y)), "start_sigma_rad": math.sqrt(var_heading)}
-        self._fusion = self._filter({"start": (here.x, here.y, here.heading), **sigmas})
+        self._fusion = self._filter({"start": (estimate.x, estimate.y, estimate.heading), **sigmas})
 
     def fix(self, fix: Fix) -> None:
         """Take a fix; one that is not finite is ignored."""

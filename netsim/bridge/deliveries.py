@@ -88,7 +88,7 @@ class Lateness:
         self._vehicles = vehicles
         self._sent = Columns("gateway", "sender", "sent_ns", "receivers", "settled")  # by number of the datagram
         self._due = Columns("number", "frame", "receiver", "received_ns", "due_ns", "late")  # by number of the delivery
-        self._taken = 0
+        self._datagram_count = 0
 
     def sent(
         self, number: Array, gateway: Array, sender: Array, to: Array, sent_ns: Array, others: Array | None = None
@@ -97,7 +97,7 @@ class Lateness:
 
         ``others``: number of the receivers of a broadcast, (n,); None: all other vehicles.
         """
-        self._taken += len(number)
+        self._datagram_count += len(number)
         self._sent.reach(int(number.max()) + 1)
         receivers = np.where(to == BROADCAST, len(self._vehicles) - 1 if others is None else others, 1)
         for name, values in (("gateway", gateway), ("sender", sender), ("sent_ns", sent_ns), ("receivers", receivers)):
@@ -118,7 +118,7 @@ class Lateness:
         late_s = self._due["late"][self._due["late"] != NEVER] / SECOND_NS
         p50, p99, most = np.quantile(late_s, [0.5, 0.99, 1.0]).tolist() if len(late_s) else (None, None, None)
         return {
-            "datagrams": self._taken,
+            "datagrams": self._datagram_count,
             "delivered": len(late_s),
             "lost": self._lost(),
             "p50_s": p50,

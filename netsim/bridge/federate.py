@@ -233,18 +233,23 @@ class Bridge:
         self._late.sent(batch.number, batch.gateway, batch.sender, batch.to, sent_ns, to_all)
         if self._opening.payloads:
             self._echoes.sent(batch)
-        taken: dict[str, Any] = {"number": batch.number, "sender": batch.sender, "to": batch.to, "size_bytes": batch.size_bytes}
+        fields: dict[str, Any] = {
+            "number": batch.number,
+            "sender": batch.sender,
+            "to": batch.to,
+            "size_bytes": batch.size_bytes,
+        }
         if batch.radio is None:
-            return [Datagrams(**taken, sent_ns=frozen(sent_ns), payloads=batch.payloads)]
-        taken["sent_ns"] = sent_ns
-        found = []
+            return [Datagrams(**fields, sent_ns=frozen(sent_ns), payloads=batch.payloads)]
+        fields["sent_ns"] = sent_ns
+        datagrams = []
         for number, name in enumerate(self._radios):
             (own,) = np.nonzero(batch.radio == number)
             payloads = tuple([batch.payloads[each] for each in own]) if batch.payloads else ()
             if len(own):
-                columns = {key: frozen(values[own]) for key, values in taken.items()}
-                found.append(Datagrams(**columns, payloads=payloads, radio=name))
-        return found
+                columns = {key: frozen(values[own]) for key, values in fields.items()}
+                datagrams.append(Datagrams(**columns, payloads=payloads, radio=name))
+        return datagrams
 
     def _on_traffic(self, process: BridgeClient, traffic: Traffic) -> None:
         monotonic_ns = self._clock.monotonic_ns

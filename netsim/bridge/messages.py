@@ -130,9 +130,11 @@ def due_in_chunks(taken: int, traffic: Traffic, at_ns: Array) -> Iterator[Delive
     """All deliveries, then all settled numbers, in messages of limited length; ``at_ns``: monotonic time of each, (n,)."""
     deliveries, settled = _parts(len(traffic.number)), _parts(len(traffic.settled))
     together = (deliveries[-1], settled[0])
-    for some, done in [*((each, _NO) for each in deliveries[:-1]), together, *((_NO, each) for each in settled[1:])]:
-        number, receiver = traffic.number[some], traffic.receiver[some]
-        yield Deliveries(taken=taken, number=number, receiver=receiver, at_ns=at_ns[some], settled=traffic.settled[done])
+    for rows, settled_rows in [*((each, _NO) for each in deliveries[:-1]), together, *((_NO, each) for each in settled[1:])]:
+        number, receiver = traffic.number[rows], traffic.receiver[rows]
+        yield Deliveries(
+            taken=taken, number=number, receiver=receiver, at_ns=at_ns[rows], settled=traffic.settled[settled_rows]
+        )
 
 
 def levels_in_chunks(dbm: Array, radio: str = "") -> Iterator[LevelRows]:

@@ -137,10 +137,10 @@ def fit_rays(
     Raises:
         UsageError: see `fit`.
     """
-    other = fit(links, **options)
-    sensitivity_dbm = np.nanmin(links.level_dbm) if other.sensitivity_dbm is None else other.sensitivity_dbm
+    log_distance = fit(links, **options)
+    sensitivity_dbm = np.nanmin(links.level_dbm) if log_distance.sensitivity_dbm is None else log_distance.sensitivity_dbm
     used = links.only(sample(links, MOST_ROWS))
-    computed_dbm = other.tx_power_dbm - loss_db(used.a, used.b)
+    computed_dbm = log_distance.tx_power_dbm - loss_db(used.a, used.b)
 
     def survey_of(rows: NDArray[np.intp]) -> Survey:
         some, less = used.only(rows), computed_dbm[rows]
@@ -157,7 +157,7 @@ def fit_rays(
     best, naive = models[_choose(models, survey.nearest_m)], models[INDEPENDENT]
     error, naive_error = math.sqrt(best.coefficients_spread[0, 0]), math.sqrt(naive.coefficients_spread[0, 0])
     offset = ParameterEstimate.of_mean(float(best.coefficients[0]), error, naive_error, float(best.freedom[0]))
-    shadowing, reach, fading = _variation(best, other.spacing_m)
+    shadowing, reach, fading = _variation(best, log_distance.spacing_m)
     return RayCalibration(
         offset_db=offset,
         shadowing_db=shadowing,
@@ -165,7 +165,7 @@ def fit_rays(
         fading_db=fading,
         path_loss=path_loss,
         aic=best.aic,
-        log_distance=other,
+        log_distance=log_distance,
     )
 
 
@@ -235,23 +235,23 @@ _PAIRS = 30  # least number in an interval of the figure
 
 def figure_data(links: MeasuredLinks, calibration: Calibration, sightline: Sightline | None) -> dict[str, Any]:
     """Arguments of `cosim.plots.radio_plots.draw_calibration`: levels without walls, fitted line, correlations."""
-    shown = links.only(sample(links, _ROWS))
-    design, materials = design_of(shown, calibration.reference_distance_m, sightline)
+    subset = links.only(sample(links, _ROWS))
+    design, materials = design_of(subset, calibration.reference_distance_m, sightline)
     losses = [calibration.walls_db[name].value if name in calibration.walls_db else 0.0 for name in materials]
-    open_air = shown.level_dbm - design[:, 2:] @ np.array(losses)
+    open_air = subset.level_dbm - design[:, 2:] @ np.array(losses)
     line = design[:, :2] @ (calibration.level_dbm.value, calibration.exponent.value)
 
     reach = calibration.correlation_distance_m
     has_reach = reach is not None and math.isfinite(reach.standard_error)
     far = 4.0 * reach.value if has_reach and reach is not None else 20.0 * max(calibration.spacing_m, 0.1)
-    middles, correlation = _correlogram(shown, open_air - line, far)
+    middles, correlation = _correlogram(subset, open_air - line, far)
     curve_m = np.linspace(0.0, far, 200)
     fading = 0.0 if calibration.fading_db is None else calibration.fading_db.value
     share = (fading / calibration.deviation_db) ** 2
-    along = np.geomspace(max(1e-3, shown.distance_m.min()), shown.distance_m.max(), 200)
+    along = np.geomspace(max(1e-3, subset.distance_m.min()), subset.distance_m.max(), 200)
     decades = np.log10(np.maximum(along / calibration.reference_distance_m, 1.0))
     return {
-        "distance_m": shown.distance_m,
+        "distance_m": subset.distance_m,
         "level_dbm": open_air,
         "line_m": along,
         "line_dbm": calibration.level_dbm.value - 10.0 * calibration.exponent.value * decades,

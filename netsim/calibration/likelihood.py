@@ -203,8 +203,8 @@ def climb(survey: Survey, start: Floats) -> Floats:
         return -point.log_likelihood, -point.gradient
 
     limits = survey.limits[: len(start)]
-    found = minimize(descent, start, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 100})
-    return found.x
+    optimum = minimize(descent, start, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 100})
+    return optimum.x
 
 
 def restricted(survey: Survey, parameters: Floats) -> LikelihoodPoint:
@@ -219,7 +219,7 @@ def restricted(survey: Survey, parameters: Floats) -> LikelihoodPoint:
     level, extra = survey.level_dbm.copy(), np.zeros(len(lost))
     if lost.any():  # conditional on the received rows; then replaced by equivalent measurements
         unknown = X[lost] - received.across.T @ received.design
-        spread = received.left + unknown @ np.linalg.solve(received.precision, unknown.T)
+        spread = received.covariance + unknown @ np.linalg.solve(received.precision, unknown.T)
         sites = below(received.expected, spread, survey.sensitivity_dbm[lost])
         likelihood += sites.log_probability
         level[lost], extra[lost] = sites.level, sites.variance
@@ -244,7 +244,7 @@ def log_likelihood(survey: Survey, parameters: Floats, coefficients: Floats) -> 
     received = _Received(survey, covariance(survey, parameters)[0], coefficients)
     likelihood = received.log_density
     if survey.lost.any():
-        likelihood += below(received.expected, received.left, survey.sensitivity_dbm[survey.lost]).log_probability
+        likelihood += below(received.expected, received.covariance, survey.sensitivity_dbm[survey.lost]).log_probability
     return likelihood
 
 
@@ -267,7 +267,7 @@ class _Received:
         )
         self.across: Floats = solve_triangular(factor, total[np.ix_(received, lost)], lower=True)
         self.expected: Floats = X[lost] @ beta + self.across.T @ residual  # of the lost rows
-        self.left: Floats = total[np.ix_(lost, lost)] - self.across.T @ self.across  # their covariance
+        self.covariance: Floats = total[np.ix_(lost, lost)] - self.across.T @ self.across  # their covariance
 
 
 class Censored(msgspec.Struct, frozen=True):
@@ -347,9 +347,9 @@ def _truncated(mean: Floats, variance: Floats) -> tuple[Floats, Floats, Floats]:
     h = -mean / sigma
     ratio = math.sqrt(2.0 / math.pi) / erfcx(-h / math.sqrt(2.0))  # density / mass at h (inverse Mills ratio)
     far = h < -50.0  # cancellation
-    left = np.where(far, 1.0 / np.where(far, h, 1.0) ** 2, 1.0 - ratio * (ratio + h))
+    share = np.where(far, 1.0 / np.where(far, h, 1.0) ** 2, 1.0 - ratio * (ratio + h))
     log_mass: Floats = log_ndtr(h)
-    return log_mass, mean - sigma * ratio, np.maximum(variance * left, 1e-12 * variance)
+    return log_mass, mean - sigma * ratio, np.maximum(variance * share, 1e-12 * variance)
 
 
 _NUGGET = 1e-6  # least independent share of the variance: rows at one place stay consistent

@@ -54,8 +54,8 @@ def read_links(path: Path) -> MeasuredLinks:
     lines = read_cells(path)
     _, header = next(lines, (0, []))
     if missing := [name for name in COLUMNS if name not in header]:
-        found = ", ".join(header) or "nothing"
-        raise UsageError(f"{path}: no column {', '.join(missing)}; required: {', '.join(COLUMNS)}[, received]; found: {found}")
+        names = ", ".join(header) or "nothing"
+        raise UsageError(f"{path}: no column {', '.join(missing)}; required: {', '.join(COLUMNS)}[, received]; found: {names}")
     if twice := sorted({name for name in (*COLUMNS, "received") if header.count(name) > 1}):
         raise UsageError(f"{path}: column {', '.join(twice)} appears twice")
     table = np.fromiter(itertools.chain.from_iterable(_rows(path, header, lines)), np.float64).reshape(-1, len(COLUMNS))
@@ -123,9 +123,9 @@ def crossings(links: MeasuredLinks, sightline: Sightline) -> tuple[Floats, list[
     for index, point in enumerate(start):
         rows = group.ravel() == index
         crossed[rows] = sightline.crossings(point, links.b[rows])[0]
-    found = sorted({sightline.materials[index] for index in np.flatnonzero(crossed.any(axis=0))})
-    of = np.array([[name == each for each in found] for name in sightline.materials], np.float64).reshape(-1, len(found))
-    return crossed @ of, found
+    names = sorted({sightline.materials[index] for index in np.flatnonzero(crossed.any(axis=0))})
+    of = np.array([[name == each for each in names] for name in sightline.materials], np.float64).reshape(-1, len(names))
+    return crossed @ of, names
 
 
 def design_of(links: MeasuredLinks, reference_distance_m: float, sightline: Sightline | None) -> tuple[Floats, list[str]]:

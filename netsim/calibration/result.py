@@ -169,16 +169,16 @@ class RayCalibration(msgspec.Struct, frozen=True, kw_only=True):
 
     def summary(self) -> str:
         """A line for each number, and how much either model leaves unexplained."""
-        other = self.log_distance
-        left, share = f"{other.deviation_db:.2f} dB", self.deviation_db / other.deviation_db
+        log_distance = self.log_distance
+        deviation, share = f"{log_distance.deviation_db:.2f} dB", self.deviation_db / log_distance.deviation_db
         lines = [
-            f"{other.used} of {other.rows} rows, {other.lost} lost",
+            f"{log_distance.used} of {log_distance.rows} rows, {log_distance.lost} lost",
             _line("offset from the rays", "dB", self.offset_db),
             _line("shadowing" if self.fading_db is not None else "shadowing and fading", "dB", self.shadowing_db),
             _line("correlation distance", "m", self.correlation_distance_m),
             _line("fading", "dB", self.fading_db),
-            f"unexplained: {self.deviation_db:.2f} dB by rays, {left} by log-distance: {share:.2f} of it",
-            f"AIC: rays {self.aic:.1f}, log-distance {min(other.aic.values()):.1f} (lower is better)",
+            f"unexplained: {self.deviation_db:.2f} dB by rays, {deviation} by log-distance: {share:.2f} of it",
+            f"AIC: rays {self.aic:.1f}, log-distance {min(log_distance.aic.values()):.1f} (lower is better)",
         ]
         return "\n".join(lines)
 

@@ -370,16 +370,16 @@ class Channel:
             self._delivery.open(len(names))
 
     def _sender(self, name: str) -> Transmitter:
-        found = self._senders.get(name)
-        if found is None:
-            found = self._senders[name] = Transmitter()
-        if found.names is not self._names:
+        transmitter = self._senders.get(name)
+        if transmitter is None:
+            transmitter = self._senders[name] = Transmitter()
+        if transmitter.names is not self._names:
             names = self._names
             if name not in names:
                 raise ValueError(f"sender {name} has no position; vehicles with a position: {', '.join(names) or 'none'}")
             row = names.index(name)
-            found.meet(SenderLinks(self._seed, name, names[:row] + names[row + 1 :]), names)
-        return found
+            transmitter.meet(SenderLinks(self._seed, name, names[:row] + names[row + 1 :]), names)
+        return transmitter
 
     def _air_time_ns(self, size_bytes: int) -> int:
         air_ns = self.phy.air_time_ns(size_bytes)

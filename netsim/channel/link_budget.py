@@ -150,8 +150,8 @@ class MeanBudget:
     @cached_property
     def propagation_ns(self) -> Ints:
         """Travel time of the first path, (n,) whole ns."""
-        known = self.every.path_delay_ns
-        return propagation_ns(self.paths.distance_m) if known is None else np.rint(known[self.place]).astype(np.int64)
+        delay_ns = self.every.path_delay_ns
+        return propagation_ns(self.paths.distance_m) if delay_ns is None else np.rint(delay_ns[self.place]).astype(np.int64)
 
     def report_columns(self, to: slice) -> ReportColumns:
         """Columns of frame reports for one receiver, or for all."""

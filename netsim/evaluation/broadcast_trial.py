@@ -82,10 +82,10 @@ class FrameTally:
         }
 
     def _causes(self, outcome: tuple[str, ...], lost: int) -> dict[str, int]:
-        known = {cause: found for cause in self.losses if (found := outcome.count(cause))}  # quicker than to hash every word
-        if sum(known.values()) == lost:
-            return known
-        return {cause: found for cause, found in Counter(outcome).items() if cause != RECEIVED}
+        causes = {cause: number for cause in self.losses if (number := outcome.count(cause))}  # quicker than to hash every word
+        if sum(causes.values()) == lost:
+            return causes
+        return {cause: number for cause, number in Counter(outcome).items() if cause != RECEIVED}
 
 
 class Delays:
@@ -129,12 +129,12 @@ class Delays:
         def at(rank: int) -> float:
             return float(values[np.searchsorted(upto, rank, side="right")]) / SECOND_NS
 
-        found: list[float | None] = []
+        percentiles: list[float | None] = []
         for each in percent:
             whole, part = divmod(each / 100.0 * (self._count - 1), 1.0)
             low, high = at(int(whole)), at(min(int(whole) + 1, self._count - 1))
-            found.append(low + (high - low) * part)
-        return found
+            percentiles.append(low + (high - low) * part)
+        return percentiles
 
     def _table(self) -> tuple[Ints | Floats, Ints]:
         """Distinct delays in order, and the number of each."""
@@ -406,8 +406,10 @@ def _run_bulk(bulk: Bulk, plan: TrialTraffic, tally: FrameTally, progress: Progr
     sent_ns: Ints = np.zeros(0, np.int64)
 
     def note(until_ns: int) -> None:
-        if (done := bulk.advance(until_ns)) is not None:
-            tally.add_many(done.end_ns - sent_ns[done.number], done.receptions, plan.receivers * len(done.number), done.losses)
+        if (frames := bulk.advance(until_ns)) is not None:
+            tally.add_many(
+                frames.end_ns - sent_ns[frames.number], frames.receptions, plan.receivers * len(frames.number), frames.losses
+            )
         if progress is not None:
             progress(min(until_ns, plan.end_ns), plan.end_ns)
 

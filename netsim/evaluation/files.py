@@ -79,8 +79,8 @@ def _paths(lines: list[_Place]) -> Waypoints:
 
 
 def _point(where: str, cells: list[str]) -> tuple[float, ...]:
-    named = zip(cells, COLUMNS, strict=True)
-    return tuple(_finite(cell, f"{where}, column {name}", -FARTHEST_M, FARTHEST_M, "m") for cell, name in named)
+    named_cells = zip(cells, COLUMNS, strict=True)
+    return tuple(_finite(cell, f"{where}, column {name}", -FARTHEST_M, FARTHEST_M, "m") for cell, name in named_cells)
 
 
 def _finite(cell: str, where: str, least: float, most: float, unit: str) -> float:
@@ -115,7 +115,7 @@ class RowFile:
         self._early: dict[int, FrameReport] = {}  # by frame: decided before a frame that was sent earlier
         self._next = 0
         self._batch: list[FrameReport] = []
-        self._held = 0
+        self._row_count = 0
 
     def __enter__(self) -> Self:
         if self._path.is_dir():
@@ -153,17 +153,17 @@ class RowFile:
         while (following := self._early.pop(self._next, None)) is not None:
             self._next += 1
             self._batch.append(following)
-            self._held += len(following.receivers)
-        if self._held >= self._rows:
+            self._row_count += len(following.receivers)
+        if self._row_count >= self._rows:
             try:
                 self._write()
             except OSError as problem:
                 raise self._refused(problem) from problem
 
     def _write(self) -> None:
-        if self._held:
-            self._writer.write_table(radio_table(self._batch, self._facts), row_group_size=self._held)
-        self._batch, self._held = [], 0
+        if self._row_count:
+            self._writer.write_table(radio_table(self._batch, self._facts), row_group_size=self._row_count)
+        self._batch, self._row_count = [], 0
 
     def _refused(self, error: OSError) -> UsageError:
         return UsageError(f"cannot write {self._path}: {error.strerror or error}")

@@ -47,8 +47,8 @@ def ray_paths(channel: Channel, points: Floats) -> pa.Table:
     rows: list[dict[str, Any]] = []
     for first in range(0, len(a), _BLOCK):
         some = slice(first, first + _BLOCK)
-        here, there = points[a[some]], points[b[some]]
-        rows += _rows(rays.traced(here, there), here, there, first)
+        starts, ends = points[a[some]], points[b[some]]
+        rows += _rows(rays.traced(starts, ends), starts, ends, first)
     rows.sort(key=lambda row: (row["pair"], row["delay_ns"]))
     for row in rows:
         pair = row.pop("pair")
@@ -56,23 +56,26 @@ def ray_paths(channel: Channel, points: Floats) -> pa.Table:
     return pa.Table.from_pylist(rows, SCHEMA)
 
 
-def _rows(found: Traced, a: Floats, b: Floats, first: int) -> list[dict[str, Any]]:
+def _rows(traced: Traced, a: Floats, b: Floats, first: int) -> list[dict[str, Any]]:
     rows = [
         _row(
-            first + int(found.table.pair[path]), found.table.gain[path], found.table.length_m[path], *_steps(found, path, a, b)
+            first + int(traced.table.pair[path]),
+            traced.table.gain[path],
+            traced.table.length_m[path],
+            *_steps(traced, path, a, b),
         )
-        for path in range(len(found.table.pair))
+        for path in range(len(traced.table.pair))
     ]
-    roofs = found.roofs
+    roofs = traced.roofs
     for number, pair in enumerate(roofs.pair.tolist()):
         edges = roofs.edge[roofs.edge_of == number].tolist()
         rows.append(_row(first + pair, roofs.gain[number], roofs.length_m[number], ["diffraction"] * len(edges), edges))
     return rows
 
 
-def _steps(found: Traced, path: int, a: Floats, b: Floats) -> tuple[list[str], list[list[float]]]:
+def _steps(traced: Traced, path: int, a: Floats, b: Floats) -> tuple[list[str], list[list[float]]]:
     """Kinds and points of the interactions of a path, in order."""
-    table = found.table
+    table = traced.table
     pair, count = table.pair[path], int(table.steps[path])
     corners = [a[pair], *table.point[path, :count], b[pair]]
     steps = [

@@ -240,7 +240,7 @@ class LinkDraws:
         self._links = links
         self._frames = max(1, min(_BLOCK_FRAMES, _BLOCK_LINKS // max(1, len(links.receivers))))
         self._blocks: dict[int, tuple[int, Floats]] = {}  # slot: number of the block, its draws (frames, n, 2)
-        self._made: dict[int, tuple[int, Make, NDArray[Any]]] = {}  # slot: number of the block, function, its result
+        self._results: dict[int, tuple[int, Make, NDArray[Any]]] = {}  # slot: number of the block, function, its result
 
     def uniform(self, frame: int, slot: int) -> Floats:
         """Two uniforms in [0, 1) for each receiver, (n, 2), of the sender's own frame number ``frame``."""
@@ -254,9 +254,9 @@ class LinkDraws:
     def compute(self, frame: int, slot: int, make: Make) -> NDArray[Any]:
         """Result of ``make`` for the draws of a frame, (n,), computed for a whole block at once, (frames, n, 2)."""
         number, index = divmod(frame, self._frames)
-        cached = self._made.get(slot)
+        cached = self._results.get(slot)
         if cached is None or cached[0] != number or cached[1] != make:
-            cached = self._made[slot] = (number, make, make(self._block(number, slot)))
+            cached = self._results[slot] = (number, make, make(self._block(number, slot)))
         return cached[2][index]
 
     def _block(self, number: int, slot: int) -> Floats:

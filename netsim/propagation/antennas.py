@@ -134,9 +134,11 @@ class Antennas(NamedTuple):
     @classmethod
     def of(cls, radios: Sequence[Radio], attitude: Floats | None) -> "Antennas":
         """The antennas of radios; without attitudes all are level."""
-        known = [pattern_of(radio) for radio in radios]
-        patterns = [pattern for pattern in known if pattern is not None]
-        number = np.where([pattern is None for pattern in known], -1, np.cumsum([pattern is not None for pattern in known]) - 1)
+        by_radio = [pattern_of(radio) for radio in radios]
+        patterns = [pattern for pattern in by_radio if pattern is not None]
+        number = np.where(
+            [pattern is None for pattern in by_radio], -1, np.cumsum([pattern is not None for pattern in by_radio]) - 1
+        )
         level = np.tile((1.0, 0.0, 0.0, 0.0), (len(radios), 1))
         return cls(patterns, number.astype(np.int64), level if attitude is None else attitude)
 

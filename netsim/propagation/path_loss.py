@@ -91,10 +91,10 @@ class TwoRayGround:
 
     def loss_db(self, paths: Paths | ArrayLike) -> Floats:
         """Loss of each path, or over each distance in m between two antennas of ``antenna_height_m``, (n,) dB."""
-        here = there = np.array(self.antenna_height_m)
+        tx_height_m = rx_height_m = np.array(self.antenna_height_m)
         if isinstance(paths, Paths):
-            here, there = paths.tx[2], paths.rx[:, 2]
-        product = np.maximum(here, _TOUCHING_M) * np.maximum(there, _TOUCHING_M)
+            tx_height_m, rx_height_m = paths.tx[2], paths.rx[:, 2]
+        product = np.maximum(tx_height_m, _TOUCHING_M) * np.maximum(rx_height_m, _TOUCHING_M)
         wave = 4.0 * math.pi * self.frequency_hz / SPEED_OF_LIGHT
         distance = np.maximum(distance_of(paths), _TOUCHING_M)
         near = 20.0 * np.log10(np.maximum(wave * distance, 1.0))

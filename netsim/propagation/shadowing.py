@@ -50,13 +50,13 @@ class Shadowing:
     def loss_db(self, paths: Paths) -> Floats:
         """Loss of each path beyond the mean, (n,) dB, of either sign."""
         # Sums have the same operands in the same order for both directions, so that they agree to the last bit.
-        here, there, phase = _waves(paths.seed, self.correlation_distance_m, self.waves)
+        start_waves, end_waves, phase = _waves(paths.seed, self.correlation_distance_m, self.waves)
         both = np.empty(len(paths.rx))
         for begin in range(0, len(both), _BLOCK):  # intermediate results stay in the cache
             block = slice(begin, begin + _BLOCK)
             tx, rx = paths.tx if paths.tx.ndim == 1 else paths.tx[block], paths.rx[block]
-            forth = _cosines(_dot(tx, here) + phase, _dot(rx, there))
-            both[block] = forth + _cosines(_dot(rx, here) + phase, _dot(tx, there))
+            forth = _cosines(_dot(tx, start_waves) + phase, _dot(rx, end_waves))
+            both[block] = forth + _cosines(_dot(rx, start_waves) + phase, _dot(tx, end_waves))
         alike = np.exp(-2.0 / self.correlation_distance_m * paths.distance_m)
         return self.sigma_db / math.sqrt(self.waves) * both / np.sqrt(1.0 + alike)
 

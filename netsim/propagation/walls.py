@@ -136,8 +136,8 @@ class FixedWalls(_Walls):
 
     @cached_property
     def _walls_db(self) -> Floats:
-        known = self.materials_db or {}
-        return np.array([known.get(material, self.wall_db) for material in self.sightline.materials])
+        losses_db = self.materials_db or {}
+        return np.array([losses_db.get(material, self.wall_db) for material in self.sightline.materials])
 
 
 def slab_loss_db(material: str, thickness_m: float, frequency_hz: float) -> float:

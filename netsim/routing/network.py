@@ -140,15 +140,15 @@ class RoutingNetwork:
         """Process everything that is due; returns the reports of sent frames that are decided."""
         reports: list[FrameReport] = []
         while self._agenda and self._agenda[0][0] <= now_ns:
-            *_, what = heapq.heappop(self._agenda)
-            if isinstance(what, _Arrival):
-                reports += self._arrive(what, now_ns)
-                self._close_one(what.copy.packet)
-            elif isinstance(what, _Wait):
-                reports += self._transmit(what.packet, what.by, BROADCAST, what.hops, now_ns)
-                self._close_one(what.packet)
+            *_, item = heapq.heappop(self._agenda)
+            if isinstance(item, _Arrival):
+                reports += self._arrive(item, now_ns)
+                self._close_one(item.copy.packet)
+            elif isinstance(item, _Wait):
+                reports += self._transmit(item.packet, item.by, BROADCAST, item.hops, now_ns)
+                self._close_one(item.packet)
             elif self._telling is not None:
-                reports += self._update(self._telling, what, now_ns)
+                reports += self._update(self._telling, item, now_ns)
         return reports
 
     def finish(self) -> None:
@@ -165,8 +165,8 @@ class RoutingNetwork:
         self._reports, self._routed = [], []
         return [*events, *self._traffic.events(now_ns)]
 
-    def _plan(self, at_ns: int, what: _Arrival | _Wait | int, earliest_ns: int = 0) -> None:
-        heapq.heappush(self._agenda, (max(at_ns, earliest_ns), at_ns, self._order, what))
+    def _plan(self, at_ns: int, item: _Arrival | _Wait | int, earliest_ns: int = 0) -> None:
+        heapq.heappush(self._agenda, (max(at_ns, earliest_ns), at_ns, self._order, item))
         self._order += 1
 
     # --- packets --------------------------------------------------------------------------------------------------------------

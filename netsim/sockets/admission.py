@@ -91,7 +91,7 @@ class ProgramAdmission:
         self._listener, self._expected, self._tell = listener, tuple(expected), tell
         self._welcome = Welcome(run, tuple(vehicles))
         self._strangers: dict[Stream, float] = {}  # deadlines of their `Hello`, oldest first
-        self._there: dict[str, Stream] = {}
+        self._connections: dict[str, Stream] = {}
         self._remarks: set[str] = set()
         self._selector = selectors.DefaultSelector()
 
@@ -114,15 +114,15 @@ class ProgramAdmission:
                 now = time.monotonic()
                 for stream in [each for each, last in self._strangers.items() if last < now]:
                     self._dismiss(stream)
-            there, self._there = self._there, {}
-            return there
+            connections, self._connections = self._connections, {}
+            return connections
         finally:
             self._selector.close()
-            for stream in (*self._strangers, *self._there.values()):
+            for stream in (*self._strangers, *self._connections.values()):
                 stream.socket.close()
 
     def _missing(self) -> str:
-        return ", ".join(each for each in self._expected if each not in self._there)
+        return ", ".join(each for each in self._expected if each not in self._connections)
 
     def _accept(self) -> None:
         try:
@@ -161,8 +161,8 @@ class ProgramAdmission:
             self._answer(stream, word)
 
     def _lose(self, stream: Stream) -> None:
-        (vehicle,) = [name for name, each in self._there.items() if each is stream]
-        del self._there[vehicle]
+        (vehicle,) = [name for name, each in self._connections.items() if each is stream]
+        del self._connections[vehicle]
         self._dismiss(stream)
         self._tell(f"the program of {vehicle} disconnected; waiting for another")
 
@@ -174,7 +174,7 @@ class ProgramAdmission:
             self._dismiss(stream)
             return
         del self._strangers[stream]
-        self._there[word.vehicle] = stream
+        self._connections[word.vehicle] = stream
         self._tell(f"the program of {word.vehicle} connected; still waiting for: {self._missing() or 'none'}")
 
     def _refusal(self, word: Up) -> str | None:
@@ -184,7 +184,7 @@ class ProgramAdmission:
             return f"it uses protocol version {word.version}, the run uses {VERSION}: install one vcmvsp version for both"
         if word.vehicle not in self._expected:
             why = unknown("vehicle", plain(word.vehicle, LONGEST_NAME), self._expected) + " (sockets.vehicles)"
-        elif word.vehicle in self._there:
+        elif word.vehicle in self._connections:
             why = f"{word.vehicle} already has a program"
         else:
             return None

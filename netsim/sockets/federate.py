@@ -169,16 +169,18 @@ class Programs:
         names, everybody = sorted(self._table.vehicles), frozenset(self._vehicles)
         listener = self._listener = Listener(self._table.listen)
         self._tell(f"waiting for the programs of {', '.join(names)} at {listener.endpoint}: cosim.sockets.connect(VEHICLE)")
-        there = ProgramAdmission(listener, names, run.scenario, self._vehicles, self._tell).wait(self._table.join_timeout_s)
+        connections = ProgramAdmission(listener, names, run.scenario, self._vehicles, self._tell).wait(
+            self._table.join_timeout_s
+        )
         listener.close()
         for name in names:
-            self._programs[name] = Program(name, everybody, there[name], self._table.deadline_s)
+            self._programs[name] = Program(name, everybody, connections[name], self._table.deadline_s)
         return 0
 
     def poll(self, now_ns: int) -> bool:
         """Whether a program has ended that should wait."""
-        there = [program.fileno() for program in self._programs.values()]
-        self._stirred = set(readable(there, 0.0)) if there else set()
+        descriptors = [program.fileno() for program in self._programs.values()]
+        self._stirred = set(readable(descriptors, 0.0)) if descriptors else set()
         return bool(self._stirred)
 
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:

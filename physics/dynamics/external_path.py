@@ -26,11 +26,11 @@ class ExternalPath:
         short = now.position - self.position
         far = np.sqrt((short * short).sum(axis=1, keepdims=True))
         share = np.where(far > _JUMPS_M, 1.0, np.minimum(1.0, SLIDES * self._step_s / np.maximum(far, 1e-300)))
-        here = self.position + share * short
-        self.position = here + self._step_s * now.velocity
+        position = self.position + share * short
+        self.position = position + self._step_s * now.velocity
         spin = np.zeros_like(now.velocity)
         spin[:, 2] = yaw_rates
-        return now._replace(position=here, angular_velocity=spin)
+        return now._replace(position=position, angular_velocity=spin)
 
     def speeds(self, now_ns: int) -> Array:
         """Greatest speeds of the bodies, (k,) m/s."""

@@ -65,8 +65,8 @@ class Onboard:
 
     def read(self, scene: Scene, row: int, state: VehicleState) -> FlightReadings:
         """Readings of a vehicle in a row of the scene."""
-        found = {name: each.read(scene, row) for name, each in self._sensors.items()}
-        imu, field, height, fix = (found[name] for name in ("imu", "magnetometer", "altimeter", "gps"))
+        readings = {name: each.read(scene, row) for name, each in self._sensors.items()}
+        imu, field, height, fix = (readings[name] for name in ("imu", "magnetometer", "altimeter", "gps"))
         assert isinstance(imu, Imu)  # noqa: S101  it is read at every step
         x_y_z = tuple(field.values.values()) if isinstance(field, Measured) else None
         return FlightReadings(

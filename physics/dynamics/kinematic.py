@@ -108,17 +108,17 @@ class GroundEngine(Engine):
     def _follow(self, ways: Floats) -> None:
         """Append arcs to every pose: distances and turns (2, arcs, n), or (2, n) for one arc, m and rad."""
         way, turn = ways
-        one = ways.ndim == 2  # most often: sums cost more than they add up
+        is_single = ways.ndim == 2  # most often: sums cost more than they add up
         if self._sensed:
-            self._driven += ways if one else ways.sum(axis=1)
-        yaw = self._yaw + (turn if one else turn.cumsum(axis=0))
+            self._driven += ways if is_single else ways.sum(axis=1)
+        yaw = self._yaw + (turn if is_single else turn.cumsum(axis=0))
         half = 0.5 * turn
         size = np.maximum(np.abs(half), 1e-8)  # sin(h) / h is even, and 1 there to the last bit
         chord, direction = way * np.sin(size) / size, yaw - half
         east, north = chord * np.cos(direction), chord * np.sin(direction)
-        self._x += east if one else east.sum(axis=0)
-        self._y += north if one else north.sum(axis=0)
-        self._yaw = yaw if one else yaw[-1]
+        self._x += east if is_single else east.sum(axis=0)
+        self._y += north if is_single else north.sum(axis=0)
+        self._yaw = yaw if is_single else yaw[-1]
 
     def read(self) -> BodyMotion:
         """Motion of every vehicle, with exact wheel odometry."""

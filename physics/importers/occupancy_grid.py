@@ -129,8 +129,8 @@ def occupied_cells(about: dict[str, Any], path: Path) -> Array:
     except ValueError as error:
         raise ScenarioError(str(error), key="image", source=str(path)) from error
     cells: Array = np.empty(picture.shape[:2], bool)
-    for row, found in zip(cells, picture, strict=True):  # row by row: all floats of a large picture would fill the memory
-        grey = found.mean(axis=1)
+    for row, pixels in zip(cells, picture, strict=True):  # row by row: all floats of a large picture would fill the memory
+        grey = pixels.mean(axis=1)
         row[:] = (grey if about["negate"] else 255.0 - grey) / 255.0 > about["occupied_thresh"]
     return cells
 

@@ -192,8 +192,8 @@ def draw_large(buffers: Buffers, corner: Array, triangles: Triangles, source: Ar
     some = some[np.argsort(face[some], kind="stable")]
     first = np.flatnonzero(np.diff(face[some], prepend=face[some[0]] - 1))
     left, right = _ends(u[some], v[some], first, width, height)
-    one = source[some[first]]
-    _fill(buffers, left, right, _planes(buffers, triangles.plane[one], view), triangles.color[one], one)
+    numbers = source[some[first]]
+    _fill(buffers, left, right, _planes(buffers, triangles.plane[numbers], view), triangles.color[numbers], numbers)
     return np.flatnonzero(~whole)
 
 

@@ -52,8 +52,8 @@ def png(picture: Array) -> bytes:
     Raises:
         ValueError: it cannot be written as one.
     """
-    done, data = cv2.imencode(".png", picture[:, :, ::-1])
-    if not done:
+    is_encoded, data = cv2.imencode(".png", picture[:, :, ::-1])
+    if not is_encoded:
         raise ValueError(f"an array of shape {picture.shape} cannot be written as PNG: it must be (h, w, 3)")
     return bytes(data)
 

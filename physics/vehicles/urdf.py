@@ -206,8 +206,8 @@ class _Tree:
     def wheel(self, name: str, key: str) -> _Wheel:
         joint = self._joints.get(name)
         if joint is None:
-            there = ", ".join(self._joints) or "none"
-            raise ScenarioError(f"{self.path.name} has no joint {name!r}; joints: {there}", key=key)
+            joints = ", ".join(self._joints) or "none"
+            raise ScenarioError(f"{self.path.name} has no joint {name!r}; joints: {joints}", key=key)
         if joint.get("type") not in _TURNS:
             problem = f"the joint {name!r} of {self.path.name} is {joint.get('type')}; a wheel needs continuous or revolute"
             raise ScenarioError(problem, key=key)

@@ -44,12 +44,12 @@ def visual_parts(
         origin: (4, 4) of an element with an ``<origin>``.
     """
     tag = "visual" if any(link.find("visual") is not None for link in links.values()) else "collision"
-    named = {each.get("name", ""): _color(each) for each in materials}
+    colors = {each.get("name", ""): _color(each) for each in materials}
     by_color: dict[tuple[int, int, int], list[Triangles]] = {}
     for name, link in links.items():
         for shape in link.iterfind(tag):
             material = shape.find("material")
-            color = GREY if material is None else _color(material) or named.get(material.get("name", "")) or GREY
+            color = GREY if material is None else _color(material) or colors.get(material.get("name", "")) or GREY
             corners = _triangles(shape.find("geometry"), folder)
             try:
                 transform = frame(name) @ origin(shape)

@@ -179,9 +179,9 @@ class Blocking:
         overlaps = list(zip(depths.tolist(), of[near].tolist(), strict=True))
         centre = np.append(corners.mean(axis=0), 0.5 * (bottom + top))
         for solid in np.unique(of).tolist():
-            mine = of == solid
-            if _encloses(triangles[mine], centre):  # nothing is near that a body inside would touch
-                out = np.minimum(high - self._low[mine].min(axis=0), self._high[mine].max(axis=0) - low)
+            of_solid = of == solid
+            if _encloses(triangles[of_solid], centre):  # nothing is near that a body inside would touch
+                out = np.minimum(high - self._low[of_solid].min(axis=0), self._high[of_solid].max(axis=0) - low)
                 overlaps.append((float(out.min()), solid))
         return overlaps
 
@@ -200,8 +200,11 @@ def _triangle_depths(corners: Array, bottom: float, top: float, triangles: Array
     lengths = np.sqrt((axes * axes).sum(axis=2))
     flat = lengths < 1e-12 * (1.0 + np.abs(triangles).max(initial=0.0))  # edges that run the same way: no axis
     axes = axes / np.where(flat, 1.0, lengths)[:, :, None]
-    mine, theirs = axes @ prism.T, axes @ triangles.transpose(0, 2, 1)  # shadows, (t, axes, corners)
-    ahead, behind = mine.max(axis=2) - theirs.min(axis=2), theirs.max(axis=2) - mine.min(axis=2)
+    prism_shadows, triangle_shadows = axes @ prism.T, axes @ triangles.transpose(0, 2, 1)  # shadows, (t, axes, corners)
+    ahead, behind = (
+        prism_shadows.max(axis=2) - triangle_shadows.min(axis=2),
+        triangle_shadows.max(axis=2) - prism_shadows.min(axis=2),
+    )
     return np.asarray(np.where(flat, np.inf, np.minimum(ahead, behind)).min(axis=1, initial=np.inf))
 
 

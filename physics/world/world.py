@@ -106,7 +106,7 @@ class Moving(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         if k in (0, len(self.times_s)):
             return 0.0, 0.0, 0.0, 0.0
         span_s = self.times_s[k] - self.times_s[k - 1]
-        x, y, z, yaw = ((there - here) / span_s for here, there in zip(self.way[k - 1], self.way[k], strict=True))
+        x, y, z, yaw = ((end - start) / span_s for start, end in zip(self.way[k - 1], self.way[k], strict=True))
         return x, y, z, yaw
 
     def distances_m(self, time_ns: Array, position: Array) -> Array:

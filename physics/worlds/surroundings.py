@@ -35,10 +35,10 @@ class Surroundings:
 
     def __post_init__(self) -> None:
         bodies = [*(each.name for each in self.movables), *(each.name for each in self.moving)]
-        for what, called in (("movables or moving obstacles", bodies), ("targets", names(self.targets))):
+        for kinds, called in (("movables or moving obstacles", bodies), ("targets", names(self.targets))):
             for name in called:
                 if called.count(name) > 1:
-                    raise ScenarioError(f"two {what} are named {name!r}: use distinct names")
+                    raise ScenarioError(f"two {kinds} are named {name!r}: use distinct names")
 
     def sited(self) -> tuple[GroundTarget, ...]:
         """The targets, all with a place or a way.

@@ -116,14 +116,14 @@ class Consensus(Agent):
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
         """Move towards agreement with the neighbours that reported recently."""
-        here = self._own_point(obs)
-        radio.send(t_ns=here.t_ns, x=here.x, y=here.y)
+        own_point = self._own_point(obs)
+        radio.send(t_ns=own_point.t_ns, x=own_point.x, y=own_point.y)
         self._listen(obs)
         while self._changes and self._changes[-1][0] <= obs.time_ns:
             self._take(self._changes.pop()[1])
         if self.own == "delayed":
-            self._remember(here)
-        ux, uy = self._demand(here)
+            self._remember(own_point)
+        ux, uy = self._demand(own_point)
         if (speed := math.hypot(ux, uy)) > self.max_speed:
             ux, uy = ux / speed * self.max_speed, uy / speed * self.max_speed
         yaw = obs.state.yaw
@@ -132,19 +132,19 @@ class Consensus(Agent):
         v, w = axle_velocity(ux, uy, yaw, self.handle)
         return Velocity(linear=(v, 0.0, 0.0), yaw_rate=w)
 
-    def _demand(self, here: NeighbourPoint) -> Vec2:
+    def _demand(self, own_point: NeighbourPoint) -> Vec2:
         """The protocol: velocity of the own point, m/s, world."""
         (vx, vy), delayed = self.velocity, self.own == "delayed"
         sum_x = sum_y = squares = oldest_s = 0.0
         neighbours = 0
         for name, (dx, dy) in self._places.items():
             member = self._newest.get(name)
-            if member is None or (age_s := max(0, here.t_ns - member.t_ns) / 1e9) >= self.timeout_s:
+            if member is None or (age_s := max(0, own_point.t_ns - member.t_ns) / 1e9) >= self.timeout_s:
                 continue
             if delayed:
                 _, own_x, own_y = self._recall(member.t_ns)
             else:
-                own_x, own_y = here.x - vx * age_s, here.y - vy * age_s
+                own_x, own_y = own_point.x - vx * age_s, own_point.y - vy * age_s
             ex, ey = member.x - own_x - dx, member.y - own_y - dy
             sum_x, sum_y, squares = sum_x + ex, sum_y + ey, squares + ex * ex + ey * ey
             neighbours, oldest_s = neighbours + 1, max(oldest_s, age_s)
@@ -171,12 +171,12 @@ class Consensus(Agent):
         if self._refused:
             self.note(refused=self._refused)
 
-    def _remember(self, here: NeighbourPoint) -> None:
-        self._past.append(here)
-        self._times.append(here.t_ns)
-        gone = bisect_left(self._times, here.t_ns - self._timeout_ns) - 1  # one from before, to interpolate
-        if gone > 0:
-            del self._past[:gone], self._times[:gone]
+    def _remember(self, own_point: NeighbourPoint) -> None:
+        self._past.append(own_point)
+        self._times.append(own_point.t_ns)
+        end = bisect_left(self._times, own_point.t_ns - self._timeout_ns) - 1  # one from before, to interpolate
+        if end > 0:
+            del self._past[:end], self._times[:end]
 
     def _recall(self, t_ns: int) -> NeighbourPoint:
         """The own point at a past time, interpolated between ticks."""
@@ -209,11 +209,11 @@ class Consensus(Agent):
         return math.atan2(self.velocity[1], self.velocity[0]) if any(self.velocity) else None
 
     def _neighbours_by_name(self, me: str) -> tuple[int, ...]:
-        named = self.neighbours or ()
-        if wrong := [name for name in named if name not in self._members or name == me]:
+        names = self.neighbours or ()
+        if wrong := [name for name in names if name not in self._members or name == me]:
             others = ", ".join(name for name in self._members if name != me)
             raise ValueError(f"neighbours: {wrong[0]!r} is not another member of the formation; other members: {others}")
-        return tuple(sorted({self._members.index(name) for name in named}))
+        return tuple(sorted({self._members.index(name) for name in names}))
 
 
 def neighbours_of(graph: Graph, index: int, count: int) -> tuple[int, ...]:

@@ -158,8 +158,8 @@ class LeaderFollower(FormationFollower):
             since_ns = now_ns - seconds_to_ns(for_s)
             self._fading_ns = since_ns if self._fading_ns is None else min(since_ns, self._fading_ns)
             for_s = (now_ns - self._fading_ns) / 1e9
-        left = max(0.0, 1.0 - for_s / self.fade_s)
-        return self._v * left, self._w * left
+        share = max(0.0, 1.0 - for_s / self.fade_s)
+        return self._v * share, self._w * share
 
     def _report(self, obs: Observation, radio: Radio) -> None:
         more: dict[str, Any] = {}

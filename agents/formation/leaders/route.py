@@ -114,11 +114,11 @@ class Route(Leader):
             return stage, 0.0, 0.0
         aim_x, aim_y = _aim((x, y), start, self.way[number], self.lookahead_m)
         ahead, left = rotate2(aim_x - x, aim_y - y, -th)
-        away, aside = math.hypot(ahead, left), math.atan2(left, ahead)
+        distance, aside = math.hypot(ahead, left), math.atan2(left, ahead)
         if abs(aside) > TURN_ON_THE_SPOT:
             return stage, 0.0, self._turning(TURN_GAIN * aside)
-        curvature = 2.0 * math.sin(aside) / away
-        v = min(self.speed, away / self._period_s)
+        curvature = 2.0 * math.sin(aside) / distance
+        v = min(self.speed, distance / self._period_s)
         if curvature:
             v = min(v, self.yaw_rate / abs(curvature))
         if number == len(self.way) - 1 and not self.loop:

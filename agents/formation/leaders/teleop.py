@@ -162,12 +162,12 @@ class Joystick:
 
     def read(self, time_s: float) -> Speeds:
         """Speeds from the positions of the axes."""
-        came = self._rest + _new(self._file)
-        whole = len(came) - len(came) % EVENT.size
-        for _, value, kind, number in EVENT.iter_unpack(came[:whole]):
+        data = self._rest + _new(self._file)
+        end = len(data) - len(data) % EVENT.size
+        for _, value, kind, number in EVENT.iter_unpack(data[:end]):
             if kind & ~INITIAL == AXIS and number in self._values:
                 self._values[number] = self._share(value)
-        self._rest = came[whole:]
+        self._rest = data[end:]
         ahead, left = self._axes
         v, w = self._limits
         return v * self._values[ahead], w * self._values[left]
@@ -230,17 +230,17 @@ def _rows(path: Path) -> Sequence[tuple[float, float, float]]:
 
 def _new(file: int | None) -> bytes:
     """All new input. A removed device, or one with a closed end, is lost."""
-    came = b""
+    data = b""
     while file is not None:
         try:
             part = os.read(file, CHUNK)
         except BlockingIOError:
-            return came
+            return data
         except OSError as error:
             raise DeviceLostError(error.strerror) from error
         if not part:
             raise DeviceLostError("closed")
-        came += part
+        data += part
     raise DeviceLostError("closed")
 
 

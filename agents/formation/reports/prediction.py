@@ -137,8 +137,8 @@ def estimator_of(kind: Any, *, horizon_s: float, fade_s: float) -> Estimator:
     """
     if not isinstance(kind, str | Mapping):
         if not hasattr(kind, "predict"):
-            known = ", ".join(ESTIMATORS)
-            raise ValueError(f"estimator {kind!r} has no method predict(report, age_s); use {known} or an object with it")
+            names = ", ".join(ESTIMATORS)
+            raise ValueError(f"estimator {kind!r} has no method predict(report, age_s); use {names} or an object with it")
         return kind
     content = {"kind": kind} if isinstance(kind, str) else dict(kind)
     name = content.pop("kind", None)
@@ -160,10 +160,10 @@ def moved(state: LeaderState, age_s: float, horizon_s: float, fade_s: float) -> 
     arc, and the distance has a closed form: that of ``s - s^2 / (2 F)`` seconds at full speed.
     """
     x, y, th, v, w = state
-    left = 1.0
+    share = 1.0
     if age_s > horizon_s:
         faded_s = min(age_s - horizon_s, fade_s)
-        left = 1.0 - faded_s / fade_s
-        age_s = horizon_s + 0.5 * faded_s * (1.0 + left)  # = s - s^2 / (2 F), the mean speed times s
+        share = 1.0 - faded_s / fade_s
+        age_s = horizon_s + 0.5 * faded_s * (1.0 + share)  # = s - s^2 / (2 F), the mean speed times s
     x, y, th = arc((x, y, th), v, w, age_s)
-    return LeaderState(x, y, th, v * left, w * left)
+    return LeaderState(x, y, th, v * share, w * share)

@@ -75,8 +75,8 @@ class VisibleMembers:
         view = view_of(scan)
         if not isinstance(scan, Scan) or view is None:
             return obs
-        mine, ranges = self._of_members(view, obs, listening, estimator), view.ranges.copy()
-        ranges[mine] = np.inf
+        beams, ranges = self._of_members(view, obs, listening, estimator), view.ranges.copy()
+        ranges[beams] = np.inf
         return replace(obs, readings=Readings({**obs.readings, scanner: replace(scan, ranges=ranges)}))
 
     def behind_members(
@@ -118,8 +118,8 @@ class VisibleMembers:
             return np.zeros(0, np.intp)
         (finite,) = np.nonzero(np.isfinite(view.ranges) & (view.ranges > 0.0))
         points = view.ranges[finite, None] * view.units[finite]
-        away = np.hypot(*np.moveaxis(points[:, None] - np.array(mates)[:, :2], -1, 0))
-        return np.asarray(finite[(away <= self._body.radius_m + self._member_m).any(axis=1)])
+        distance = np.hypot(*np.moveaxis(points[:, None] - np.array(mates)[:, :2], -1, 0))
+        return np.asarray(finite[(distance <= self._body.radius_m + self._member_m).any(axis=1)])
 
 
 def moved_to(obs: Observation, report: Report, estimator: Estimator) -> LeaderState:

@@ -177,7 +177,7 @@ def named_parents(parents: Mapping[str, str], members: Sequence[str]) -> tuple[i
             path.append(parents[path[-1]])
             if path[-1] in path[:-1]:
                 circle = path[path.index(path[-1]) :]
-                words = ", ".join(f"{one} follows {other}" for one, other in pairwise(circle))
+                words = ", ".join(f"{follower} follows {leader}" for follower, leader in pairwise(circle))
                 raise ValueError(f"formation.parents: {words}: a cycle without a leader")
         leads_to_first.update(path)
     number = {name: each for each, name in enumerate(members)}

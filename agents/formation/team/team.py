@@ -188,8 +188,8 @@ def assign(positions: Sequence[Slot], places: Sequence[Slot]) -> tuple[int, ...]
 
     others, targets = np.array(positions[1:], float).reshape(-1, 2), np.array(places[1:], float).reshape(-1, 2)
     way = np.hypot(*(targets[:, None, :] - others[None, :, :]).transpose(2, 0, 1))
-    _, who = linear_sum_assignment(way)  # rows, here the places, come in their order
-    return (0, *(int(member) + 1 for member in who))
+    _, columns = linear_sum_assignment(way)  # rows, here the places, come in their order
+    return (0, *(int(member) + 1 for member in columns))
 
 
 def check_silence(sending: Sending, formation: Formation | None, heartbeat_s: float | None = None) -> None:

@@ -119,12 +119,16 @@ class Detector:
                 detections += self._of_size(size_m, side, part)
         if region is not None:
             left, top, right, bottom = region
-            detections = [one for one in detections if left <= one.centre_px[0] <= right and top <= one.centre_px[1] <= bottom]
-        detections.sort(key=lambda one: -one.match)
+            detections = [
+                detection
+                for detection in detections
+                if left <= detection.centre_px[0] <= right and top <= detection.centre_px[1] <= bottom
+            ]
+        detections.sort(key=lambda detection: -detection.match)
         distinct: list[Detection] = []
-        for one in detections:  # one place holds one target
-            if not any(_same_place(one, other) for other in distinct):
-                distinct.append(one)
+        for detection in detections:  # one place holds one target
+            if not any(_same_place(detection, other) for other in distinct):
+                distinct.append(detection)
         return distinct
 
     def _of_size(self, size_m: float, side: float, search: _Search) -> list[Detection]:
@@ -174,8 +178,8 @@ class Detector:
         return detections
 
 
-def _same_place(one: Detection, other: Detection) -> bool:
-    return math.dist(one.centre_px, other.centre_px) <= APART * min(one.side_px, other.side_px)
+def _same_place(a: Detection, b: Detection) -> bool:
+    return math.dist(a.centre_px, b.centre_px) <= APART * min(a.side_px, b.side_px)
 
 
 def _best(

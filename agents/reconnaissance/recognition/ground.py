@@ -177,7 +177,7 @@ def _places(rng: np.random.Generator, n: int, side: float, occupied: Sequence[Po
             if len(places) == n + len(occupied):
                 return places[len(occupied) :]
             at = (float(rng.uniform(edge, WIDTH - 1 - edge)), float(rng.uniform(edge, HEIGHT - 1 - edge)))
-            if all(math.dist(at, one) > CLEAR * side for one in places):
+            if all(math.dist(at, place) > CLEAR * side for place in places):
                 places.append(at)
         if len(places) == n + len(occupied):
             return places[len(occupied) :]

@@ -54,16 +54,16 @@ def hues(picture: Array) -> Hues:
     hsv = cv2.cvtColor(picture, cv2.COLOR_RGB2HSV)
     hue = hsv[:, :, 0][hsv[:, :, 1] >= SATURATION].astype(int)
     bins = 180 // BIN
-    left = np.bincount(hue // BIN, minlength=bins).astype(float)
+    histogram = np.bincount(hue // BIN, minlength=bins).astype(float)
     apart = np.abs(np.arange(bins)[:, None] - np.arange(bins))
     near = np.minimum(apart, bins - apart) <= BESIDE  # on the circle of hues
     chosen: list[int] = []
-    while len(chosen) < MOST_HUES and left.max() > 0.0 and (near @ left).max() >= LEAST_SHARE * hsv[:, :, 0].size:
-        chosen.append(int(left.argmax()))
-        left[near[chosen[-1]]] = 0.0
+    while len(chosen) < MOST_HUES and histogram.max() > 0.0 and (near @ histogram).max() >= LEAST_SHARE * hsv[:, :, 0].size:
+        chosen.append(int(histogram.argmax()))
+        histogram[near[chosen[-1]]] = 0.0
     of_bin = np.zeros(bins, np.uint8)
-    for number, one in reversed(list(enumerate(chosen, start=1))):  # the more frequent one gets the bins between two
-        of_bin[near[one]] = number
+    for number, peak in reversed(list(enumerate(chosen, start=1))):  # the more frequent one gets the bins between two
+        of_bin[near[peak]] = number
     label = np.zeros(256, np.uint8)
     label[:180] = of_bin[np.arange(180) // BIN]
     counts = np.bincount(label[hue], minlength=len(chosen) + 1)[1 : len(chosen) + 1]
@@ -168,8 +168,8 @@ def rotation(spectrum: Array, template: Array) -> float:
     """
     curve = product(_BACK, np.einsum("km,km->k", spectrum, template.conj())[:, None])[:, 0].real
     best = int(curve.argmax())
-    before, here, after = curve[best - 1], curve[best], curve[(best + 1) % TURNS]
-    bend = before - 2.0 * here + after
+    before, peak, after = curve[best - 1], curve[best], curve[(best + 1) % TURNS]
+    bend = before - 2.0 * peak + after
     shift = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
     return (math.tau / TURNS * (best + float(shift)) + math.pi) % math.tau - math.pi
 
@@ -296,11 +296,11 @@ def _shift(image: Array, template: Template, pose: MatchedPose) -> tuple[float, 
 
 def _turn(image: Array, template: Template, pose: MatchedPose) -> MatchedPose:
     """The best angle, then scale, then angle again, since they are weakly coupled."""
-    one = np.ones(len(TRIED_TURNS))
-    turn = _best(TRIED_TURNS, _correlations(image, template, pose, TRIED_TURNS, one))
-    scale = _best(SCALES, _correlations(image, template, pose, turn * one, SCALES))
+    ones = np.ones(len(TRIED_TURNS))
+    turn = _best(TRIED_TURNS, _correlations(image, template, pose, TRIED_TURNS, ones))
+    scale = _best(SCALES, _correlations(image, template, pose, turn * ones, SCALES))
     turns = turn + TRIED_TURNS[1:-1]
-    turn = _best(turns, _correlations(image, template, pose, turns, scale * one[1:-1]))
+    turn = _best(turns, _correlations(image, template, pose, turns, scale * ones[1:-1]))
     return MatchedPose(pose.u, pose.v, pose.angle + turn, pose.side_px * scale)
 
 
@@ -317,8 +317,8 @@ def vertex(values: Array, at: int) -> float:
     """Vertex of a curve next to its greatest value, in steps from it; 0 at its ends."""
     if not 0 < at < len(values) - 1:
         return 0.0
-    before, here, after = values[at - 1 : at + 2].tolist()
-    bend = before - 2.0 * here + after
+    before, peak, after = values[at - 1 : at + 2].tolist()
+    bend = before - 2.0 * peak + after
     return 0.5 * (before - after) / bend if bend < 0.0 else 0.0
 
 

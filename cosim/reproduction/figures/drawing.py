@@ -91,12 +91,12 @@ def _draw_panel(axes: Axes, panel: Panel) -> int:
 
 
 def _draw_curves(axes: Axes, panel: Panel) -> None:
-    named: set[str] = set()
+    labels: set[str] = set()
     lines = {curve.color for curve in panel.curves if curve.label and curve.style == "line"}
     plain = panel.photo is None and panel.heat is None
     for curve in panel.curves:
-        label = curve.label if curve.label not in named else ""
-        named.add(curve.label)
+        label = curve.label if curve.label not in labels else ""
+        labels.add(curve.label)
         _draw_curve(axes, curve, label, marked=plain and len(lines) > 1, shaped=plain)
     for label, level in panel.levels.items():
         for number, each in enumerate(np.atleast_1d(level)):

@@ -64,8 +64,8 @@ def run_all(checks: Sequence[Check], jobs: int, progress: Callable[[int, int], N
         progress: called after every check with the finished and the total number.
     """
     order = sorted(range(len(checks)), key=lambda place: -checks[place].seconds)
-    done = Runner(jobs, progress)([partial(measured, checks[place]) for place in order])
-    outcomes = dict(zip(order, done, strict=True))
+    results = Runner(jobs, progress)([partial(measured, checks[place]) for place in order])
+    outcomes = dict(zip(order, results, strict=True))
     return [outcomes[place] for place in range(len(checks))]
 
 

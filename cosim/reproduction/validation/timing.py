@@ -39,8 +39,8 @@ def ticks() -> Sequence[Row]:
         car["agent"] = {**car["agent"], "period_s": rates[car["name"]]}
 
     def observe(event: Event) -> None:
-        name, _, what = event.key.partition("/")
-        if what == "command":
+        name, _, topic = event.key.partition("/")
+        if topic == "command":
             acts[name].append(event.time_ns)
 
     run(scenario, mcap=False, observe=observe)
@@ -125,7 +125,7 @@ def draws() -> Sequence[Row]:
         c0, c1, c2, c3 = _words(counter)
         k0, k1 = _words(key)
         words = [int(each) for each in philox4x32((c0, c1, c2, c3), (k0, k1))]
-        wrong = sum(one != other for one, other in zip(words, _words(answer), strict=True))
+        wrong = sum(word != expected for word, expected in zip(words, _words(answer), strict=True))
         rows.append(absolute(f"vector {number} of philox4x32 x 10: words that differ", 0.0, wrong, 0.0))
     return rows
 

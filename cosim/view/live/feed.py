@@ -204,8 +204,8 @@ class Feed:
         """Make the next update hold everything but readings of sensors."""
         state = self._state
         state.settle()
-        known = {name: values for name, values in state.newest.items() if name not in READINGS.values()}
-        state.fresh = {(name, key): None for name, values in known.items() for key in values}
+        newest = {name: values for name, values in state.newest.items() if name not in READINGS.values()}
+        state.fresh = {(name, key): None for name, values in newest.items() for key in values}
         state.lines.extendleft(reversed(self._sent_lines))
         self._sent_lines.clear()
         self._crafts, self._fresh = self._all_crafts, True

@@ -52,15 +52,15 @@ class Pipe:
         sock.setblocking(False)
         self._sock, self._poll = sock, select.poll()
         self._poll.register(sock, select.POLLOUT)
-        self._left = memoryview(b"")  # rest of the current message
-        self._got = bytearray()
+        self._unsent = memoryview(b"")  # rest of the current message
+        self._received = bytearray()
         self.open = True  # as far as known: the other end is connected
 
     def push(self) -> bool:
         """Continue to send; returns whether another message can begin."""
-        while self._left and self.open:
+        while self._unsent and self.open:
             try:
-                self._left = self._left[self._sock.send(self._left) :]
+                self._unsent = self._unsent[self._sock.send(self._unsent) :]
             except BlockingIOError:
                 return False
             except OSError:
@@ -71,7 +71,7 @@ class Pipe:
         """Begin a message if there is room and no other one is in progress; returns whether it has begun."""
         if not self.push():
             return False
-        self._left = memoryview(_length.pack(len(payload)) + fitting(payload))
+        self._unsent = memoryview(_length.pack(len(payload)) + fitting(payload))
         self.push()
         return True
 
@@ -81,7 +81,7 @@ class Pipe:
         begun = False
         while self.open:
             begun = begun or self.offer(payload)
-            if begun and not self._left:
+            if begun and not self._unsent:
                 return True
             left_s = until_s - time.monotonic()
             if left_s <= 0.0:
@@ -112,7 +112,7 @@ class Pipe:
 
     def _read(self) -> None:
         """Read all available bytes, up to the size of the largest message."""
-        while len(self._got) < LARGEST:
+        while len(self._received) < LARGEST:
             try:
                 data = self._sock.recv(_CHUNK)
             except BlockingIOError:
@@ -122,22 +122,22 @@ class Pipe:
             if not data:
                 self._lose()
                 return
-            self._got += data
+            self._received += data
 
     def _messages(self) -> Iterator[bytes]:
-        while len(self._got) >= _length.size:
-            (length,) = _length.unpack_from(self._got)
+        while len(self._received) >= _length.size:
+            (length,) = _length.unpack_from(self._received)
             if length > LARGEST:
                 raise ValueError(f"a message of {length} bytes")
             end = _length.size + length
-            if len(self._got) < end:
+            if len(self._received) < end:
                 return
-            message = bytes(memoryview(self._got)[_length.size : end])
-            del self._got[:end]
+            message = bytes(memoryview(self._received)[_length.size : end])
+            del self._received[:end]
             yield message
 
     def _lose(self) -> None:
-        self.open, self._left = False, memoryview(b"")
+        self.open, self._unsent = False, memoryview(b"")
 
 
 def fitting(payload: bytes) -> bytes:
@@ -149,8 +149,8 @@ def fitting(payload: bytes) -> bytes:
 
 def pair() -> tuple[Pipe, socket.socket]:
     """Create two connected ends; the second is for another process."""
-    ours, theirs = socket.socketpair()
-    for each in (ours, theirs):
+    own_end, child_end = socket.socketpair()
+    for each in (own_end, child_end):
         with contextlib.suppress(OSError):
             each.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _CHUNK)
-    return Pipe(ours), theirs
+    return Pipe(own_end), child_end

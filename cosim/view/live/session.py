@@ -83,9 +83,9 @@ class Viewing(contextlib.AbstractContextManager["Viewing"]):
             UsageError: the page cannot be served at this address, or its process does not start.
         """
         token = new_token()
-        pipe, theirs = protocol.pair()
-        with theirs:
-            self._process = ChildProcess(MODULE, str(theirs.fileno()), files=(theirs.fileno(),))
+        pipe, child_end = protocol.pair()
+        with child_end:
+            self._process = ChildProcess(MODULE, str(child_end.fileno()), files=(child_end.fileno(),))
         self._pipe = pipe
         start = protocol.Start(scenery=scenery, host=self._host, port=self._port, token=token)
         try:

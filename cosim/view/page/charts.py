@@ -55,45 +55,45 @@ class History:
         self.numbers: dict[str, deque[Array]] = {title: deque(maxlen=POINTS) for title in (*QUANTITIES, DELIVERY)}
         self._counts: deque[tuple[int, Array, Array]] = deque(maxlen=POINTS)
 
-    def sample(self, known: PageState) -> bool:
+    def sample(self, state: PageState) -> bool:
         """Add the present values; returns whether time has advanced. A step back in time clears the history."""
-        if known.times_back != self._times_back:
-            self._times_back = known.times_back
+        if state.times_back != self._times_back:
+            self._times_back = state.times_back
             self.time_s.clear()
             self._counts.clear()
             for numbers in self.numbers.values():
                 numbers.clear()
-        if self.time_s and known.now.time_ns / SECOND_NS <= self.time_s[-1]:
+        if self.time_s and state.now.time_ns / SECOND_NS <= self.time_s[-1]:
             return False
-        now = {title: quantity(known).copy() for title, quantity in QUANTITIES.items()}
-        now |= {DELIVERY: self._delivery(known), **self._noted(known)}
+        now = {title: quantity(state).copy() for title, quantity in QUANTITIES.items()}
+        now |= {DELIVERY: self._delivery(state), **self._noted(state)}
         unknown = np.full(self._count, np.nan)
         for title in now.keys() - self.numbers.keys():  # a new note
             self.numbers[title] = deque([unknown] * len(self.time_s), maxlen=POINTS)
-        self.time_s.append(known.now.time_ns / SECOND_NS)
+        self.time_s.append(state.now.time_ns / SECOND_NS)
         for title, numbers in self.numbers.items():
             numbers.append(now.get(title, unknown))
         return True
 
-    def _noted(self, known: PageState) -> dict[str, Array]:
+    def _noted(self, state: PageState) -> dict[str, Array]:
         """The newest number that each vehicle has noted under each name; NaN without one."""
-        found: dict[str, Array] = {}
-        for vehicle, notes in known.now.notes.items():
+        numbers: dict[str, Array] = {}
+        for vehicle, notes in state.now.notes.items():
             for name, value in notes.items():
                 title = f"note {name}"
                 full = title not in self.numbers and len(self.numbers) >= len(QUANTITIES) + 1 + MOST_NOTES
-                if isinstance(value, float) and vehicle in known.row and not full:
-                    found.setdefault(title, np.full(self._count, np.nan))[known.row[vehicle]] = value
-        return found
+                if isinstance(value, float) and vehicle in state.row and not full:
+                    numbers.setdefault(title, np.full(self._count, np.nan))[state.row[vehicle]] = value
+        return numbers
 
-    def _delivery(self, known: PageState) -> Array:
+    def _delivery(self, state: PageState) -> Array:
         """Delivery ratio at each vehicle over the last 5 s, in percent; NaN without frames."""
-        if known.now.sent is None or known.now.received is None:
+        if state.now.sent is None or state.now.received is None:
             return np.full(self._count, np.nan)
-        sent, received = known.now.sent.sum(axis=0), known.now.received.sum(axis=0)
-        while len(self._counts) > 1 and self._counts[1][0] <= known.now.time_ns - WINDOW_NS:
+        sent, received = state.now.sent.sum(axis=0), state.now.received.sum(axis=0)
+        while len(self._counts) > 1 and self._counts[1][0] <= state.now.time_ns - WINDOW_NS:
             self._counts.popleft()
-        self._counts.append((known.now.time_ns, sent, received))
+        self._counts.append((state.now.time_ns, sent, received))
         _, sent_then, received_then = self._counts[0]
         new = sent - sent_then
         return np.where(new > 0, 100.0 * (received - received_then) / np.maximum(new, 1), np.nan)
@@ -176,10 +176,10 @@ class Charts:
     def _options(self) -> tuple[str, ...]:
         return NOTHING, *self._history.numbers
 
-    def sample(self, known: PageState, now_s: float) -> None:
+    def sample(self, state: PageState, now_s: float) -> None:
         """Add the present values, twice a second."""
         if self._names and self._often.due(now_s):
-            self._new |= self._history.sample(known)
+            self._new |= self._history.sample(state)
 
     def draw(self, chosen: int) -> None:
         """Draw charts with new data."""

@@ -41,8 +41,8 @@ class Station:
     ) -> None:
         self._server, self._clock = server, clock
         self._order, self._ordering = order, threading.Lock()
-        self._drawing, self._drawn = threading.RLock(), threading.Event()
-        self._known = PageState(scenery)
+        self._drawing, self._has_drawn = threading.RLock(), threading.Event()
+        self._state = PageState(scenery)
         self._aimed = False
         self._words, self._often, self._line_count = Every(WORDS_S), Every(TABLE_S), -1
         with server.atomic():
@@ -57,44 +57,44 @@ class Station:
 
     def show(self, *updates: PageUpdate) -> None:
         """Show updates. Call from one thread, at most some thirty times a second."""
-        known, now_s = self._known, self._clock()
+        state, now_s = self._state, self._clock()
         with self._drawing:
             for update in updates:
-                known.take(update)
-            self._trails.sample(known)
-            self._charts.sample(known, now_s)
+                state.take(update)
+            self._trails.sample(state)
+            self._charts.sample(state, now_s)
             if not self._aimed:
-                self._aimed = self._scene.aim(known)
+                self._aimed = self._scene.aim(state)
             if self._server.get_clients():
                 self.draw()
 
     def draw(self, *, texts: bool = False) -> None:
         """Send changes to the pages; ``texts``: all texts, even if some were sent a moment ago."""
-        self._drawn.set()
-        known, choice, now_s = self._known, self._choice, self._clock()
+        self._has_drawn.set()
+        state, choice, now_s = self._state, self._choice, self._clock()
         with self._drawing:
             self._go_along()
         with self._drawing, self._server.atomic():
-            self._scene.draw(known, now_s)
-            self._vehicles.draw(known, choice.row, now_s)
-            self._ghosts.draw(known)
-            self._fixes.draw(known, now_s)
+            self._scene.draw(state, now_s)
+            self._vehicles.draw(state, choice.row, now_s)
+            self._ghosts.draw(state)
+            self._fixes.draw(state, now_s)
             self._trails.draw(now_s)
-            self._links.draw(known, choice.row)
-            self._paths.draw(known, choice.row)
-            self._scans.draw(known, choice.readings)
-            self._ground.draw(known, choice.name, now_s)
-            self._pictures.draw(known, choice.name, choice.readings, now_s)
+            self._links.draw(state, choice.row)
+            self._paths.draw(state, choice.row)
+            self._scans.draw(state, choice.readings)
+            self._ground.draw(state, choice.name, now_s)
+            self._pictures.draw(state, choice.name, choice.readings, now_s)
             self._charts.draw(choice.row)
             if self._words.due(now_s) or texts:
                 self._write()
 
     def _go_along(self) -> None:
         if self._choice.follows:
-            self._follower.draw(self._known.position[self._choice.row], self._clock())
+            self._follower.draw(self._state.position[self._choice.row], self._clock())
         else:
             self._follower.release()
-        places = self._known.position[np.isfinite(self._known.position).all(axis=1)]
+        places = self._state.position[np.isfinite(self._state.position).all(axis=1)]
         if self._with_team.value and not self._choice.follows and len(places):
             self._team.draw(places.mean(axis=0), self._clock())
         else:
@@ -103,28 +103,28 @@ class Station:
     def _fit(self) -> None:
         with self._drawing:
             self._team.release()
-            self._scene.fit(self._known)
+            self._scene.fit(self._state)
 
     def _keep(self) -> None:
         """Redraw without updates, too, for new choices and newly opened pages."""
         loop = self._server.get_event_loop()
         while loop.is_running():
-            if not self._drawn.wait(IDLE_S) and self._server.get_clients():
+            if not self._has_drawn.wait(IDLE_S) and self._server.get_clients():
                 self.draw()
-            self._drawn.clear()
+            self._has_drawn.clear()
             time.sleep(IDLE_S)
 
     def _write(self) -> None:
-        known = self._known
-        self._run.content = run_page(known)
-        self._vehicle.content = vehicle_page(known, self._choice.row)
+        state = self._state
+        self._run.content = run_page(state)
+        self._vehicle.content = vehicle_page(state, self._choice.row)
         if self._often.due(self._clock()):
-            self._all.content = team_page(known, picked(self._sorted))
-        if known.line_count != self._line_count:
-            self._line_count = known.line_count
-            self._log.content = log_page(known)
+            self._all.content = team_page(state, picked(self._sorted))
+        if state.line_count != self._line_count:
+            self._line_count = state.line_count
+            self._log.content = log_page(state)
         for draw in (self._choice.draw, *self._controls):
-            draw(known)
+            draw(state)
 
     def _clicked(self, row: int) -> None:
         self._choice.choose(row)
@@ -140,23 +140,23 @@ class Station:
         gui.set_panel_label(f"VCMVSP: {scenery.scenario}")
         gui.main_panel.dock_left()
         gui.main_panel.set_width(LEFT_PX)
-        self._run = gui.add_html(run_page(self._known))
+        self._run = gui.add_html(run_page(self._state))
         self._controls = controls(server, scenery, self._give, self._clock)
         gui.add_button("Fit all", icon=viser.Icon.MAXIMIZE).on_click(lambda _: self._fit())
         self._with_team = gui.add_checkbox("Follow team", initial_value=False)
         with gui.add_folder("View", expand_by_default=False):
             self._build_view(gui)
         with gui.add_folder("Log"):
-            self._log = gui.add_html(log_page(self._known))
+            self._log = gui.add_html(log_page(self._state))
         panel = gui.add_panel()
         with panel.add_tab("Vehicle"):
             self._choice = Choice(server, scenery, self._give)
-            self._vehicle = gui.add_html(vehicle_page(self._known, 0))
+            self._vehicle = gui.add_html(vehicle_page(self._state, 0))
             self._paths = RayPaths(server, scenery)
             self._pictures = Pictures(server, scenery)
         with panel.add_tab("All vehicles"):
             self._sorted = gui.add_dropdown("Sort by", SORTED)
-            self._all = gui.add_html(team_page(self._known, SORTED[0]))
+            self._all = gui.add_html(team_page(self._state, SORTED[0]))
         with panel.add_tab("Charts"):
             self._charts = Charts(server, scenery)
         key = gui.add_panel()
@@ -168,13 +168,13 @@ class Station:
         self._look(dark=False)
 
     def _build_view(self, gui: viser.GuiApi) -> None:
-        shown: dict[str, Sequence[viser.SceneNodeHandle]] = {
+        nodes_of: dict[str, Sequence[viser.SceneNodeHandle]] = {
             "Trails": self._trails.nodes,
             "Formation": self._ghosts.nodes,
             "Fixes": self._fixes.nodes,
         }
         _tick(gui, "Names", self._vehicles.labels, at_first=self._vehicles.names_at_first)
-        for label, nodes in shown.items():
+        for label, nodes in nodes_of.items():
             _tick(gui, label, nodes)
         links = gui.add_dropdown("Links", WHICH, initial_value=self._links.which)
         links.on_update(lambda _: setattr(self._links, "which", picked(links)))

@@ -75,9 +75,9 @@ def controls(server: viser.ViserServer, scenery: Scenery, give: Give, clock: Cal
 def _until_over(*buttons: viser.GuiButtonHandle) -> Draw:
     """Enable these buttons until the run ends."""
 
-    def draw(known: PageState) -> None:
+    def draw(state: PageState) -> None:
         for button in buttons:
-            button.disabled = bool(known.now.pace.over)
+            button.disabled = bool(state.now.pace.over)
 
     return draw
 
@@ -89,9 +89,9 @@ def _stops(gui: viser.GuiApi, give: Give) -> Draw:
     stop.on_click(lambda _: give(HaltTable(at_s=0.0, halted=True)))
     go.on_click(lambda _: give(HaltTable(at_s=0.0, halted=False)))
 
-    def draw(known: PageState) -> None:
-        stop.disabled = bool(known.now.pace.over)
-        go.disabled = stop.disabled or not known.now.halted
+    def draw(state: PageState) -> None:
+        stop.disabled = bool(state.now.pace.over)
+        go.disabled = stop.disabled or not state.now.halted
 
     return draw
 
@@ -159,9 +159,9 @@ class Pacing:
         if self._step is not None:
             self._step.on_click(lambda _: self._order(paused=True, step_ns=STEP_NS))
 
-    def draw(self, known: PageState) -> None:
+    def draw(self, state: PageState) -> None:
         """Update the enabled controls, and the target speed if it has changed."""
-        pace = known.now.pace
+        pace = state.now.pace
         over = bool(pace.over) and self._live
         self._toggle.disabled = over
         if self._pace is None or self._pace.paused != pace.paused:
@@ -215,12 +215,12 @@ class Timeline:
             events = gui.add_button_group("Event", EVENTS)
             events.on_click(lambda _: self._go_to_event(later=events.value == EVENTS[1]))
 
-    def draw(self, known: PageState) -> None:
+    def draw(self, state: PageState) -> None:
         """Move the slider with the recording, unless the user drags it."""
-        self._now_ns = known.now.time_ns
+        self._now_ns = state.now.time_ns
         now_s = self._clock()
         if now_s - self._hand_s > HAND_S and self._often.due(now_s):
-            write(self._slider, min(round(known.now.time_ns / SECOND_NS, 2), self._end_s))
+            write(self._slider, min(round(state.now.time_ns / SECOND_NS, 2), self._end_s))
 
     def _go_to_event(self, *, later: bool) -> None:
         place = bisect_right(self._events_ns, self._now_ns) if later else bisect_left(self._events_ns, self._now_ns) - 1
@@ -256,12 +256,12 @@ class Mover:
         self._gizmo.on_update(self._drag)
         self._begin()
 
-    def draw(self, known: PageState) -> None:
+    def draw(self, state: PageState) -> None:
         """Update the poses of obstacles and whether the run is over."""
-        for name, pose in known.now.obstacles.items():
+        for name, pose in state.now.obstacles.items():
             if name in self._pose:
                 self._pose[name] = pose
-        over = bool(known.now.pace.over)
+        over = bool(state.now.pace.over)
         self._move.disabled = self._dragged.disabled = over
         if over:
             self._gizmo.visible = False
@@ -341,10 +341,10 @@ class Choice:
         """Choose another vehicle."""
         write(self._which, self._scenery.vehicles[row].name)
 
-    def draw(self, known: PageState) -> None:
+    def draw(self, state: PageState) -> None:
         """Update the enabled controls."""
         for button, stops in zip(self._stops, (True, False), strict=False):
-            button.disabled = bool(known.now.pace.over) or (self.name in known.now.halted) is stops
+            button.disabled = bool(state.now.pace.over) or (self.name in state.now.halted) is stops
 
     def _changed(self) -> None:
         """Offer the sensors of the chosen vehicle; equal names stay ticked."""

@@ -24,16 +24,16 @@ BOX = "padding: 0.1em 0.75em 0.4em; font-size: 0.82em; line-height: 1.45"
 Rows = list[tuple[str, str]]
 
 
-def vehicle_page(known: PageState, row: int) -> str:
+def vehicle_page(state: PageState, row: int) -> str:
     """All data on a vehicle except curves and pictures."""
-    if not known.names:
+    if not state.names:
         return _boxed("There are no vehicles.")
-    name = known.names[row]
-    rows = [*_identity(known, row), *_motion(known, row), *_health(known, row)]
+    name = state.names[row]
+    rows = [*_identity(state, row), *_motion(state, row), *_health(state, row)]
     parts = [_table(rows)]
-    if notes := _notes(known, name):
+    if notes := _notes(state, name):
         parts.append(_section("Noted by its agent", _table(notes)))
-    if links := _links(known, row):
+    if links := _links(state, row):
         parts.append(_section("Frames received of those sent, since the start", _table(links)))
     return _boxed("".join(parts))
 
@@ -42,11 +42,11 @@ SORTED = "name", "error", "speed", "age", "status"
 """Columns of `team_page` by which its rows can be sorted: the largest numbers first."""
 
 
-def team_page(known: PageState, by: str) -> str:
+def team_page(state: PageState, by: str) -> str:
     """A table of all vehicles, sorted by a column."""
-    numbers = {"error": errors_of(known), "speed": known.speed, "age": known.age_s}
-    statuses = [_status(known, name) for name in known.names]
-    rows = list(range(len(known.names)))
+    numbers = {"error": errors_of(state), "speed": state.speed, "age": state.age_s}
+    statuses = [_status(state, name) for name in state.names]
+    rows = list(range(len(state.names)))
     if by in numbers:
         rows = np.argsort(-np.nan_to_num(numbers[by], nan=-np.inf), kind="stable").tolist()
     elif by == "status":
@@ -54,46 +54,46 @@ def team_page(known: PageState, by: str) -> str:
     head = "".join(f"<th style='text-align: left; padding-right: 0.6em'>{name}</th>" for name in HEADINGS)
     body = []
     for row in rows:
-        cells = _text(known.names[row]), *(_number(each[row]) for each in numbers.values()), _text(statuses[row])
+        cells = _text(state.names[row]), *(_number(each[row]) for each in numbers.values()), _text(statuses[row])
         body.append(f"<tr><td>{'</td><td>'.join(cells)}</td></tr>")
     return _boxed(f"<table><tr>{head}</tr>{''.join(body)}</table>")
 
 
-def _status(known: PageState, name: str) -> str:
-    note = known.now.notes.get(name, {})
-    return "stopped" if name in known.now.halted else ", ".join(str(note[key]) for key in STATUS if note.get(key))
+def _status(state: PageState, name: str) -> str:
+    note = state.now.notes.get(name, {})
+    return "stopped" if name in state.now.halted else ", ".join(str(note[key]) for key in STATUS if note.get(key))
 
 
 def _number(value: float) -> str:
     return f"{value:.3g}" if math.isfinite(value) else ""
 
 
-def run_page(known: PageState) -> str:
+def run_page(state: PageState) -> str:
     """Name, time and speed of the run."""
-    scenery, pace = known.scenery, known.now.pace
-    now, end = known.now.time_ns / SECOND_NS, scenery.duration_ns / SECOND_NS
+    scenery, pace = state.scenery, state.now.pace
+    now, end = state.now.time_ns / SECOND_NS, scenery.duration_ns / SECOND_NS
     if pace.over:
-        state = f'<span id="over">Run finished: {escape(plain(pace.over))}</span>'
+        status = f'<span id="over">Run finished: {escape(plain(pace.over))}</span>'
     elif pace.waiting:
-        state = f"waiting for {_text(pace.waiting)}"
+        status = f"waiting for {_text(pace.waiting)}"
     elif pace.paused:
-        state = "paused"
+        status = "paused"
     else:
-        state = ("recording" if not scenery.live else "running") + (
+        status = ("recording" if not scenery.live else "running") + (
             f" at {pace.speed:g}x" if pace.speed else " as fast as it can"
         )
-        state += f", reaches {pace.achieved:.2g}x" if pace.achieved is not None else ""
+        status += f", reaches {pace.achieved:.2g}x" if pace.achieved is not None else ""
     rows = [
         ("scenario", f"{_text(scenery.scenario)}, seed {scenery.seed}"),
         ("time", f"<b>{now:.2f} s</b> of {end:g} s"),
-        ("pace", state),
+        ("pace", status),
     ]
     return _boxed(_table(rows))
 
 
-def log_page(known: PageState) -> str:
+def log_page(state: PageState) -> str:
     """The log, the newest line first."""
-    newest = list(known.lines)[: -LINES - 1 : -1]
+    newest = list(state.lines)[: -LINES - 1 : -1]
     lines = "".join(
         f'<div style="color: {LEVELS.get(line.level, "inherit")}">'
         f'<span style="opacity: 0.6">{line.time_ns / SECOND_NS:.2f} s</span> {_text(line.text)}</div>'
@@ -102,35 +102,35 @@ def log_page(known: PageState) -> str:
     return _boxed(f'<div style="max-height: 12em; overflow-y: auto">{lines or "Nothing yet."}</div>')
 
 
-def _identity(known: PageState, row: int) -> Rows:
-    craft = known.scenery.vehicles[row]
+def _identity(state: PageState, row: int) -> Rows:
+    craft = state.scenery.vehicles[row]
     mark = f'<span style="color: {css_of(row)}; -webkit-text-stroke: 0.5px #888">&#9632;</span>'
     period = f", every {craft.period_s:g} s" if craft.period_s else ""
-    note = known.now.notes.get(craft.name, {})
+    note = state.now.notes.get(craft.name, {})
     commands = ", ".join(dict.fromkeys(_text(note[key]) for key in COMMANDING if note.get(key)))
     rows = [("vehicle", f"{mark} <b>{_text(craft.name)}</b>, {_text(craft.kind)}{', real' if craft.real else ''}")]
     rows.append(("agent", f"{_text(craft.agent)}{period}" if craft.agent else "none"))
     if commands:
         rows.append(("commands", f"<b>{commands}</b>"))
-    follows = known.now.places.get(craft.name)
+    follows = state.now.places.get(craft.name)
     if follows is not None and follows.leader is not None:
         rows.append(("follows", f"{_text(follows.leader)} at ({follows.slot[0]:.2f}, {follows.slot[1]:.2f}) m"))
-    sightings = known.now.sightings.get(craft.name)
+    sightings = state.now.sightings.get(craft.name)
     if sightings is not None and sightings.found:
-        found = [
+        texts = [
             f"{_text(each.target)} at ({each.place[0]:.1f}, {each.place[1]:.1f}) m, {each.score:.2f}"
             for each in sightings.found
         ]
-        rows.append((f"recognised {max(known.now.time_ns - sightings.time_ns, 0) / SECOND_NS:.0f} s ago", "<br>".join(found)))
+        rows.append((f"recognised {max(state.now.time_ns - sightings.time_ns, 0) / SECOND_NS:.0f} s ago", "<br>".join(texts)))
     return rows
 
 
-def _motion(known: PageState, row: int) -> Rows:
-    x, y, z = (known.position[row].round(2) + 0.0).tolist()  # no -0.00
+def _motion(state: PageState, row: int) -> Rows:
+    x, y, z = (state.position[row].round(2) + 0.0).tolist()  # no -0.00
     if not math.isfinite(x):
         return [("position", "not known yet")]
-    vx, vy, vz = known.velocity[row].tolist()
-    yaw = round(float(known.yaw[row]), 2) + 0.0
+    vx, vy, vz = state.velocity[row].tolist()
+    yaw = round(float(state.yaw[row]), 2) + 0.0
     return [
         ("position", f"({x:.2f}, {y:.2f}, {z:.2f}) m"),
         ("speed", f"{math.hypot(vx, vy, vz):.2f} m/s"),
@@ -138,18 +138,18 @@ def _motion(known: PageState, row: int) -> Rows:
     ]
 
 
-def _health(known: PageState, row: int) -> Rows:
-    name, rows = known.names[row], []
-    if name in known.now.halted:
+def _health(state: PageState, row: int) -> Rows:
+    name, rows = state.names[row], []
+    if name in state.now.halted:
         rows.append(("stopped", '<b style="color: #c92a2a">by the operator</b>'))
-    presence = known.now.presence.get(name)
+    presence = state.now.presence.get(name)
     if presence is not None:
         why = f": {_text(presence.why)}" if presence.why else ""
         rows.append(("presence", f"{presence.state} since {presence.since_ns / SECOND_NS:.2f} s{why}"))
-    age_s = known.age_s[row]
+    age_s = state.age_s[row]
     if math.isfinite(age_s):
         rows.append(("last message", f"{age_s:.2f} s ago"))
-    status = known.now.real.get(name)
+    status = state.now.real.get(name)
     if status is not None:
         if status.battery_v is not None:
             rows.append(("battery", f"{status.battery_v:.1f} V"))
@@ -161,24 +161,24 @@ def _health(known: PageState, row: int) -> Rows:
     return rows
 
 
-def _notes(known: PageState, name: str) -> Rows:
-    notes = [(key, value) for key, value in known.now.notes.get(name, {}).items() if key not in COMMANDING]
+def _notes(state: PageState, name: str) -> Rows:
+    notes = [(key, value) for key, value in state.now.notes.get(name, {}).items() if key not in COMMANDING]
     rows = [(_text(key), f"{value:.4g}" if isinstance(value, float) else _text(value)) for key, value in notes[:NOTES]]
     return rows + ([("...", f"and {len(notes) - NOTES} more")] if len(notes) > NOTES else [])
 
 
-def _links(known: PageState, row: int) -> Rows:
-    sent, received = known.now.sent, known.now.received
+def _links(state: PageState, row: int) -> Rows:
+    sent, received = state.now.sent, state.now.received
     if sent is None or received is None:
         return []
     to, back = sent[row], sent[:, row]
-    others = [other for other in range(len(known.names)) if other != row and (to[other] or back[other])]
+    others = [other for other in range(len(state.names)) if other != row and (to[other] or back[other])]
     receptions = received[row] + received[:, row]
     busiest = sorted(others, key=lambda other: (-int(receptions[other]), other))[:LINKS]
     rows = []
     for other in sorted(busiest):
-        there, here = _share(received[row, other], to[other]), _share(received[other, row], back[other])
-        rows.append((_text(known.names[other]), f"to {there}, from {here}"))
+        forth_share, back_share = _share(received[row, other], to[other]), _share(received[other, row], back[other])
+        rows.append((_text(state.names[other]), f"to {forth_share}, from {back_share}"))
     return rows + ([("...", f"and {len(others) - LINKS} more")] if len(others) > LINKS else [])
 
 

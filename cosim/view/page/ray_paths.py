@@ -42,28 +42,28 @@ class RayPaths:
         self._site, self._names = scenery.site, [each.name for each in scenery.vehicles]
         self._lines = Segments(server, "/paths", np.zeros((MOST * LEGS if self._site else 0, 2, 3), np.uint8), 2.0)
         self._link: tuple[str, str, Array] | None = None  # names and places, (2, 3) m
-        self._request, self._found = threading.Event(), Found((), np.zeros(0), ())
-        self._drawn: Found | None = None
+        self._request, self._traced = threading.Event(), Found((), np.zeros(0), ())
+        self._drawn_paths: Found | None = None
         if not self._site:
             return
         self._to = server.gui.add_dropdown("Paths to", [NOBODY, *self._names])
         self._words = server.gui.add_html("")
         threading.Thread(target=self._trace, name="paths", daemon=True).start()
 
-    def draw(self, known: PageState, chosen: int) -> None:
+    def draw(self, state: PageState, chosen: int) -> None:
         """Draw what has been traced, and ask for the paths at the present places."""
         if not self._site:
             return
-        if self._found is not self._drawn:
-            self._drawn = self._found
-            points, colors = segments(self._drawn)
+        if self._traced is not self._drawn_paths:
+            self._drawn_paths = self._traced
+            points, colors = segments(self._drawn_paths)
             self._lines.put(points, colors)
-            self._words.content = in_words(self._drawn)
-        other = picked(self._to)
+            self._words.content = in_words(self._drawn_paths)
+        receiver = picked(self._to)
         link = None
-        if other not in (NOBODY, self._names[chosen]):
-            places = known.position[[chosen, self._names.index(other)]]
-            link = (self._names[chosen], other, places) if np.isfinite(places).all() else None
+        if receiver not in (NOBODY, self._names[chosen]):
+            places = state.position[[chosen, self._names.index(receiver)]]
+            link = (self._names[chosen], receiver, places) if np.isfinite(places).all() else None
         if repr(link) != repr(self._link):
             self._link = link
             self._request.set()
@@ -78,9 +78,9 @@ class RayPaths:
                 if site is None:
                     with only(NO_CODE):
                         _, _, site = site_of(json.loads(self._site), settings=None, seed=None, trust=False)
-                self._found = Found((), np.zeros(0), ()) if link is None else _link_paths(site.channel, *link)
+                self._traced = Found((), np.zeros(0), ()) if link is None else _link_paths(site.channel, *link)
             except VcmvspError:  # an antenna inside a solid, or a world of a class that is not imported here
-                self._found = Found((), np.zeros(0), ())
+                self._traced = Found((), np.zeros(0), ())
 
 
 def _link_paths(channel: Any, sender: str, receiver: str, places: Array) -> Found:
@@ -98,20 +98,20 @@ def _turns(row: dict[str, Any]) -> list[list[float]]:
     return [point for kind, point in steps if kind != "transmission"]
 
 
-def segments(found: Found) -> tuple[Array, Array]:
+def segments(paths: Found) -> tuple[Array, Array]:
     """Ends (m) and colours of the pieces of all drawn paths, (`MOST` x `LEGS`, 2, 3) each."""
     points, colors = np.zeros((MOST, LEGS, 2, 3)), np.zeros((MOST, LEGS, 2, 3), np.uint8)
-    for path, corners in enumerate(found.corners[:MOST]):
+    for path, corners in enumerate(paths.corners[:MOST]):
         legs = np.stack([corners[:-1], corners[1:]], axis=1)[:LEGS]
         points[path, : len(legs)] = legs
-    shown = len(found.corners[:MOST])
-    colors[:shown] = rssi_colors(found.level_dbm[:shown])[:, None, None]
+    count = len(paths.corners[:MOST])
+    colors[:count] = rssi_colors(paths.level_dbm[:count])[:, None, None]
     return points.reshape(-1, 2, 3), colors.reshape(-1, 2, 3)
 
 
-def in_words(found: Found) -> str:
+def in_words(paths: Found) -> str:
     """The strongest paths, as HTML."""
-    if not found.kinds:
+    if not paths.kinds:
         return ""
-    rows = [(f"{level:.1f} dBm", kinds) for level, kinds in zip(found.level_dbm[:LISTED], found.kinds, strict=False)]
-    return paths_page([*rows, ("", f"{len(found.kinds)} paths")])
+    rows = [(f"{level:.1f} dBm", kinds) for level, kinds in zip(paths.level_dbm[:LISTED], paths.kinds, strict=False)]
+    return paths_page([*rows, ("", f"{len(paths.kinds)} paths")])

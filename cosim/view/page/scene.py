@@ -43,16 +43,16 @@ class Scene:
         self._obstacles = {each.name: _add_obstacle(server, each) for each in scenery.obstacles}
         self._targets = {name: _add_target(server, name, x, y) for name, x, y in scenery.targets}
 
-    def draw(self, known: PageState, now_s: float) -> None:
+    def draw(self, state: PageState, now_s: float) -> None:
         """Update obstacles, targets and veils, and extend the floor under all vehicles."""
-        places = known.position[np.isfinite(known.position).all(axis=1), :2]
+        places = state.position[np.isfinite(state.position).all(axis=1), :2]
         if len(places):
             self.floor.widen(*places.min(axis=0).tolist(), *places.max(axis=0).tolist())
-        self._solids.draw(known.position, now_s)
-        for name, (x, y, z, yaw) in known.now.obstacles.items():
+        self._solids.draw(state.position, now_s)
+        for name, (x, y, z, yaw) in state.now.obstacles.items():
             if handle := self._obstacles.get(name):
                 handle.position, handle.wxyz = (x, y, z), quaternion_from_yaw(yaw)
-        for name, (x, y) in known.now.targets.items():
+        for name, (x, y) in state.now.targets.items():
             if handle := self._targets.get(name):
                 handle.position = (x, y, 0.0)
 
@@ -62,21 +62,21 @@ class Scene:
         sky = SKY_DARK if dark else SKY
         self._server.scene.set_background_image(np.full((1, 1, 3), sky, np.uint8), format="png")
 
-    def aim(self, known: PageState) -> bool:
+    def aim(self, state: PageState) -> bool:
         """Set the initial camera to show all vehicles, also on open pages.
 
         Returns:
             Whether the positions of the vehicles are known yet.
         """
-        found = self.fit(known)
+        is_known = self.fit(state)
         initial = self._server.initial_camera
-        middle, distance = fitted(self._places(known), START, initial.fov, 1.0)
+        middle, distance = fitted(self._places(state), START, initial.fov, 1.0)
         initial.far = max(initial.far, FAR * distance)
         initial.position = middle + distance * START
         initial.look_at = middle
-        return found or not known.names
+        return is_known or not state.names
 
-    def fit(self, known: PageState) -> bool:
+    def fit(self, state: PageState) -> bool:
         """Show all vehicles on the open pages, from the direction of the initial camera.
 
         Returns:
@@ -86,15 +86,15 @@ class Scene:
             camera = client.camera
             known_size = camera.update_timestamp and camera.image_height
             fov, aspect = (camera.fov, camera.aspect) if known_size else (self._server.initial_camera.fov, 1.0)
-            middle, distance = fitted(self._places(known), START, fov, aspect)
+            middle, distance = fitted(self._places(state), START, fov, aspect)
             with client.atomic():
                 camera.far = max(camera.far, self._server.initial_camera.far, FAR * distance)
                 camera.position = middle + distance * START
                 camera.look_at = middle  # after the position, which moves it
-        return bool(np.isfinite(known.position).all(axis=1).any())
+        return bool(np.isfinite(state.position).all(axis=1).any())
 
-    def _places(self, known: PageState) -> Array:
-        places = known.position[np.isfinite(known.position).all(axis=1)]
+    def _places(self, state: PageState) -> Array:
+        places = state.position[np.isfinite(state.position).all(axis=1)]
         west, south, east, north = self.floor.extent
         return places if len(places) else np.array([(west, south, 0.0), (east, north, 0.0)])
 
@@ -161,8 +161,8 @@ class Solids:
         changed = np.unique(self._color[veiled != self._veiled])
         self._veiled = veiled
         for index in changed.tolist():
-            for node, mine in zip(self._nodes[index], (~veiled, veiled), strict=True):
-                faces = self._faces[mine & (self._color == index)]
+            for node, mask in zip(self._nodes[index], (~veiled, veiled), strict=True):
+                faces = self._faces[mask & (self._color == index)]
                 node.visible = len(faces) > 0
                 if len(faces):
                     used, numbers = np.unique(faces, return_inverse=True)
@@ -191,14 +191,14 @@ def solids_of(faces: Array, vertices: int) -> Array:
         number = new
 
 
-def crossed(corners: Array, here: Array, there: Array) -> Array:
+def crossed(corners: Array, begin: Array, end: Array) -> Array:
     """Which triangles, (t, 3, 3) m, a straight line between two places crosses, (t,) bool (Moeller and Trumbore, 1997)."""
-    along = there - here
+    along = end - begin
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(along, second)
     size = np.einsum("ij,ij->i", first, normal)
     with np.errstate(divide="ignore", invalid="ignore"):
-        start = here - corners[:, 0]
+        start = begin - corners[:, 0]
         u = np.einsum("ij,ij->i", start, normal) / size
         side = np.cross(start, first)
         v = side @ along / size

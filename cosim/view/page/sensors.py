@@ -32,19 +32,19 @@ class Scans:
         self._colors = colors_of(len(scenery.vehicles))
         self._nodes: dict[str, viser.PointCloudHandle] = {}
         self._fans: dict[str, viser.MeshHandle] = {}
-        self._drawn: dict[str, Scan] = {}
+        self._drawn_scans: dict[str, Scan] = {}
 
-    def draw(self, known: PageState, names: tuple[str, ...]) -> None:
+    def draw(self, state: PageState, names: tuple[str, ...]) -> None:
         """Draw new scans of the wanted sensors (vehicle/sensor) and hide the others."""
         for key, node in self._nodes.items():
-            node.visible = self._fans[key].visible = key in names and key in known.now.scans
+            node.visible = self._fans[key].visible = key in names and key in state.now.scans
         for key in names:
-            scan, row = known.now.scans.get(key), known.row.get(key.partition("/")[0])
-            if scan is None or row is None or self._drawn.get(key) is scan:
+            scan, row = state.now.scans.get(key), state.row.get(key.partition("/")[0])
+            if scan is None or row is None or self._drawn_scans.get(key) is scan:
                 continue
-            self._drawn[key] = scan
-            points = points_of(scan, known.position[row], known.attitude[row])
-            vertices, faces = fan_of(scan, known.position[row], known.attitude[row])
+            self._drawn_scans[key] = scan
+            points = points_of(scan, state.position[row], state.attitude[row])
+            vertices, faces = fan_of(scan, state.position[row], state.attitude[row])
             if key in self._nodes:
                 self._nodes[key].points = points
                 self._fans[key].vertices, self._fans[key].faces = vertices, faces
@@ -75,26 +75,26 @@ class Pictures:
         self._server, self._frusta = server, Frusta(server, scenery)
         self._folder = server.gui.add_folder(None)
         self._nodes: dict[str, viser.GuiImageHandle] = {}
-        self._drawn: dict[str, Image | Sightings] = {}
+        self._drawn_pictures: dict[str, Image | Sightings] = {}
         self._often = Every(0.15)
 
-    def draw(self, known: PageState, chosen: str, names: tuple[str, ...], now_s: float) -> None:
+    def draw(self, state: PageState, chosen: str, names: tuple[str, ...], now_s: float) -> None:
         """Show new pictures of the chosen vehicle."""
         if self._often.due(now_s):
-            self._renew(known, chosen, names)
-        self._frusta.draw(known)
+            self._renew(state, chosen, names)
+        self._frusta.draw(state)
 
-    def _renew(self, known: PageState, chosen: str, names: tuple[str, ...]) -> None:
-        pictures: dict[str, Image | Sightings] = {key: known.now.images[key] for key in names if key in known.now.images}
-        sightings = known.now.sightings.get(chosen)
+    def _renew(self, state: PageState, chosen: str, names: tuple[str, ...]) -> None:
+        pictures: dict[str, Image | Sightings] = {key: state.now.images[key] for key in names if key in state.now.images}
+        sightings = state.now.sightings.get(chosen)
         if sightings is not None and sightings.jpeg:
             pictures[f"{chosen}/{sightings.sensor}{EXAMINED}"] = sightings
         for key, node in self._nodes.items():
             node.visible = key in pictures
         self._frusta.show({key.partition(EXAMINED)[0] for key in pictures})
         for key, picture in pictures.items():
-            if self._drawn.get(key) is not picture and (pixels := _pixels(picture)) is not None:
-                self._drawn[key] = picture
+            if self._drawn_pictures.get(key) is not picture and (pixels := _pixels(picture)) is not None:
+                self._drawn_pictures[key] = picture
                 self._put(key, pixels)
 
     def _put(self, key: str, pixels: Array) -> None:
@@ -143,13 +143,13 @@ class Frusta:
         for key, node in self._nodes.items():
             node.visible = key in keys
 
-    def draw(self, known: PageState) -> None:
+    def draw(self, state: PageState) -> None:
         """Move the visible pyramids with their vehicles."""
         for key, node in self._nodes.items():
             row, lens = self._lenses[key]
-            if node.visible and np.isfinite(known.position[row]).all():
-                turn = SO3(known.attitude[row])
-                node.position = known.position[row] + turn.apply(np.array(lens.mount))
+            if node.visible and np.isfinite(state.position[row]).all():
+                turn = SO3(state.attitude[row])
+                node.position = state.position[row] + turn.apply(np.array(lens.mount))
                 node.wxyz = (turn @ SO3.from_matrix(np.array(lens.body_from_camera))).wxyz
 
 
@@ -160,19 +160,19 @@ class Ground:
         self._server = server
         self.kind = MAP
         self._node: viser.ImageHandle | None = None
-        self._drawn: object = None
+        self._drawn_ground: object = None
         self._frame: tuple[float, ...] = ()
         self._often = Every(0.5)
 
-    def draw(self, known: PageState, chosen: str, now_s: float) -> None:
+    def draw(self, state: PageState, chosen: str, now_s: float) -> None:
         """Draw the map or mosaic of the chosen vehicle if it is new."""
-        layers: dict[str, Mapping[str, ProbabilityMap | Mosaic]] = {MAP: known.now.maps, MOSAIC: known.now.mosaics}
+        layers: dict[str, Mapping[str, ProbabilityMap | Mosaic]] = {MAP: state.now.maps, MOSAIC: state.now.mosaics}
         ground = layers.get(self.kind, {}).get(chosen)
         if self._node is not None:
             self._node.visible = ground is not None
-        if ground is None or ground is self._drawn or not self._often.due(now_s):
+        if ground is None or ground is self._drawn_ground or not self._often.due(now_s):
             return
-        self._drawn = ground
+        self._drawn_ground = ground
         pixels = np.ascontiguousarray(painted(ground)[::-1])  # row 0 is the south edge
         rows, columns = pixels.shape[:2]
         frame = ground.left, ground.bottom, columns * ground.cell_m, rows * ground.cell_m

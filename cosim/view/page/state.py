@@ -109,8 +109,8 @@ class PageState:
         if states is None:
             return
         if self._rows_of[0] != states.names:
-            known = [(self.row[name], column) for column, name in enumerate(states.names) if name in self.row]
-            self._rows_of = (states.names, [row for row, _ in known], [column for _, column in known])
+            pairs = [(self.row[name], column) for column, name in enumerate(states.names) if name in self.row]
+            self._rows_of = (states.names, [row for row, _ in pairs], [column for _, column in pairs])
         _, rows, columns = self._rows_of
         self.position[rows] = states.position[columns]
         self.velocity[rows] = states.velocity[columns]

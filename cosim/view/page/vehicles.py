@@ -67,31 +67,31 @@ class Places(NamedTuple):
     error_m: Array  # (k,), the formation error: see `cosim.types.Follows`
 
 
-def places_of(known: PageState) -> Places:
+def places_of(state: PageState) -> Places:
     """The present slots of followers whose positions are known."""
     rows = [
-        (known.row[name], known.row[each.leader], *each.slot, each.handle_m)
-        for name, each in known.now.places.items()
-        if name in known.row and each.leader in known.row
+        (state.row[name], state.row[each.leader], *each.slot, each.handle_m)
+        for name, each in state.now.places.items()
+        if name in state.row and each.leader in state.row
     ]
     table = np.array(rows, float).reshape(-1, 5)
     row, leader = table[:, 0].astype(int), table[:, 1].astype(int)
     slot, handle = table[:, 2:4], table[:, 4]
-    yaw, own = known.yaw[leader], known.yaw[row]
+    yaw, own = state.yaw[leader], state.yaw[row]
     ahead, own_ahead = _unit(yaw), _unit(own)
     left = ahead[:, ::-1] * (-1.0, 1.0)
-    centre = known.position[leader, :2] + slot[:, :1] * ahead + slot[:, 1:] * left
-    here = known.position[row]
-    off = here[:, :2] + handle[:, None] * own_ahead - (centre + handle[:, None] * ahead)
-    known_both = np.isfinite(off).all(axis=1)
-    place = np.column_stack([here[:, :2] - off, here[:, 2]])  # on a curve the handles coincide
-    return Places(*(part[known_both] for part in (row, leader, place, own, np.hypot(off[:, 0], off[:, 1]))))
+    centre = state.position[leader, :2] + slot[:, :1] * ahead + slot[:, 1:] * left
+    position = state.position[row]
+    off = position[:, :2] + handle[:, None] * own_ahead - (centre + handle[:, None] * ahead)
+    is_known = np.isfinite(off).all(axis=1)
+    place = np.column_stack([position[:, :2] - off, position[:, 2]])  # on a curve the handles coincide
+    return Places(*(part[is_known] for part in (row, leader, place, own, np.hypot(off[:, 0], off[:, 1]))))
 
 
-def errors_of(known: PageState) -> Array:
+def errors_of(state: PageState) -> Array:
     """Formation error of each vehicle, (n,) m; NaN: it follows no other, or a position is unknown."""
-    places = places_of(known)
-    error_m = np.full(len(known.names), np.nan)
+    places = places_of(state)
+    error_m = np.full(len(state.names), np.nan)
     error_m[places.row] = places.error_m
     return error_m
 
@@ -139,20 +139,20 @@ class Vehicles:
         self._server, self._label = server, 0
         self._slow = Every(0.1)
 
-    def draw(self, known: PageState, chosen: int, now_s: float) -> None:
+    def draw(self, state: PageState, chosen: int, now_s: float) -> None:
         """Update all vehicles."""
         if not len(self._size):
             return
-        is_known = np.isfinite(known.position).all(axis=1)
-        centre = np.where(is_known[:, None], known.position, 0.0) + rotated(known.attitude, self._offset)
+        is_known = np.isfinite(state.position).all(axis=1)
+        centre = np.where(is_known[:, None], state.position, 0.0) + rotated(state.attitude, self._offset)
         scale = np.where(is_known[:, None], self._size, TINY)
         for rows, bodies in zip(self._rows, self._bodies, strict=True):
-            bodies.put(centre[rows], known.attitude[rows], scale[rows])
+            bodies.put(centre[rows], state.attitude[rows], scale[rows])
         for shape in self._own:
-            shape.put(known.position, known.attitude, is_known)
-        self._noses.put(centre, known.attitude, scale)
+            shape.put(state.position, state.attitude, is_known)
+        self._noses.put(centre, state.attitude, scale)
         ground = self._rows[0]
-        self._wheels.put(known.position[ground], known.attitude[ground], is_known[ground])
+        self._wheels.put(state.position[ground], state.attitude[ground], is_known[ground])
         reach = np.where(is_known[:, None], DOT_M, 0.0)
         lift = np.maximum(0.5 * DOT_PX * pixel_m(self._server, centre) - 0.5 * self._size[:, 2], 0.0)  # out of the floor
         dots = centre + np.column_stack([np.zeros((len(lift), 2)), lift])
@@ -164,12 +164,12 @@ class Vehicles:
         self._chosen.visible = bool(is_known[chosen])
         self._chosen.position, self._chosen.scale = floor[chosen], 1.15 * float(reach[chosen])
         if self._slow.due(now_s):
-            self._draw_stopped(known, floor, reach)
+            self._draw_stopped(state, floor, reach)
         self._draw_labels(centre)
 
-    def _draw_stopped(self, known: PageState, floor: Array, reach: Array) -> None:
+    def _draw_stopped(self, state: PageState, floor: Array, reach: Array) -> None:
         radius = np.full(len(reach), TINY)
-        rows = [known.row[name] for name in known.now.halted if name in known.row]
+        rows = [state.row[name] for name in state.now.halted if name in state.row]
         radius[rows] = 1.5 * reach[rows]
         for node in self._stopped.nodes:
             node.visible = len(rows) > 0  # translucent shapes cost time even where they are tiny
@@ -205,8 +205,8 @@ class OwnShape:
 
     def put(self, position: Array, attitude: Array, is_known: Array) -> None:
         """Set the poses of all vehicles, (n, 3) m and (n, 4); those not seen are not drawn."""
-        shown = is_known[self._rows, None]
-        place, scale = np.where(shown, position[self._rows], 0.0), np.repeat(np.where(shown, 1.0, TINY), 3, axis=1)
+        is_shown = is_known[self._rows, None]
+        place, scale = np.where(is_shown, position[self._rows], 0.0), np.repeat(np.where(is_shown, 1.0, TINY), 3, axis=1)
         for part in self._parts:
             part.put(place, attitude[self._rows], scale)
 
@@ -228,9 +228,9 @@ class Wheels:
 
     def put(self, position: Array, attitude: Array, is_known: Array) -> None:
         """Set the wheels of robots with these poses, (k, 3) m and (k, 4); those not seen have none."""
-        turn, shown = np.repeat(attitude, 2, axis=0), np.repeat(is_known, 2)[:, None]
-        place = np.where(shown, np.repeat(position, 2, axis=0), 0.0) + rotated(turn, self._place)
-        self._wheels.put(place, turn, np.where(shown, self._scale, TINY))
+        turn, is_shown = np.repeat(attitude, 2, axis=0), np.repeat(is_known, 2)[:, None]
+        place = np.where(is_shown, np.repeat(position, 2, axis=0), 0.0) + rotated(turn, self._place)
+        self._wheels.put(place, turn, np.where(is_shown, self._scale, TINY))
 
 
 def _clicked(rows: Array, choose: Callable[[int], None]) -> Callable[[int], None]:
@@ -253,15 +253,15 @@ class Trails:
         self._often = Every(0.25)
         self._new = False
 
-    def sample(self, known: PageState) -> None:
+    def sample(self, state: PageState) -> None:
         """Add the present positions, if due."""
-        if known.times_back != self._times_back:
-            self._times_back, self._next_ns = known.times_back, 0
+        if state.times_back != self._times_back:
+            self._times_back, self._next_ns = state.times_back, 0
             self._places = self._places[:, :0]
-        if known.now.time_ns < self._next_ns or not np.isfinite(known.position).any():
+        if state.now.time_ns < self._next_ns or not np.isfinite(state.position).any():
             return
-        self._next_ns = known.now.time_ns + TRAIL_NS // self._steps
-        self._places = np.concatenate([self._places[:, -self._steps :], known.position[:, None]], axis=1)
+        self._next_ns = state.now.time_ns + TRAIL_NS // self._steps
+        self._places = np.concatenate([self._places[:, -self._steps :], state.position[:, None]], axis=1)
         self._new = True
 
     def draw(self, now_s: float) -> None:
@@ -290,16 +290,16 @@ class Ghosts:
         self._leaders = Segments(server, "/places/leaders", grey, 2.0)
         self.nodes = [*self._marks.nodes, *self._lines.nodes, *self._leaders.nodes]
 
-    def draw(self, known: PageState) -> None:
+    def draw(self, state: PageState) -> None:
         """Update the slots."""
-        places, count = places_of(known), len(self._reach)
+        places, count = places_of(state), len(self._reach)
         position, scale = np.zeros((count, 3)), np.full((count, 3), TINY)
         lines, leaders = np.zeros((count, 2, 3)), np.zeros((count, 2, 3))
-        here = known.position[places.row]
-        position[places.row] = places.place - np.column_stack([np.zeros((len(here), 2)), self._down[places.row]])
+        followers = state.position[places.row]
+        position[places.row] = places.place - np.column_stack([np.zeros((len(followers), 2)), self._down[places.row]])
         scale[places.row] = self._reach[places.row, None] * (1.0, 1.0, 0.0) + (0.0, 0.0, 1.0)
-        lines[places.row] = np.stack([here, places.place], axis=1)
-        leaders[places.row] = np.stack([here, known.position[places.leader]], axis=1)
+        lines[places.row] = np.stack([followers, places.place], axis=1)
+        leaders[places.row] = np.stack([followers, state.position[places.leader]], axis=1)
         self._marks.put(position, turned(np.zeros(count)), scale)
         self._lines.put(lines)
         self._leaders.put(leaders)
@@ -315,18 +315,18 @@ class Fixes:
         self._flies = [each.flies for each in scenery.vehicles]
         self._often, self._any = Every(0.1), False
 
-    def draw(self, known: PageState, now_s: float) -> None:
+    def draw(self, state: PageState, now_s: float) -> None:
         """Update the fixes."""
-        if not (known.now.fixes or self._any) or not self._often.due(now_s):
+        if not (state.now.fixes or self._any) or not self._often.due(now_s):
             return
-        self._any = bool(known.now.fixes)
-        count = len(known.names)
+        self._any = bool(state.now.fixes)
+        count = len(state.names)
         position, scale = np.zeros((count, 3)), np.full((count, 3), TINY)
-        for name, fix in known.now.fixes.items():
-            if (row := known.row.get(name)) is not None:
+        for name, fix in state.now.fixes.items():
+            if (row := state.row.get(name)) is not None:
                 position[row] = fix.position
                 if not self._flies[row]:  # on the floor, for any measured height
-                    position[row, 2] = known.position[row, 2] + OVER_M
+                    position[row, 2] = state.position[row, 2] + OVER_M
                 scale[row] = (max(fix.sigma_m, LEAST_M), max(fix.sigma_m, LEAST_M), 1.0)
         self._discs.put(position, turned(np.zeros(count)), scale)
 
@@ -346,42 +346,42 @@ class Links:
         self._up = np.array([(0.0, 0.0, each.offset[2] + 0.5 * each.size[2]) for each in scenery.vehicles]).reshape(-1, 3)
         self.which = ALL if count <= FEW else OWN
 
-    def draw(self, known: PageState, chosen: int) -> None:
+    def draw(self, state: PageState, chosen: int) -> None:
         """Draw the links with fresh frames."""
         if not self._room:
             return
         of = {ALL: None, OWN: chosen, NONE: -1}[self.which]
-        sender, receiver = fresh_links(known, self._room, of)
-        tops = known.position + self._up  # avoids lines through the bodies
+        sender, receiver = fresh_links(state, self._room, of)
+        tops = state.position + self._up  # avoids lines through the bodies
         points = np.zeros((self._room, 3, 2, 3))
         colors = np.zeros((self._room, 3, 2, 3), np.uint8)
-        got = known.link_received[sender, receiver]
-        shade = np.where(got[:, None], rssi_colors(known.link_rssi_dbm[sender, receiver]), np.array(LOST_RGB, np.uint8))
+        is_received = state.link_received[sender, receiver]
+        shade = np.where(is_received[:, None], rssi_colors(state.link_rssi_dbm[sender, receiver]), np.array(LOST_RGB, np.uint8))
         points[: len(sender)] = arrows(tops[sender], tops[receiver])
         colors[: len(sender)] = shade[:, None, None]
         self._lines.put(points.reshape(-1, 2, 3), colors.reshape(-1, 2, 3))
 
 
-def arrows(here: Array, there: Array) -> Array:
+def arrows(begin: Array, end: Array) -> Array:
     """Shaft and two barbs of arrows between places, (k, 3) m: (k, 3, 2, 3) m.
 
     An arrow lies to the right of the straight line, so that the two of a pair do not cover each other.
     """
-    along = there - here
+    along = end - begin
     length = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), TINY)
     ahead = along / length
     right = np.column_stack([ahead[:, 1], -ahead[:, 0], np.zeros(len(along))])
     barb = np.minimum(BARB * length, MOST_BARB_M)
     aside = 0.25 * barb * right
-    first, last = here + 0.06 * along + aside, there - 0.06 * along + aside
+    first, last = begin + 0.06 * along + aside, end - 0.06 * along + aside
     ends = [last - barb * ahead + side * 0.5 * barb * right for side in (-1.0, 1.0)]
     return np.stack([np.stack([start, last], axis=1) for start in (first, *ends)], axis=1)
 
 
-def fresh_links(known: PageState, most: int, of: int | None = None) -> tuple[Array, Array]:
+def fresh_links(state: PageState, most: int, of: int | None = None) -> tuple[Array, Array]:
     """Senders and receivers (rows) with a frame in the last second, newest ``most``, in steady order; ``of``: a vehicle."""
-    age = known.now.time_ns - known.link_sent_ns
-    placed = np.isfinite(known.position).all(axis=1)
+    age = state.now.time_ns - state.link_sent_ns
+    placed = np.isfinite(state.position).all(axis=1)
     fresh = (age >= 0) & (age <= FRESH_NS) & placed[:, None] & placed[None, :]
     sender, receiver = np.nonzero(fresh)
     if of is not None:

@@ -169,8 +169,8 @@ class Counts:
         """Frames sent and received up to a time, (n, n) int64 each, one row per sender."""
         frames = self.frames(time_ns)
         rows = self._ends[frames - 1] if frames else 0
-        known = rows // self._between
-        both = (self._sums[known] + self._count(self._codes[known * self._between : rows])).reshape(-1, 2)
+        block = rows // self._between
+        both = (self._sums[block] + self._count(self._codes[block * self._between : rows])).reshape(-1, 2)
         shape = len(self._row), len(self._row)
         return both.sum(axis=1).reshape(shape), both[:, 1].reshape(shape)
 
@@ -178,8 +178,8 @@ class Counts:
         """Time of the newest reception of each vehicle up to a time and after ``since_ns``, as its frame was reported."""
         frames = self.frames(time_ns)
         rows = self._ends[frames - 1] if frames else 0
-        known = rows // self._between
-        newest = np.maximum(self._newest[known], self._newest_receptions(known * self._between, rows))
+        block = rows // self._between
+        newest = np.maximum(self._newest[block], self._newest_receptions(block * self._between, rows))
         rows_of = zip(self._row, newest.tolist(), strict=True)
         times = [(name, self._times[bisect_right(self._ends, row)]) for name, row in rows_of if row >= 0]
         return {name: at_ns for name, at_ns in times if since_ns is None or at_ns > since_ns}

@@ -56,12 +56,12 @@ def _fix_of(message: PoseInFrame) -> Fix:
 
 
 def _poses_of(message: FrameTransforms) -> dict[str, Pose]:
-    found = {}
+    poses = {}
     for each in message.transforms:
         at, turn = each.translation, each.rotation
         pose = (at.x, at.y, at.z, yaw_of((turn.w, turn.x, turn.y, turn.z)))
-        found[each.child_frame_id.removeprefix("obstacle/")] = pose
-    return found
+        poses[each.child_frame_id.removeprefix("obstacle/")] = pose
+    return poses
 
 
 def _scan_of(message: LaserScan) -> Scan:

@@ -162,20 +162,20 @@ class Messages:
         self._parts.append(part)
         self._walk(raw, len(self._parts) - 1 << _OFFSET_BITS, sum(next(self._counts, {}).values()) or part.size)
 
-    def _walk(self, raw: bytes, base: int, left: int) -> None:
-        """Index the messages of a chunk, at most ``left``; ``base`` identifies the chunk in the index."""
+    def _walk(self, raw: bytes, base: int, remaining: int) -> None:
+        """Index the messages of a chunk, at most ``remaining``; ``base`` identifies the chunk in the index."""
         place, size, channels = 0, len(raw), self._channels
         record, head, time_ns = _RECORD.unpack_from, _MESSAGE.unpack_from, self.end_ns
         while place < size:
             opcode, length = record(raw, place)
             end = place + _START + length
             if opcode == MESSAGE:
-                left -= 1
-                if left < 0:
+                remaining -= 1
+                if remaining < 0:
                     raise ValueError("a chunk contains more messages than its index")
                 channel, _, time_ns = head(raw, place + _START)
-                if (known := channels[channel]) is not None:
-                    topic, taker = known
+                if (entry := channels[channel]) is not None:
+                    topic, taker = entry
                     topic.add_time(time_ns)
                     topic.add_place(base | place)
                     if taker is not None:

@@ -74,11 +74,11 @@ class Recording:
         collected.close()
         self.troubles = [f"{FILE} can be read up to {self.end_ns / SECOND_NS:.3f} s: {damage}"] if damage else []
         self.ending = damage or collected.ending or "the recording ends here"
-        known = self._staged()
+        scenery = self._staged()
         collected.lines[:0] = [LogLine(time_ns=0, level="warning", text=text) for text in self.troubles]
-        crafts = [msgspec.structs.replace(each, sensors=self._sensors(each.name, each.sensors)) for each in known.vehicles]
+        crafts = [msgspec.structs.replace(each, sensors=self._sensors(each.name, each.sensors)) for each in scenery.vehicles]
         events_ns = tuple(dict.fromkeys(line.time_ns for line in collected.lines))
-        self.scenery = msgspec.structs.replace(known, vehicles=tuple(crafts), duration_ns=self.end_ns, events_ns=events_ns)
+        self.scenery = msgspec.structs.replace(scenery, vehicles=tuple(crafts), duration_ns=self.end_ns, events_ns=events_ns)
 
     def close(self) -> None:
         """Close the file."""
@@ -97,7 +97,7 @@ class Recording:
         """
         counts, span = self._collected.counts, (time_ns, since_ns)
         first, last = 0 if since_ns is None else counts.frames(since_ns), counts.frames(time_ns)
-        newest: dict[str, Any] = {field: self._each(what, self._value, *span) for what, field in NEWEST.items()}
+        newest: dict[str, Any] = {field: self._each(subtopic, self._value, *span) for subtopic, field in NEWEST.items()}
         newest |= self.readings(*span, sensors)
         sent, received = counts.at(time_ns) if since_ns is None or first < last else (None, None)
         return PageUpdate(
@@ -119,17 +119,17 @@ class Recording:
 
     def readings(self, time_ns: int, since_ns: int | None, sensors: Sequence[str]) -> dict[str, Any]:
         """The newest ``scans`` and ``images`` of these sensors (vehicle/sensor); ``since_ns`` and errors as in `at`."""
-        found: dict[str, Any] = {"scans": {}, "images": {}}
+        readings: dict[str, Any] = {"scans": {}, "images": {}}
         for name in sensors:
             topic = self._file.topics.get(name)
             if topic is None or not _is_reading(topic.schema) or (number := topic.newest(time_ns, since_ns)) < 0:
                 continue
             reading = self._value(topic, number)
             if topic.schema == IMAGE:
-                found["images"][name] = decoding.image_of(reading, self._first(f"{name}/{CALIBRATION}"))
+                readings["images"][name] = decoding.image_of(reading, self._first(f"{name}/{CALIBRATION}"))
             else:
-                found["scans"][name] = reading
-        return found
+                readings["scans"][name] = reading
+        return readings
 
     def _staged(self) -> Scenery:
         """The scenery of the run; without its scenario or its world, only the vehicles."""
@@ -151,7 +151,7 @@ class Recording:
 
     def _sensors(self, vehicle: str, kinds: Mapping[str, str]) -> dict[str, str]:
         read = [name.partition("/") for name, topic in self._file.topics.items() if _is_reading(topic.schema)]
-        return {sensor: kinds.get(sensor, "") for who, _, sensor in read if who == vehicle}
+        return {sensor: kinds.get(sensor, "") for owner, _, sensor in read if owner == vehicle}
 
     def _content(self, topic: Topic, number: int) -> bytes:
         try:
@@ -163,29 +163,29 @@ class Recording:
     def _value(self, topic: Topic, number: int) -> Any:
         message = Recorded(topic.name, topic.schema, topic.time_ns(number), self._content(topic, number))
         value = self._values.of(message)
-        shown = decoding.SHOWN_AS.get(type(value))
-        return value if shown is None else shown(value)
+        convert = decoding.SHOWN_AS.get(type(value))
+        return value if convert is None else convert(value)
 
     def _first(self, name: str) -> Any:
         topic = self._file.topics.get(name)
         return None if topic is None else self._value(topic, 0)
 
-    def _each(self, what: str, read: Callable[[Topic, int], T], time_ns: int, since_ns: int | None) -> dict[str, T]:
+    def _each(self, subtopic: str, read: Callable[[Topic, int], T], time_ns: int, since_ns: int | None) -> dict[str, T]:
         """Each vehicle's newest message of a topic, if any, read by topic and number."""
-        topics = {vehicle: self._file.topics.get(f"{vehicle}/{what}") for vehicle in self.vehicles}
-        found = [(vehicle, topic, topic.newest(time_ns, since_ns)) for vehicle, topic in topics.items() if topic is not None]
-        return {vehicle: read(topic, number) for vehicle, topic, number in found if number >= 0}
+        topics = {vehicle: self._file.topics.get(f"{vehicle}/{subtopic}") for vehicle in self.vehicles}
+        newest = [(vehicle, topic, topic.newest(time_ns, since_ns)) for vehicle, topic in topics.items() if topic is not None]
+        return {vehicle: read(topic, number) for vehicle, topic, number in newest if number >= 0}
 
     def _states(self, time_ns: int, since_ns: int | None) -> States | None:
         """The newest complete states: at the end of a cut file, states may cover some vehicles only."""
-        found = [topic for name in self.vehicles if (topic := self._file.topics.get(f"{name}/{STATE}")) is not None]
-        numbers = [topic.newest(time_ns) for topic in found]
-        if len(found) < len(self.vehicles) or min(numbers) < 0:
+        topics = [topic for name in self.vehicles if (topic := self._file.topics.get(f"{name}/{STATE}")) is not None]
+        numbers = [topic.newest(time_ns) for topic in topics]
+        if len(topics) < len(self.vehicles) or min(numbers) < 0:
             return None
-        when_ns = min(topic.time_ns(number) for topic, number in zip(found, numbers, strict=True))
+        when_ns = min(topic.time_ns(number) for topic, number in zip(topics, numbers, strict=True))
         if since_ns is not None and when_ns <= since_ns:
             return None
-        rows = [self._value(topic, topic.newest(when_ns)) for topic in found]
+        rows = [self._value(topic, topic.newest(when_ns)) for topic in topics]
         return states_of(dict(zip(self.vehicles, rows, strict=True)))
 
     def _noted(self, topic: Topic, number: int) -> dict[str, Any]:
@@ -234,8 +234,8 @@ def _is_reading(schema: str) -> bool:
 
 
 def _is_wanted(topic: str, schema: str) -> bool:
-    what = topic.partition("/")[2]
-    of_vehicle = what in NEWEST or what in (STATE, NOTE, SIGHTINGS, f"{SIGHTINGS}/{PICTURE}")
+    subtopic = topic.partition("/")[2]
+    of_vehicle = subtopic in NEWEST or subtopic in (STATE, NOTE, SIGHTINGS, f"{SIGHTINGS}/{PICTURE}")
     of_run = topic in (FRAMES, LOG, HALTED, MOVING, SCENE)
     return of_vehicle or of_run or _is_reading(schema) or schema == FIX or topic.endswith(f"/{CALIBRATION}")
 
@@ -276,11 +276,11 @@ class Player:
             self._paused, self._from_ns = True, now_ns
         since_ns = None if self._last_ns is None or now_ns < self._last_ns else self._last_ns
         self._last_ns = now_ns
-        shown = self._recording.at(now_ns, since_ns, self._sensors)
+        update = self._recording.at(now_ns, since_ns, self._sensors)
         if names := [name for name in self._sensors if name not in before]:  # the newest, of any age
             readings = self._recording.readings(now_ns, None, names)
-            shown = msgspec.structs.replace(shown, **{name: getattr(shown, name) | new for name, new in readings.items()})
-        return msgspec.structs.replace(shown, pace=self._pace(now_ns))
+            update = msgspec.structs.replace(update, **{name: getattr(update, name) | new for name, new in readings.items()})
+        return msgspec.structs.replace(update, pace=self._pace(now_ns))
 
     def _obey(self, order: Order) -> None:
         now_ns, end_ns = self._now_ns(), self._recording.end_ns

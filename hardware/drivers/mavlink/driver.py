@@ -188,10 +188,10 @@ class MavlinkDriver(ReconnectingDriver):
             position_ns = now_ns if samples else position_ns
             message_ns = now_ns if messages else message_ns
             if now_ns >= position_ns + silence_ns:
-                what, where = "no position was received", "its GPS or other positioning"
+                problem, where = "no position was received", "its GPS or other positioning"
                 if now_ns >= message_ns + silence_ns:
-                    what, where = "no message was received", "the vehicle's battery, cable and radio"
-                raise LinkLost(self.device, f"{what} for {self._silence_s:g} s", f"check {where}")
+                    problem, where = "no message was received", "the vehicle's battery, cable and radio"
+                raise LinkLost(self.device, f"{problem} for {self._silence_s:g} s", f"check {where}")
 
     def _exchange(self, until_ns: int) -> tuple[int, int]:
         """Send what is due, and receive until this time; number of messages and of samples."""

@@ -157,7 +157,7 @@ class VehicleSearch:
     def __init__(self, device: str, system_id: int, kind: Kind | None) -> None:
         self._device, self._system_id, self._kind = device, system_id, kind
         self._readers: dict[str, MessageReader] = {}
-        self._found: dict[tuple[Sender, str], Message] = {}  # newest heartbeat by sender and source
+        self._heartbeats: dict[tuple[Sender, str], Message] = {}  # newest heartbeat by sender and source
         self._others: dict[int, str] = {}  # other systems
         self._first_ns = 0
         self._received_bytes = 0
@@ -176,17 +176,17 @@ class VehicleSearch:
 
     def decide(self, now_ns: int) -> Peer | None:
         """The vehicle, if it is determined by now."""
-        if not self._found or now_ns < self.due_ns:
+        if not self._heartbeats or now_ns < self.due_ns:
             return None
-        if len(self._found) > 1:
-            systems = sorted({sender.system for sender, _ in self._found})
+        if len(self._heartbeats) > 1:
+            systems = sorted({sender.system for sender, _ in self._heartbeats})
             if len(systems) == 1:
                 happened = f"system {systems[0]} sends from more than one address"
                 raise HandshakeError(self._device, happened, "give each vehicle its own system id or its own port")
             listed = f"{', '.join(map(str, systems[:-1]))} and {systems[-1]}"
             happened = f"systems {listed} speak here"
             raise HandshakeError(self._device, happened, f"choose one, e.g. system_id = {systems[0]}")
-        ((sender, source), heartbeat), *_ = self._found.items()
+        ((sender, source), heartbeat), *_ = self._heartbeats.items()
         return self._peer(sender, source, heartbeat)
 
     @property
@@ -207,11 +207,11 @@ class VehicleSearch:
         if not self._others:
             happened = f"no heartbeat was received {waited}"
             return HandshakeError(self._device, happened, "let the autopilot send HEARTBEAT on this port")
-        there = ", ".join(f"system {each} ({self._others[each]})" for each in sorted(self._others))
+        systems = ", ".join(f"system {each} ({self._others[each]})" for each in sorted(self._others))
         if self._system_id:
-            happened = f"system {self._system_id} was not received {waited}, only {there}"
+            happened = f"system {self._system_id} was not received {waited}, only {systems}"
             return HandshakeError(self._device, happened, "set system_id to the id of the vehicle, or switch the vehicle on")
-        return HandshakeError(self._device, f"no vehicle was received {waited}, only {there}", "switch the vehicle on")
+        return HandshakeError(self._device, f"no vehicle was received {waited}, only {systems}", "switch the vehicle on")
 
     def _take(self, heartbeat: Message, source: str, now_ns: int) -> None:
         sender = protocol.sender_of(heartbeat)
@@ -219,7 +219,7 @@ class VehicleSearch:
             if len(self._others) < READERS:
                 self._others[sender.system] = type_name(heartbeat.type)
             return
-        self._found[sender, source] = heartbeat
+        self._heartbeats[sender, source] = heartbeat
         self._first_ns = self._first_ns or now_ns
 
     def _peer(self, sender: Sender, source: str, heartbeat: Message) -> Peer:

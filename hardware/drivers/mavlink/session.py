@@ -91,9 +91,9 @@ class MavlinkSampler:
         pose = (state.position[0], state.position[1], state.yaw)
         base = self._base = self._base or pose
         dx, dy = rotate2(pose[0] - base[0], pose[1] - base[1], self._start[2] - base[2])
-        there = (self._start[0] + dx, self._start[1] + dy, self._start[2] + wrap(pose[2] - base[2]))
+        odometry_pose = (self._start[0] + dx, self._start[1] + dy, self._start[2] + wrap(pose[2] - base[2]))
         forward, _ = rotate2(state.velocity[0], state.velocity[1], -pose[2])
-        return Odometry(pose=there, v=forward, w=state.angular_velocity[2])
+        return Odometry(pose=odometry_pose, v=forward, w=state.angular_velocity[2])
 
 
 def _local(message: Message) -> tuple[Vec3, Vec3] | None:
@@ -178,8 +178,8 @@ class MavlinkSession:
         """Request that is not fulfilled, with the vehicle's answer."""
         last = self._texts.last
         notes = ", ".join(each for each in (self._refusal, last and f'it says "{last}"') if each)
-        what = self._steps[0].what if self._steps else "nothing"
-        return f"{what} ({notes})" if notes else what
+        request = self._steps[0].what if self._steps else "nothing"
+        return f"{request} ({notes})" if notes else request
 
     @property
     def stopped(self) -> str:

@@ -201,7 +201,7 @@ class Ros2Driver(ThreadedDriver):
         self._presence = RobotPresence(self._silence_s)
         self._connected = False
         self._lost = ""  # reason of the loss
-        self._spoke: bytes | None = None  # node of the last connection's odometry
+        self._last_sender: bytes | None = None  # node of the last connection's odometry
         self._lost_ns = 0
 
     def _wake(self) -> None:
@@ -291,8 +291,8 @@ class Ros2Driver(ThreadedDriver):
     def _look(self, now_ns: int) -> None:
         silent, unheard = self._presence.missing(now_ns)
         if self._connected and (silent or unheard):
-            what = f"odometry on {self._odometry.topic}" if silent else f"listener to {self._command.topic}"
-            happened = f"no {what} for {self._silence_s:g} s"
+            missing = f"odometry on {self._odometry.topic}" if silent else f"listener to {self._command.topic}"
+            happened = f"no {missing} for {self._silence_s:g} s"
             with self._lock:
                 self._connected, self._lost, self._lost_ns = False, happened, now_ns
                 self._repeater.stop(happened)
@@ -300,8 +300,8 @@ class Ros2Driver(ThreadedDriver):
         elif not self._connected and not (silent or unheard):
             with self._lock:
                 sender = self._presence.sender
-                self._sampler.connect(anew=sender is None or sender != self._spoke)
-                self._connected, self._lost, self._spoke = True, "", sender
+                self._sampler.connect(anew=sender is None or sender != self._last_sender)
+                self._connected, self._lost, self._last_sender = True, "", sender
                 self._repeater.stop(NOT_YET)
             self._notice("connected", f"odometry on {self._odometry.topic}, commands to {self._command.topic}")
             self._ready.set()
@@ -320,8 +320,8 @@ class Ros2Driver(ThreadedDriver):
             advice = "the node expects Twist: set stamped = false, or correct release"
         elif others:
             does = {"MP": "publishes", "MS": "hears"}
-            there = ", ".join(f"another node {does[each.kind]} {each.topic} ({each.type})" for each in others[:_SHOWN])
-            advice = f"check topics, namespace and release: {there}"
+            nodes = ", ".join(f"another node {does[each.kind]} {each.topic} ({each.type})" for each in others[:_SHOWN])
+            advice = f"check topics, namespace and release: {nodes}"
         else:
             advice = "check that the robot is running, with this domain, and connected to this router"
         return HandshakeError(self.device, f"{' and '.join(missing)} within {self._connect_s:g} s", advice)

@@ -59,9 +59,9 @@ class Node:
         self._session = _session(with_slash(endpoint), mode)
         self._ids: dict[Endpoint, bytes] = {}
         self._references: list[Any] = []  # Zenoh undeclares objects without references
-        self._mine = str(self._session.zid())
+        self._session_id = str(self._session.zid())
         try:
-            self._declare(mapping.tokens(self._mine, ())[-1])
+            self._declare(mapping.tokens(self._session_id, ())[-1])
             self.add(*endpoints)
         except zenoh.ZError as error:
             self.close()
@@ -70,7 +70,7 @@ class Node:
     def add(self, *endpoints: Endpoint) -> None:
         """Announce further endpoints to the other nodes."""
         every = (*self._ids, *endpoints)
-        for each, token in zip(every, self._mapping.tokens(self._mine, every), strict=False):
+        for each, token in zip(every, self._mapping.tokens(self._session_id, every), strict=False):
             if each not in self._ids:
                 self._ids[each] = gid_of(token)
                 self._declare(token)
@@ -78,14 +78,16 @@ class Node:
     def _declare(self, token: str) -> None:
         self._references.append(self._session.liveliness().declare_token(token))
 
-    def publisher(self, what: Endpoint, matched: Callable[[bool], None], *, complete: bool = False) -> Callable[[bytes], None]:
+    def publisher(
+        self, endpoint: Endpoint, matched: Callable[[bool], None], *, complete: bool = False
+    ) -> Callable[[bytes], None]:
         """Function that publishes a message; ``matched`` gets, in Zenoh's thread, whether there is a subscriber.
 
         By default a subscriber that does not read loses messages; if they must be ``complete``, it delays the publisher.
         """
         congestion = zenoh.CongestionControl
         publisher = self._session.declare_publisher(
-            self._mapping.publishes(what.topic, what.type),
+            self._mapping.publishes(endpoint.topic, endpoint.type),
             congestion_control=congestion.BLOCK if complete else congestion.DROP,
             express=True,
         )
@@ -100,12 +102,12 @@ class Node:
         def publish(data: bytes) -> None:
             nonlocal number
             number += 1
-            attachment = self._mapping.attachment(Origin(number, time.time_ns(), self._ids[what]))
+            attachment = self._mapping.attachment(Origin(number, time.time_ns(), self._ids[endpoint]))
             publisher.put(data, attachment=attachment)
 
         return publish
 
-    def hear(self, what: Endpoint, on_message: Callable[[ReceivedMessage], None], *, any_type: bool = False) -> None:
+    def hear(self, endpoint: Endpoint, on_message: Callable[[ReceivedMessage], None], *, any_type: bool = False) -> None:
         """Pass on messages of a topic, in Zenoh's thread; with ``any_type`` those of other types, too."""
 
         def took(sample: zenoh.Sample) -> None:
@@ -116,23 +118,27 @@ class Node:
             origin = origin_of(sample.attachment.to_bytes()) if sample.attachment is not None else None
             on_message(ReceivedMessage(name, sample.payload.to_bytes(), origin.gid if origin else None, arrived_ns))
 
-        expression = self._mapping.subscription_key(what.topic) if any_type else self._mapping.publishes(what.topic, what.type)
+        expression = (
+            self._mapping.subscription_key(endpoint.topic)
+            if any_type
+            else self._mapping.publishes(endpoint.topic, endpoint.type)
+        )
         self._references.append(self._session.declare_subscriber(expression, Callback(took, indirect=False)))
 
-    def latch(self, what: Endpoint, data: bytes) -> None:
+    def latch(self, endpoint: Endpoint, data: bytes) -> None:
         """Publish a message that later subscribers get, too: rmw_zenoh's transient-local topics are advanced publishers."""
-        key = self._mapping.publishes(what.topic, what.type)
+        key = self._mapping.publishes(endpoint.topic, endpoint.type)
         cache = zenoh.ext.CacheConfig(max_samples=1)
         publisher = zenoh.ext.declare_advanced_publisher(self._session, key, cache=cache, publisher_detection=True)
-        publisher.put(data, attachment=self._mapping.attachment(Origin(1, time.time_ns(), self._ids[what])))
+        publisher.put(data, attachment=self._mapping.attachment(Origin(1, time.time_ns(), self._ids[endpoint])))
         self._references.append(publisher)
 
-    def serve(self, what: Endpoint, called: Callable[[Call], None]) -> None:
+    def serve(self, endpoint: Endpoint, called: Callable[[Call], None]) -> None:
         """Pass on calls of a service, in Zenoh's thread; those without a valid attachment get no answer.
 
         The attachment of an answer has the number and the sender of the request.
         """
-        key = self._mapping.publishes(what.topic, what.type)
+        key = self._mapping.publishes(endpoint.topic, endpoint.type)
 
         def took(query: zenoh.Query) -> None:
             origin = origin_of(query.attachment.to_bytes()) if query.attachment is not None else None
@@ -154,7 +160,7 @@ class Node:
         for reply in self._session.liveliness().get(self._mapping.graph, timeout=GRAPH_S):
             token = str(reply.ok.key_expr) if reply.ok is not None else ""
             endpoint = self._mapping.endpoint(token)
-            if endpoint is not None and f"/{self._mine}/" not in token:
+            if endpoint is not None and f"/{self._session_id}/" not in token:
                 endpoints.add(endpoint)
         return sorted(endpoints, key=lambda each: (each.topic not in own, each))
 
@@ -164,7 +170,7 @@ class Node:
         def took(sample: zenoh.Sample) -> None:
             token = str(sample.key_expr)
             endpoint = self._mapping.endpoint(token)
-            if endpoint is not None and f"/{self._mine}/" not in token:
+            if endpoint is not None and f"/{self._session_id}/" not in token:
                 on_change(token, endpoint, sample.kind == zenoh.SampleKind.PUT)
 
         liveliness = self._session.liveliness()

@@ -186,8 +186,8 @@ class RmwZenoh:
         tokens = []
         for number, (kind, topic, name, latched) in enumerate(endpoints, start=1):
             quality = ":1:,1" if latched else f"::,{DEPTH}"
-            what = f"%{topic.replace('/', '%')}/{_dds_type(name)}/{self._hash(name)}/{quality}:,:,:,,"
-            tokens.append(f"{lead}/{number}/{kind}/%/%/{self._node}/{what}")
+            topic_info = f"%{topic.replace('/', '%')}/{_dds_type(name)}/{self._hash(name)}/{quality}:,:,:,,"
+            tokens.append(f"{lead}/{number}/{kind}/%/%/{self._node}/{topic_info}")
         return [*tokens, f"{lead}/0/NN/%/%/{self._node}"]
 
     def endpoint(self, token: str) -> Endpoint | None:

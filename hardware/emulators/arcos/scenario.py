@@ -200,10 +200,10 @@ def period_of(parsed: Scenario) -> float:
 
 def changes_of(parsed: Scenario, own: VehicleTable, robot: Robot, period_s: float, pose: Vec3 | None) -> dict[str, Any]:
     """Changes of the scenario."""
-    here = f"vehicle.{own.name}"
+    prefix = f"vehicle.{own.name}"
     agent: dict[str, Any] = {"period_s": period_s, "latency_s": 0.0}
     kind = f"{DeviceAgent.__module__}:{DeviceAgent.__qualname__}"
-    changes: dict[str, Any] = {f"{here}.agent": agent, f"{here}.pose_source": "truth"}
+    changes: dict[str, Any] = {f"{prefix}.agent": agent, f"{prefix}.pose_source": "truth"}
     others = [each.agent for each in parsed.vehicle if each is not own and each.agent is not None]
     if "kind" in parsed.agents.defaults and all(each.kind for each in others):
         changes["agents.kind"] = kind  # no other vehicle uses that default
@@ -211,10 +211,10 @@ def changes_of(parsed: Scenario, own: VehicleTable, robot: Robot, period_s: floa
         agent["kind"] = kind
     for number, content in sonars_of(robot, 1.0 / period_s).items():
         if number not in own.sensors:
-            changes[f"{here}.sensors.{number}"] = content
+            changes[f"{prefix}.sensors.{number}"] = content
     if pose is not None:
         x, y, yaw = pose
         start = {"pose": [x, y, yaw]} if own.pose is not None else {"position": [x, y, 0.0], "heading": yaw}
-        changes |= {f"{here}.{key}": value for key, value in start.items()}
+        changes |= {f"{prefix}.{key}": value for key, value in start.items()}
     simulated = {**parsed.twins, **{f"vehicle.{name}.pose_source": "truth" for name in parsed.real}}
     return changes | simulated

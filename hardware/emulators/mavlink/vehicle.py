@@ -89,8 +89,8 @@ class Telemetry:
 
     def _telemetry_message(self, name: str, now_ns: int, now: "Vehicle") -> Message:
         boot_ms, state = now_ns // 1_000_000, now.state
-        here: Vec3 = tuple(a - b for a, b in zip(state.position, self._origin, strict=True))  # type: ignore[assignment]
-        north, east, down = world_flipped(here) if not now.blind else (math.nan,) * 3
+        position: Vec3 = tuple(a - b for a, b in zip(state.position, self._origin, strict=True))  # type: ignore[assignment]
+        north, east, down = world_flipped(position) if not now.blind else (math.nan,) * 3
         velocity = world_flipped(state.velocity)
         match name:
             case "LOCAL_POSITION_NED":
@@ -99,7 +99,7 @@ class Telemetry:
                 rates = protocol.body_flipped(state.angular_velocity)
                 return mavlink.MAVLink_attitude_message(boot_ms, *euler_from_attitude(state.attitude), *rates)
             case "GLOBAL_POSITION_INT":
-                latitude, longitude, height = self._plane.geodetic(*here)
+                latitude, longitude, height = self._plane.geodetic(*position)
                 cm = [round(100.0 * each) for each in velocity]
                 heading = round(100.0 * math.degrees(euler_from_attitude(state.attitude)[2])) % 36_000
                 above = round(1e3 * state.position[2])

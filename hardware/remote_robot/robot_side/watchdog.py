@@ -122,10 +122,10 @@ class DriverWatchdog:
                 driver.stop(cause)
 
         seconds = (GRACE_S, "stopping it", stop), (driver.close_deadline_s + GRACE_S, "closing it", driver.close)
-        for most_s, doing, what in seconds:
+        for most_s, doing, action in seconds:
             try:
                 with within(most_s, driver.device, doing, meanwhile):
-                    what()
+                    action()
             except Exception as error:
                 self._tell(f"{doing}: {error}")
         self._gather()

@@ -248,8 +248,8 @@ class ZenohDriver(ThreadedDriver):
             return
         with self._lock:
             self._connected, self._lost = True, None
-        who = "" if self._peer.name == key_names.OPEN else f", certificate of '{self._peer.name}'"
-        about = f"{plain(self._hello.device)} aboard{who}; its clock is known to {clock.error_ns / 1e6:.1f} ms"
+        certificate = "" if self._peer.name == key_names.OPEN else f", certificate of '{self._peer.name}'"
+        about = f"{plain(self._hello.device)} aboard{certificate}; its clock is known to {clock.error_ns / 1e6:.1f} ms"
         self._notice("connected", about)
         self._ready.set()
 

@@ -48,29 +48,29 @@ class RemoteSampler:
 
     def sample(self, status: RobotStatus, arrived_ns: int, stopped: str) -> Sample | None:
         """Sample of a message; None: it has none, an old one, one that is not finite, or the clock is unknown."""
-        theirs, clock = status.sample, self.clock.best(arrived_ns)
-        if theirs is None or clock is None or not _finite(msgspec.to_builtins(theirs)):
+        sample, clock = status.sample, self.clock.best(arrived_ns)
+        if sample is None or clock is None or not _finite(msgspec.to_builtins(sample)):
             return None
-        key = (status.opened, theirs.link, theirs.number)
-        if self._last is not None and self._last[0] == status.opened and theirs.number <= self._last[2]:
+        key = (status.opened, sample.link, sample.number)
+        if self._last is not None and self._last[0] == status.opened and sample.number <= self._last[2]:
             return None
         if self._last is not None and self._last[:2] != key[:2]:
             self.link += 1
         goes_on = self._last is not None and self._last[0] == status.opened
-        self._number += min(theirs.number - self._last[2], MOST_MISSED) if self._last is not None and goes_on else 1
+        self._number += min(sample.number - self._last[2], MOST_MISSED) if self._last is not None and goes_on else 1
         self._last = key
-        came_ns = min(theirs.arrived_ns + clock.offset_ns, arrived_ns)
-        self._measured_ns = max(self._measured_ns, min(theirs.measured_ns + clock.offset_ns, came_ns))
-        self.pose = theirs.odometry.pose
-        self._sonar |= dict(theirs.sonar[:MOST_READINGS])
+        came_ns = min(sample.arrived_ns + clock.offset_ns, arrived_ns)
+        self._measured_ns = max(self._measured_ns, min(sample.measured_ns + clock.offset_ns, came_ns))
+        self.pose = sample.odometry.pose
+        self._sonar |= dict(sample.sonar[:MOST_READINGS])
         return msgspec.structs.replace(
-            theirs,
+            sample,
             number=self._number,
             link=self.link,
             arrived_ns=max(came_ns, self._measured_ns),
             measured_ns=self._measured_ns,
             sonar=tuple(self._sonar.items())[-MOST_READINGS:],
-            stopped=stopped or plain(theirs.stopped),
+            stopped=stopped or plain(sample.stopped),
         )
 
     def clear_sonar(self) -> None:

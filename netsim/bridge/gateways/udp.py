@@ -136,14 +136,14 @@ class PortPlan:
         return used
 
     def _check_receiving(self, vehicle: str, place: ProgramAddress, sending: set[int]) -> None:
-        here, there = ipaddress.ip_address(self.listen), ipaddress.ip_address(place.host)
-        if here.version != there.version:
-            raise ValueError(f"listen: {here} cannot send to {there} of {vehicle}: use IPv4 for both, or IPv6 for both")
-        if here.is_loopback and not there.is_loopback:
-            raise ValueError(f"listen: {here} cannot send to {there} of {vehicle}, another machine: {_ELSEWHERE}")
+        own, remote = ipaddress.ip_address(self.listen), ipaddress.ip_address(place.host)
+        if own.version != remote.version:
+            raise ValueError(f"listen: {own} cannot send to {remote} of {vehicle}: use IPv4 for both, or IPv6 for both")
+        if own.is_loopback and not remote.is_loopback:
+            raise ValueError(f"listen: {own} cannot send to {remote} of {vehicle}, another machine: {_ELSEWHERE}")
         if place.port > HIGHEST:
             raise ValueError(f"first_port: {self._first_port} leads to port {place.port}, above the maximum {HIGHEST}")
-        if place.port in sending and (here == there or here.is_unspecified):
+        if place.port in sending and (own == remote or own.is_unspecified):
             raise ValueError(f"ports: receive port {place.port} of {vehicle} is also a port to send to; choose another one")
 
 

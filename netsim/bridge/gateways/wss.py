@@ -277,9 +277,9 @@ class Wss:
     def _row(self, name: str) -> int | None:
         return self._context.vehicles.index(name) if name in self._context.vehicles else None
 
-    def _level_dbm(self, one: int, other: int) -> float:
+    def _level_dbm(self, a: int, b: int) -> float:
         """Level of the weaker direction: TCP needs both."""
-        return float(np.minimum(self._context.level_dbm(one, other), self._context.level_dbm(other, one)))  # NaN if either is
+        return float(np.minimum(self._context.level_dbm(a, b), self._context.level_dbm(b, a)))  # NaN if either is
 
     def _linked(self, pair: Pair) -> bool:
         return self._level_dbm(pair.caller, pair.called) >= self._cutoff_dbm

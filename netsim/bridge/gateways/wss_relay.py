@@ -58,7 +58,7 @@ class RelayStream:
     def __init__(self, loop: asyncio.AbstractEventLoop, offer: Offer, chunk_bytes: int) -> None:
         self._loop, self._offer, self._chunk_bytes = loop, offer, chunk_bytes
         self._window, self._moved = Window(), asyncio.Event()
-        self._read = self._taken = 0  # chunks: read from one program, taken by the other
+        self._read = self._written = 0  # chunks: read from one program, taken by the other
         self._under_way: dict[int, tuple[bytes, int]] = {}  # number -> chunk, losses so far
         self._arrived: dict[int, bytes] = {}  # out of order
         self._next = 0  # first missing chunk
@@ -96,7 +96,7 @@ class RelayStream:
     async def _read_all(self, source: socket.socket) -> None:
         chunk = b"?"
         while chunk:  # an empty chunk marks the end, in order like all others
-            while self._read - self._taken >= self._window.chunks:
+            while self._read - self._written >= self._window.chunks:
                 self._moved.clear()
                 await self._moved.wait()
             chunk = await self._loop.sock_recv(source, self._chunk_bytes)
@@ -107,7 +107,7 @@ class RelayStream:
     async def _write_all(self, sink: socket.socket) -> None:
         while chunk := await self._in_order.get():
             await self._loop.sock_sendall(sink, chunk)
-            self._taken += 1
+            self._written += 1
             self._moved.set()
         sink.shutdown(socket.SHUT_WR)
 
@@ -210,10 +210,10 @@ class Relay:
     async def _carry(self, near: socket.socket, far: socket.socket) -> None:
         for each in (near, far):
             each.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        there, back = self._streams.values()
+        forth, back = self._streams.values()
         try:
             async with asyncio.TaskGroup() as both:
-                both.create_task(there.run(near, far))
+                both.create_task(forth.run(near, far))
                 both.create_task(back.run(far, near))
         except* OSError:
             pass

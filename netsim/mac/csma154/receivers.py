@@ -83,12 +83,12 @@ class Csma154Air:
         free &= strongest > self._preamble_snr * before
         for each in flights:
             each.deaf = deaf
-            mine = free & (each.power_mw == strongest) if len(flights) > 1 else free
-            each.rows = np.flatnonzero(mine)
+            locking = free & (each.power_mw == strongest) if len(flights) > 1 else free
+            each.rows = np.flatnonzero(locking)
             each.hazard = np.zeros(len(each.rows))
             each.settled_ns = np.full(len(each.rows), now_ns)
             self._locked[each.rows] = each.sender
-            free = free & ~mine
+            free = free & ~locking
         self._flights += flights
         self._add_up()
         for each in self._flights:

@@ -166,7 +166,7 @@ class BulletQuadrotors:
         fleet, rows = self.fleet, self.near_rows
         motion = base_motion(self._client, [self.bodies[row] for row in rows])
         both = ((motion.position, fleet.position), (motion.velocity, fleet.velocity), (motion.angular_velocity, fleet.rate))
-        touched = np.any([np.abs(there - here[rows]).max(axis=1) > _SAME for there, here in both], axis=0)
+        touched = np.any([np.abs(actual - expected[rows]).max(axis=1) > _SAME for actual, expected in both], axis=0)
         before, self._touched = self._touched, np.zeros_like(self._touched)
         if touched.any():
             self._touched[rows] = touched

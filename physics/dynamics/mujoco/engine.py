@@ -262,7 +262,7 @@ def _inside(touches: Sequence[Touch]) -> list[Touch]:
     places: dict[tuple[int, int], list[Vec3]] = {}
     for each in touches:
         places.setdefault(each.key, []).append(each.place)
-    middles = {key: np.mean(found, axis=0) for key, found in places.items()}
+    middles = {key: np.mean(points, axis=0) for key, points in places.items()}
     moved = [each.place + 0.01 * (middles[each.key] - each.place) for each in touches]
     return [each._replace(place=tuple(place.tolist())) for each, place in zip(touches, moved, strict=True)]
 
@@ -455,10 +455,10 @@ class _Flyers:
         places = sorted(place for row, place in self.place_of.items() if row in rows)
         if places:
             fleet = self.fleet
-            for own, there in zip(
+            for own, simulated in zip(
                 (fleet.position, fleet.velocity, fleet.attitude, fleet.rate), self._bodies.read(), strict=True
             ):
-                own[places] = there[places]
+                own[places] = simulated[places]
 
     def read(self) -> BodyMotion:
         """Motion of every quadrotor."""

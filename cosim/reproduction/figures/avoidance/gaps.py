@@ -97,9 +97,9 @@ class Gauge(Agent):
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
         """Measure a door, and move to the next position."""
-        here, self._tick = min(self._tick, len(self.doors) - 1), self._tick + 1
-        there = self.places[min(self._tick, len(self.places) - 1)]
-        target = (*there, LOW_M + self._width(obs, radio, WallDoor(*self.doors[here])))
+        index, self._tick = min(self._tick, len(self.doors) - 1), self._tick + 1
+        place = self.places[min(self._tick, len(self.places) - 1)]
+        target = (*place, LOW_M + self._width(obs, radio, WallDoor(*self.doors[index])))
         x, y, z = ((to - at) / self._info.period_s for to, at in zip(target, obs.state.position, strict=True))
         return Velocity(linear=(x, y, z))
 

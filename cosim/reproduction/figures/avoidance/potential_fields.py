@@ -73,8 +73,8 @@ class FieldRun:
 
     def arrived_s(self, goal: tuple[float, float]) -> float:
         """Arrival time of the first vehicle at the goal; NaN: never."""
-        there = np.flatnonzero(np.hypot(self.x[:, 0] - goal[0], self.y[:, 0] - goal[1]) < ARRIVE_M)
-        return float(self.time_s[there[0]]) if there.size else math.nan
+        arrivals = np.flatnonzero(np.hypot(self.x[:, 0] - goal[0], self.y[:, 0] - goal[1]) < ARRIVE_M)
+        return float(self.time_s[arrivals[0]]) if arrivals.size else math.nan
 
 
 def fig_28(runner: Runner) -> Figure:
@@ -252,8 +252,8 @@ def _above(title: str, curves: Sequence[Curve], x_limits: tuple[float, float] | 
         ]
     )
     edge = np.vstack([edge, edge[:1]])
-    drawn = [Curve(corners[:, 0], corners[:, 1], "pillar"), Curve(edge[:, 0], edge[:, 1], "core of the field", 0, "dotted")]
-    return Panel(title, "x [m]", "y [m]", [*drawn, *curves], equal=True, x_limits=x_limits)
+    outlines = [Curve(corners[:, 0], corners[:, 1], "pillar"), Curve(edge[:, 0], edge[:, 1], "core of the field", 0, "dotted")]
+    return Panel(title, "x [m]", "y [m]", [*outlines, *curves], equal=True, x_limits=x_limits)
 
 
 def _split(values: Sequence[Any], counts: Sequence[int]) -> list[list[Any]]:

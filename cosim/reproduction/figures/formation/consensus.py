@@ -74,8 +74,8 @@ def consensus_delay(runner: Runner, shares: Sequence[float] = SHARES) -> Figure:
         rate = math.log(y[100] / y[-1]) / ((len(y) - 101) * _short(graph))
         rows.append(relative(f"{graph} {GRAPHS[graph]}, no delay: decay kappa lambda_2, 1/s", LAMBDA_2[graph], rate, 0.01))
     for graph in GRAPHS:
-        left = float(np.abs(next(answers)[-40:]).max())
-        rows.append(at_most(f"{graph} {GRAPHS[graph]}, own point fresh, age 20: share left after 60 s", 0.1, left))
+        residual = float(np.abs(next(answers)[-40:]).max())
+        rows.append(at_most(f"{graph} {GRAPHS[graph]}, own point fresh, age 20: share left after 60 s", 0.1, residual))
     panels = [_growths(swings), _plane(swings), _times(at_10_hz), _continuous(fast, shares)]
     return Figure("Consensus with delay: stable up to a bound that the graph sets, kappa = 1 1/s", panels, rows)
 

@@ -283,7 +283,12 @@ def _times(count: int, searches: Mapping[tuple[int, str, float], list[SearchRun]
             Curve(x[np.isfinite(medians)], medians[np.isfinite(medians)], kind, color, "both"),
             Curve(x[np.isfinite(must)], must[np.isfinite(must)], "independent" if color == 1 else "", color, "hollow"),
         ]
-        each = [(loss, one.done_s) for loss in losses for one in searches[count, kind, loss] if math.isfinite(one.done_s)]
+        each = [
+            (loss, search_run.done_s)
+            for loss in losses
+            for search_run in searches[count, kind, loss]
+            if math.isfinite(search_run.done_s)
+        ]
         curves.append(
             Curve(np.array([a + 0.008 * (color - 2) for a, _ in each]), np.array([b for _, b in each]), "", color, "dots")
         )
@@ -334,11 +339,11 @@ def _plain(belief: ProbabilityMap) -> Array:
 def _map(name: str, at_s: float, belief: ProbabilityMap, search: SearchRun, targets: Sequence[tuple[float, float]]) -> Panel:
     middles = CELL_M * (np.arange(belief.probability.shape[0]) + 0.5)
     x, y = np.array(targets).T
-    named = at_s == SHOWN_S[0]  # more legends would hide too much
-    curves = [Curve(x, y, "target" if named else "", 2, "hollow")]
-    for color, (other, track) in zip((4, 3), search.tracks.items(), strict=True):
+    has_legend = at_s == SHOWN_S[0]  # more legends would hide too much
+    curves = [Curve(x, y, "target" if has_legend else "", 2, "hollow")]
+    for color, (vehicle, track) in zip((4, 3), search.tracks.items(), strict=True):
         so_far = track[track[:, 0] <= at_s]
-        curves.append(Curve(so_far[:, 1], so_far[:, 2], other if named else "", color))
+        curves.append(Curve(so_far[:, 1], so_far[:, 2], vehicle if has_legend else "", color))
     ends = (0.0, EDGE_M)
     heat = Heat(middles, middles, _plain(belief), "P(target) [1]", "map")
     return Panel(f"{name} after {at_s:g} s", "x east [m]", "y north [m]", curves, heat=heat, x_limits=ends, y_limits=ends)

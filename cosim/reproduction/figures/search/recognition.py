@@ -117,8 +117,11 @@ def _example(height_m: float, number: int) -> Panel:
     detector = Detector([target()])
     detections = detector.detect(frame.image, height_m, frame.seen.focal_px)
     alike = [box(u, v, 1.5 * frame.side_px, 0.0, "likeness", 6) for _, u, v in frame.likenesses]
-    right = [box(one.centre_px[0], one.centre_px[1], 1.3 * one.side_px, one.angle, "recognised", 0) for one in detections]
-    missed = [] if detections else [box(one.u, one.v, 1.6 * frame.side_px, 0.0, "missed", 2) for one in frame.seen.truths]
+    right = [
+        box(detection.centre_px[0], detection.centre_px[1], 1.3 * detection.side_px, detection.angle, "recognised", 0)
+        for detection in detections
+    ]
+    missed = [] if detections else [box(truth.u, truth.v, 1.6 * frame.side_px, 0.0, "missed", 2) for truth in frame.seen.truths]
     title = f"From {height_m:g} m: a side has {frame.side_px:g} px"
     return Panel(title, "u [px]", "v [px]", [*alike, *right, *missed], photo=Photo(frame.image))
 
@@ -127,6 +130,7 @@ def _photo() -> Panel:
     with tempfile.TemporaryDirectory() as folder:
         snapshots = Snapshots(town(Path(folder), 20.0, TOWNS[-1])).take(*PHOTO)
     boxes = [
-        box(one.centre_px[0], one.centre_px[1], 1.3 * one.side_px, one.angle, "recognised", 0) for one in snapshots.sightings
+        box(sighting.centre_px[0], sighting.centre_px[1], 1.3 * sighting.side_px, sighting.angle, "recognised", 0)
+        for sighting in snapshots.sightings
     ]
     return Panel("A camera over a town, from 20 m", "u [px]", "v [px]", boxes, photo=Photo(snapshots.pixels))

@@ -65,15 +65,15 @@ def _maps() -> list[Panel]:
     height_m, number = SHOWN
     frame = synthetic_frame(height_m, number)
     (truth,) = frame.seen.truths
-    here = box(truth.u, truth.v, 1.5 * frame.side_px, 0.0, "target", 2)
+    target_box = box(truth.u, truth.v, 1.5 * frame.side_px, 0.0, "target", 2)
     alike = [box(u, v, 1.5 * frame.side_px, 0.0, "likeness", 6) for _, u, v in frame.likenesses]
     axes = "u [px]", "v [px]"
-    panels = [Panel(f"The picture, from {height_m:g} m", *axes, [here, *alike], photo=Photo(frame.image))]
+    panels = [Panel(f"The picture, from {height_m:g} m", *axes, [target_box, *alike], photo=Photo(frame.image))]
     for hues, name in ((1, "the most frequent colour"), (4, "all colours")):
         score_map = inspection.colour_map(target(), frame.image, height_m, frame.seen.focal_px, most_hues=hues)
         peaks = Curve(score_map.peaks[:, 0], score_map.peaks[:, 1], f"{len(score_map.peaks)} peaks", 1, "hollow")
         photo = Photo(_enlarged(score_map.score, frame.image.shape[:2]))
-        panels.append(Panel(f"Score by {name}", *axes, [here, peaks], photo=photo))
+        panels.append(Panel(f"Score by {name}", *axes, [target_box, peaks], photo=photo))
     return panels
 
 
@@ -108,7 +108,7 @@ class PlaceScores(NamedTuple):
 
 def fig_47(runner: Runner, frames: int = FRAMES) -> Figure:
     """Figure 47: effect of rotation on the stages; scores of targets and of their likenesses; estimated angles."""
-    judgements = [one for each in _by_height(runner, _judged, frames) for one in each]
+    judgements = [judgement for each in _by_height(runner, _judged, frames) for judgement in each]
     moved = runner(
         [*(partial(_single_target, at) for at in TURNS_DEG), *(partial(_single_target, 30.0, off) for off in SHIFTS_PX)]
     )
@@ -176,11 +176,13 @@ def _likenesses() -> Panel:
     return Panel(f"A target of {SIZE_M:g} m, framed, and its likenesses", "u [px]", "v [px]", [first], photo=Photo(pixels))
 
 
-def _moved(title: str, by: str, amounts: Sequence[int], scores: Sequence[inspection.Scores], named: Mapping[str, str]) -> Panel:
+def _moved(
+    title: str, by: str, amounts: Sequence[int], scores: Sequence[inspection.Scores], labels: Mapping[str, str]
+) -> Panel:
     x = np.array(amounts, float)
     curves = [
         Curve(x, np.array([getattr(each, name) for each in scores]), label, 1 + i)
-        for i, (name, label) in enumerate(named.items())
+        for i, (name, label) in enumerate(labels.items())
     ]
     return Panel(title, by, "score", curves, levels={"threshold of stage 3": MATCH})
 

@@ -35,16 +35,20 @@ class Tally:
 
     def add(self, detections: Sequence[Detection], truths: Sequence[ground.Truth], side_px: float) -> None:
         """Count the detections of a picture; ``truths`` are all targets in it, each of which counts as found once."""
-        left = list(detections)
+        unmatched = list(detections)
         for truth in truths:
-            right = [one for one in left if one.target == truth.name and _apart(one, truth) < NEAR * side_px][:1]
-            self.recall = self.recall.plus(bool(right))
-            for one in right:
-                left.remove(one)
+            matches = [
+                detection
+                for detection in unmatched
+                if detection.target == truth.name and _apart(detection, truth) < NEAR * side_px
+            ][:1]
+            self.recall = self.recall.plus(bool(matches))
+            for detection in matches:
+                unmatched.remove(detection)
                 self.precision = self.precision.plus(True)
-                self.angles.append(abs(wrap(one.angle - truth.angle)))
-                self.places.append(_apart(one, truth) / side_px)
-        self.precision = self.precision.plus(*(False for _ in left))
+                self.angles.append(abs(wrap(detection.angle - truth.angle)))
+                self.places.append(_apart(detection, truth) / side_px)
+        self.precision = self.precision.plus(*(False for _ in unmatched))
 
 
 def together(tallies: Iterable[Tally]) -> Tally:
@@ -145,6 +149,6 @@ def box(u: float, v: float, side_px: float, angle: float, label: str, color: int
     return Curve(u + x, v - y, label, color)
 
 
-def _apart(one: Detection, truth: ground.Truth) -> float:
-    u, v = one.centre_px
+def _apart(detection: Detection, truth: ground.Truth) -> float:
+    u, v = detection.centre_px
     return math.hypot(u - truth.u, v - truth.v)

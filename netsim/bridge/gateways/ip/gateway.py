@@ -84,9 +84,9 @@ def network_after(network: Network, number: int) -> Network:
         return network
     first = int(network.network_address) + number * network.num_addresses
     with contextlib.suppress(ValueError):
-        found = ipaddress.ip_network((type(network.network_address)(first), network.prefixlen))
-        if found.is_private == network.is_private:
-            return found
+        candidate = ipaddress.ip_network((type(network.network_address)(first), network.prefixlen))
+        if candidate.is_private == network.is_private:
+            return candidate
     raise ValueError(f"{network} has no {number} private networks of its size after it, one for each further radio")
 
 
@@ -373,8 +373,8 @@ class Ip:
         lines += [f"behind {name}: {', '.join(port.behind)}, through {port.interface} here" for name, port in behind]
         if len(spaces) > SHOWN:
             lines.append(f"and {len(spaces) - SHOWN} more; 'vcmvsp net status' lists all")
-        here, there = spaces[0].vehicle, spaces[-1].vehicle
-        return [*lines, f"to run a program in a vehicle's namespace: vcmvsp net exec {here} -- ping {there}"]
+        first, last = spaces[0].vehicle, spaces[-1].vehicle
+        return [*lines, f"to run a program in a vehicle's namespace: vcmvsp net exec {first} -- ping {last}"]
 
     def _read(self, radio: _Radio) -> None:
         for _ in range(BATCH):

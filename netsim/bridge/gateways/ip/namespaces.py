@@ -164,8 +164,8 @@ class Port(msgspec.Struct, frozen=True, kw_only=True):
 def port_of(run: str, vehicle: str, behind: Iterable[Network], others: Iterable[Network]) -> Port:
     """A port with a unique name and number: names of interfaces have at most 15 characters."""
     number = zlib.crc32(f"{run}/{vehicle}".encode())
-    there, beyond = tuple(map(str, behind)), tuple(map(str, others))
-    return Port(interface=f"vcmvsp-{number:08x}", table=number | 1 << 31, behind=there, others=beyond)
+    behind_networks, other_networks = tuple(map(str, behind)), tuple(map(str, others))
+    return Port(interface=f"vcmvsp-{number:08x}", table=number | 1 << 31, behind=behind_networks, others=other_networks)
 
 
 class RadioInterface(NamedTuple):
@@ -217,16 +217,16 @@ def open_radio(interface: RadioInterface) -> int:
 
 def open_port(port: Port, namespace: str) -> None:
     """Connect the host to a vehicle's namespace by a veth pair that forwards packets both ways."""
-    with (NAMES / namespace).open() as there, _netlink() as links:
-        links.link("add", ifname=port.interface, kind="veth", peer={"ifname": PORT, "net_ns_fd": there.fileno()})
-        here = links.link_lookup(ifname=port.interface)[0]
+    with (NAMES / namespace).open() as file, _netlink() as links:
+        links.link("add", ifname=port.interface, kind="veth", peer={"ifname": PORT, "net_ns_fd": file.fileno()})
+        index = links.link_lookup(ifname=port.interface)[0]
         _sysctl("ipv6", (port.interface,), {**_QUIET, "forwarding": "1"})
         _sysctl("ipv4", (port.interface,), {"forwarding": "1"})
-        links.link("set", index=here, state="up")
+        links.link("set", index=index, state="up")
         inside(namespace, lambda: _open_inside(port))
-        links.addr("add", index=here, address=_HOST_SIDE, prefixlen=64, **_kind(_HOST_SIDE))
+        links.addr("add", index=index, address=_HOST_SIDE, prefixlen=64, **_kind(_HOST_SIDE))
         for network in map(ipaddress.ip_network, port.others):
-            links.route("add", dst=str(network), oif=here, table=port.table, **_via(network, _INSIDE))
+            links.route("add", dst=str(network), oif=index, table=port.table, **_via(network, _INSIDE))
         for rule in _rules(port):
             links.rule("add", **rule)
 
@@ -235,11 +235,11 @@ def _open_inside(port: Port) -> None:
     _sysctl("ipv6", ("all", PORT), {"forwarding": "1"})
     _sysctl("ipv4", ("all",), {"forwarding": "1"})
     with _netlink() as links:
-        here = links.link_lookup(ifname=PORT)[0]
-        links.link("set", index=here, state="up")
-        links.addr("add", index=here, address=_INSIDE, prefixlen=64, **_kind(_INSIDE))
+        index = links.link_lookup(ifname=PORT)[0]
+        links.link("set", index=index, state="up")
+        links.addr("add", index=index, address=_INSIDE, prefixlen=64, **_kind(_INSIDE))
         for network in map(ipaddress.ip_network, port.behind):
-            links.route("add", dst=str(network), oif=here, **_via(network, _HOST_SIDE))
+            links.route("add", dst=str(network), oif=index, **_via(network, _HOST_SIDE))
 
 
 def close_port(port: Port) -> None:
@@ -268,16 +268,16 @@ def dropped(descriptor: int, name: str = RADIO) -> int:
     return next((int(line.partition(":")[2].split()[11]) for line in lines if line.lstrip().startswith(f"{name}:")), 0)
 
 
-def in_common(one: Port, other: Port) -> str:
+def in_common(a: Port, b: Port) -> str:
     """Source and destination networks that the host would route through either of two vehicles; empty: none."""
-    for (source, target), (source2, target2) in itertools.product(_pairs(one), _pairs(other)):
+    for (source, target), (source2, target2) in itertools.product(_pairs(a), _pairs(b)):
         if _overlap(source, source2) and _overlap(target, target2):
             return f"from {source} to {target}"
     return ""
 
 
-def _overlap(one: Network, other: Network) -> bool:
-    return one.version == other.version and one.overlaps(other)
+def _overlap(a: Network, b: Network) -> bool:
+    return a.version == b.version and a.overlaps(b)
 
 
 def _pairs(port: Port) -> list[tuple[Network, Network]]:

@@ -233,8 +233,8 @@ def _check_routes(network: RunNetwork) -> None:
     for run, vehicle, port in ((each.run, space.vehicle, space.port) for each in others for space in each.spaces):
         for own in (each.port for each in network.spaces):
             if own is not None and port is not None and (same := namespaces.in_common(own, port)):
-                taken = f"{vehicle} of the run {run} on this machine already routes the traffic {same}"
-                raise NetworkInUse(f"routes: {taken}: end that run, or choose another network for this one")
+                problem = f"{vehicle} of the run {run} on this machine already routes the traffic {same}"
+                raise NetworkInUse(f"routes: {problem}: end that run, or choose another network for this one")
 
 
 def _network_in(folder: Path) -> RunNetwork | None:
