@@ -90,9 +90,7 @@ def overhead() -> Row:
 
     our_s, other_s, _ = in_turn(ours, other, 3)
     added = 1000.0 * (our_s - other_s)
-    name = (
-        "study: a run of 0.1 s in one worker; beside the same run in a loop, in this process (ratio: ms that the study adds)"
-    )
+    name = "study: a run of 0.1 s in one worker; beside the same run in a loop, in this process (ratio: ms that the study adds)"
     return Row(name, f"{1000 * our_s:.1f} ms", f"{1000 * other_s:.1f} ms", added, "goal: <= 50 ms a run", added <= 50.0)
 
 

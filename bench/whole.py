@@ -96,9 +96,7 @@ def _swarm(report_s: float) -> Row:
 
 def mixed() -> Row:
     """Fifty robots and fifty quadrotors with scanners."""
-    name = (
-        "whole run: 50 p2dx, 50 quadrotors in a town, scans at 10 Hz, all read; beside stepSimulation on an open floor"
-    )
+    name = "whole run: 50 p2dx, 50 quadrotors in a town, scans at 10 Hz, all read; beside stepSimulation on an open floor"
     return _speed(name, mixed_100(4.0), lambda: 4.0 * bare_cpu_s(Fleet(50, 50, duration_s=2.0)), 1.0)
 
 

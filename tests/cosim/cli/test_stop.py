@@ -177,7 +177,7 @@ def test_a_robot_that_is_still_being_connected_is_given_up(tmp_path: Path) -> No
 RUN = """
 import sys, time
 from tests.support.hardware.stations import *
-with driven(mission(federation_s=None, command_s=None)) as run:
+with ready_station(mission(federation_s=None, command_s=None)) as run:
     run.until(lambda each: each.odometry is not None and each.odometry.v > 0.15, v=0.4)
     print("drives", flush=True)
     time.sleep(100)

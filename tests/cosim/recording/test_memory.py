@@ -128,6 +128,7 @@ def test_portions_change_no_number(followed: bool, monkeypatch: pytest.MonkeyPat
     assert found[0]["metrics"]["radio"]["age_s"]["mean"] is not None
 
 
+@pytest.mark.processes
 def test_a_disk_that_is_full_ends_the_run_with_one_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")

@@ -121,6 +121,7 @@ def test_a_missing_program_is_an_error() -> None:
         vcmvsp.run(scenario(command="no-such-firmware"))
 
 
+@pytest.mark.processes
 @pytest.mark.sockets
 def test_datagrams_of_another_version_are_counted_and_named() -> None:
     if not is_free(9001, socket.SOCK_DGRAM):

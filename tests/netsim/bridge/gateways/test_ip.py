@@ -402,11 +402,11 @@ KILLED = """
 import asyncio, sys
 sys.path.insert(0, {root!r})
 from vcmvsp.netsim.bridge.gateways.ip.gateway import Ip
-from tests.support.netsim.gateway_context import TestHall
+from tests.support.netsim.gateway_context import RunlessContext
 
 async def body():
     gateway = Ip(routes={{"car1": ("192.168.214.0/24",)}})
-    await gateway.open(TestHall(("car1", "car2"), run={run!r}))
+    await gateway.open(RunlessContext(("car1", "car2"), run={run!r}))
     print("open", flush=True)
     await asyncio.sleep(60)
 
