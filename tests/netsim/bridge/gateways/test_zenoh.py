@@ -249,12 +249,12 @@ def test_any_received_bytes_are_published(payload: bytes) -> None:
             keys.append(key)
 
     gateway = ZenohGateway()
-    gateway._context, gateway._sessions = TestHallStub(), {0: Session()}  # type: ignore[assignment, dict-item]
+    gateway._context, gateway._sessions = ContextStub(), {0: Session()}  # type: ignore[assignment, dict-item]
     gateway.deliver(1, 0, payload)
     assert len(keys) == 1
 
 
-class TestHallStub:
+class ContextStub:
     __test__ = False
     vehicles = CARS
 
