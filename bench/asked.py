@@ -20,7 +20,8 @@ class SilentError(Exception):
 def program(module: str, python: Path, **options: Any) -> Iterator[Timed]:
     """A program of `bench.peers` after its warm-up; each call runs a stretch and returns its cost.
 
-    Raises: SilentError: it ended instead of answering.
+    Raises:
+        SilentError: it ended instead of answering.
     """
     command = [str(python), "-m", f"bench.peers.{module}"]
     for name, value in options.items():
@@ -64,7 +65,8 @@ def _process(command: list[str], error_output: Any) -> Iterator[tuple[Any, Any]]
 def installed(python: Path) -> Path:
     """The Python of an environment with some peers.
 
-    Raises: SilentError: there is none.
+    Raises:
+        SilentError: there is none.
     """
     if not python.exists():
         raise SilentError(f"it is not installed: make {python.parts[0]}/.ready")

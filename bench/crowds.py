@@ -20,7 +20,8 @@ RADIOS: Mapping[str, Mapping[str, Any]] = {
 class Teller(Agent):
     """Drives or flies a small circle and broadcasts its position, at a phase of its own.
 
-    Args: report_s: time between two broadcasts, s.
+    Args:
+        report_s: time between two broadcasts, s.
     """
 
     def __init__(self, report_s: Positive) -> None:
@@ -76,7 +77,9 @@ class Reached(NamedTuple):
 def reach(cost: Callable[[int], float], first: int) -> Reached:
     """Doubles or halves the number until the cost passes 1, and measures once more between the last two.
 
-    Args: cost: CPU s per simulated s of a number of vehicles. first: number to begin with.
+    Args:
+        cost: CPU s per simulated s of a number of vehicles.
+        first: number to begin with.
     """
     measured = {first: cost(first)}
     number = first

@@ -111,7 +111,7 @@ def case_costs(count: int, case: Case) -> dict[str, float]:
 
 
 def _timed(federate: Any, spent: dict[str, float]) -> Any:
-    """The federate with timed steps; those of the core itself count as the kernel's."""
+    """The federate with timed steps; steps of the core itself count for the kernel."""
     part, step = PARTS.get(type(federate).__module__.removeprefix("vcmvsp.").partition(".")[0]), federate.step
     if part is None:
         return federate

@@ -187,7 +187,8 @@ def rows() -> Iterator[Row]:
 def placed(text: str, contents: Mapping[str, str]) -> str:
     """The document with these texts at their places.
 
-    Raises: ValueError: a name has no place there.
+    Raises:
+        ValueError: a name has no place there.
     """
     for name, content in contents.items():
         mark = f"(<!-- measured: {name} -->\n).*?(<!-- end -->)"

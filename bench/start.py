@@ -28,7 +28,7 @@ class Cost(NamedTuple):
 
 
 def process(arguments: Sequence[str]) -> Cost:
-    """Python with these arguments; imports are compiled once, whatever the environment says of bytecode."""
+    """Python with these arguments; imports are compiled once, regardless of PYTHONDONTWRITEBYTECODE."""
     before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     compiled = {**os.environ, "PYTHONDONTWRITEBYTECODE": ""}
     subprocess.run([sys.executable, *arguments], check=True, capture_output=True, env=compiled)

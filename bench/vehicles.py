@@ -56,8 +56,11 @@ def federate_cpu_s(
 ) -> float:
     """CPU seconds per simulated second of the federate: commands and publications ten times a second.
 
-    Args: fleet: numbers of vehicles. vehicles: their starts and equipment; default: without equipment. world: default: only a
-    floor. requested_keys: keys of readings that are read as soon as they are published.
+    Args:
+        fleet: numbers of vehicles.
+        vehicles: their starts and equipment; default: without equipment.
+        world: default: only a floor.
+        requested_keys: keys of readings that are read as soon as they are published.
     """
     physics = _started(fleet, vehicles or fleet.specs(), world or World(), requested_keys)
     spans, looked_at = range(1, int(10 * fleet.duration_s) + 1), frozenset(requested_keys)

@@ -53,7 +53,9 @@ class Result(NamedTuple):
 def run(positions: Floats, options: Mapping[str, str | float]) -> Result:
     """Run ``wifi.cc`` at ``positions`` (n, 3) m, or load the result of an equal run.
 
-    Args: positions: of the nodes. options: the program's other ones, without dashes: ``{"hz": 10, "seed": 1}``.
+    Args:
+        positions: of the nodes.
+        options: the program's other ones, without dashes: ``{"hz": 10, "seed": 1}``.
     """
     lines = "".join(f"{x!r},{y!r},{z!r}\n" for x, y, z in positions.tolist())
     words = [f"--{name}={value}" for name, value in sorted(options.items())]

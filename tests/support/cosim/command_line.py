@@ -49,9 +49,14 @@ def two_cars(
 ) -> str:
     """A short kinematic scenario of a leader and a follower, with lines that a test adds.
 
-    Args: top: lines before the tables. physics: lines in ``[physics]``. agents: lines in ``[agents]``. car1: lines in the
-    leader's table. car2: lines in the follower's table. agent: the follower's ``agent`` table, instead of following. tail:
-    lines after everything.
+    Args:
+        top: lines before the tables.
+        physics: lines in ``[physics]``.
+        agents: lines in ``[agents]``.
+        car1: lines in the leader's table.
+        car2: lines in the follower's table.
+        agent: the follower's ``agent`` table, instead of following.
+        tail: lines after everything.
     """
     agent = 'kind = "leader_follower", leader = "car1"' if agent is None else agent
     return f"""

@@ -9,8 +9,12 @@ HERE, ELSEWHERE = ', runs = "inprocess"', ', runs = "zenoh"'
 def team(name: str, *agents: str, duration_s: float, loss: float | None = None, **of_agents: Any) -> str:
     """A scenario with a car for each of these agents, the inside of a TOML table.
 
-    Args: name: of the scenario. agents: of car1, car2, ... duration_s: of the run. loss: probability of each frame over the
-    radio. of_agents: keys of ``[agents]``; a word is a string.
+    Args:
+        name: of the scenario.
+        agents: of car1, car2, ...
+        duration_s: of the run.
+        loss: probability of each frame over the radio.
+        of_agents: keys of ``[agents]``; a word is a string.
     """
     words = {key: f'"{value}"' if isinstance(value, str) else value for key, value in of_agents.items()}
     lines = [f'name = "{name}"', f"duration_s = {duration_s}", "[physics]", 'kind = "kinematic"', "[radio]", 'preset = "ideal"']

@@ -166,7 +166,9 @@ def our_words(words: Sequence[str]) -> list[str]:
 def parse_command(words: Sequence[str]) -> None:
     """Parse a whole command.
 
-    Raises: ValueError: one of its words is unknown. Exception: of the parser, for a command that it rejects.
+    Raises:
+        ValueError: one of its words is unknown.
+        Exception: of the parser, for a command that it rejects.
     """
     command, rest = _command(words)
     if hasattr(command, "commands"):
@@ -179,7 +181,8 @@ def parse_command(words: Sequence[str]) -> None:
 def check_mention(words: Sequence[str]) -> None:
     """Check a command within a sentence, which may be incomplete or have parts in brackets.
 
-    Raises: ValueError: one of its words is unknown.
+    Raises:
+        ValueError: one of its words is unknown.
     """
     match program_of([*words]):
         case "vcmvsp":

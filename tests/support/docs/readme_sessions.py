@@ -15,8 +15,11 @@ ONE_EACH = f"{BRIEF} --seeds 1 --jobs 1"
 class Step:
     """A command, word for word from a README.
 
-    Args: command: of a shell line, or within a sentence. shorter: additions so that it takes a second. instead: replaced
-    words, and their replacements. why: of a replacement.
+    Args:
+        command: of a shell line, or within a sentence.
+        shorter: additions so that it takes a second.
+        instead: replaced words, and their replacements.
+        why: of a replacement.
     """
 
     command: str
@@ -29,7 +32,10 @@ class Step:
 class Story:
     """Commands in order, in one folder.
 
-    Args: name: of the test. steps: the commands. files: initial files of the folder, by name.
+    Args:
+        name: of the test.
+        steps: the commands.
+        files: initial files of the folder, by name.
     """
 
     name: str

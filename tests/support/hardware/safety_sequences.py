@@ -59,9 +59,14 @@ class Stretch(NamedTuple):
 class Rehearsal:
     """One sequence; `run` asserts the laws at every period.
 
-    Args: flies: in the air, else on the ground. fence: name of it. keep: limits. exact: the robot follows commanded speeds at
-    once; else it ramps. others: places (x, y, z) of others at rest, from the start. margin: between body and fence, m. climb:
-    greatest vertical speed, m/s.
+    Args:
+        flies: in the air, else on the ground.
+        fence: name of it.
+        keep: limits.
+        exact: the robot follows commanded speeds at once; else it ramps.
+        others: places (x, y, z) of others at rest, from the start.
+        margin: between body and fence, m.
+        climb: greatest vertical speed, m/s.
     """
 
     def __init__(

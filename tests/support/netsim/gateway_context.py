@@ -29,11 +29,18 @@ class OfferedPacket:
 class RunlessContext:
     """A `netsim.bridge.gateways.base.GatewayContext` without a run; create it on the running loop.
 
-    Args: vehicles: names of the run's vehicles. delay_s: from the offer to the delivery. radios: rows of the vehicles with
-    each of several radios. hears: whether ``receiver`` gets a datagram of ``sender``, by rows and by its index in `offered`.
+    Args:
+        vehicles: names of the run's vehicles.
+        delay_s: from the offer to the delivery.
+        radios: rows of the vehicles with each of several radios.
+        hears: whether ``receiver`` gets a datagram of ``sender``, by rows and by its index in `offered`.
 
-    Attributes: offered: all accepted packets, in order. room: False makes `offer` refuse. counts: vehicle -> words -> count.
-    levels: (sender, receiver) -> dBm. lines: the gateway's lines for the user, if it was `open_gateway`.
+    Attributes:
+        offered: all accepted packets, in order.
+        room: False makes `offer` refuse.
+        counts: vehicle -> words -> count.
+        levels: (sender, receiver) -> dBm.
+        lines: the gateway's lines for the user, if it was `open_gateway`.
     """
 
     __test__ = False

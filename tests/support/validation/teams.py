@@ -28,9 +28,15 @@ def team(
 ) -> dict[str, Any]:
     """A scenario: car1 leads, car2, car3, ... start in their slots.
 
-    Args: count: of vehicles, the leader included. duration_s: of the run. formation: of all. leader: parameters of its
-    trajectory; default: the circle. kind: of the followers. lead_kind: of the leader. agents: further parameters of all.
-    tables: other tables of the scenario, such as ``radio``.
+    Args:
+        count: of vehicles, the leader included.
+        duration_s: of the run.
+        formation: of all.
+        leader: parameters of its trajectory; default: the circle.
+        kind: of the followers.
+        lead_kind: of the leader.
+        agents: further parameters of all.
+        tables: other tables of the scenario, such as ``radio``.
     """
     places = slots(formation["shape"], count, formation.get("spacing", 1.0))
     cars: list[dict[str, Any]] = [{"name": "car1", "kind": lead_kind, "agent": {"kind": "trajectory", **(leader or {})}}]
