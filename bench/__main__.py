@@ -215,8 +215,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         records = [finite({"part": name, **row._asdict()}) for name, row in found]  # no ratio to a missing peer
         print(json.dumps({"schema": "vcmvsp.bench/1", "machine": machine, "rows": records}, indent=2))
     else:
-        print(f"{machine}\n\n{table([row for _, row in found])}")
-    return 0 if complete and all(row.holds or row.is_goal for _, row in found) else 1
+        rows = [row for _, row in found]
+        print(f"{machine}\n\n{table(rows)}")
+    holds = all(row.holds or row.is_goal for _, row in found)
+    return 0 if complete and holds else 1
 
 
 if __name__ == "__main__":

@@ -75,8 +75,10 @@ def view_of(eye: Array, heading: float, down: float, width: int, height: int) ->
 
 def ours_s(world: World, pictures: Sequence[View]) -> float:
     """CPU seconds a picture."""
-    costs = [min(cpu(partial(render, world, view)) for _ in range(REPEATS)) for view in pictures]
-    return sum(costs) / len(costs)
+    total_s = 0.0
+    for view in pictures:
+        total_s += min(cpu(partial(render, world, view)) for _ in range(REPEATS))
+    return total_s / len(pictures)
 
 
 def theirs_s(client: int, pictures: Sequence[View]) -> float:
@@ -108,8 +110,9 @@ def bullet_of(world: World) -> int:
     pybullet.createMultiBody(0, -1, floor, [0, 0, -0.01], physicsClientId=client)
     for box in world.solids:
         assert isinstance(box, Box)
-        half, color = [0.5 * edge for edge in box.size], [level / 255 for level in box.color or ()]
-        shape = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=half, rgbaColor=[*color, 1], physicsClientId=client)
+        half_m = [0.5 * edge for edge in box.size]
+        rgba = [*(level / 255 for level in box.color or ()), 1]
+        shape = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=half_m, rgbaColor=rgba, physicsClientId=client)
         turn = pybullet.getQuaternionFromEuler([0, 0, box.yaw_rad])
         pybullet.createMultiBody(0, -1, shape, box.center, turn, physicsClientId=client)
     return client

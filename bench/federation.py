@@ -7,9 +7,10 @@ and mosaik are in ``.peers`` (see the Makefile). HELICS is measured as in its ex
 fastest way that was found.
 """
 
+import itertools
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -58,8 +59,13 @@ class Star(NamedTuple):
             placement = f"{self.agents} hosts x 1 agent"
         elif self.processes:
             placement = f"{self.processes} host x {self.agents} agents"
-        where = placement if self.processes else f"{placement} in-process"
-        return where + (", scans" if self.scans else "") + (", commands a step later" if self.latency_s else "")
+        else:
+            placement += " in-process"
+        if self.scans:
+            placement += ", scans"
+        if self.latency_s:
+            placement += ", commands a step later"
+        return placement
 
 
 STARS = (
@@ -128,8 +134,7 @@ def _computing(name: str, demanded: float, processes: int, **options: Any) -> Ro
 
 def rows() -> list[Row]:
     """All rows."""
-    more: tuple[Callable[[], Row], ...] = (compute_row, overlap_row)
-    return [row for star in STARS for row in beside(star)] + [measure() for measure in more]
+    return [*itertools.chain.from_iterable(map(beside, STARS)), compute_row(), overlap_row()]
 
 
 if __name__ == "__main__":

@@ -49,7 +49,10 @@ def crowd(count: int, physics: str, preset: str, duration_s: float) -> dict[str,
     """Vehicles 4 m apart on circles of 0.5 m, each of which broadcasts at 10 Hz."""
     side = int(np.ceil(np.sqrt(count)))
     agent = {"kind": "trajectory", "path": "circle", "speed": 0.2, "yaw_rate": 0.4}
-    places = [(4.0 * (number % side), 4.0 * (number // side), 0.0) for number in range(count)]
+    vehicles = []
+    for number in range(count):
+        place = 4.0 * (number % side), 4.0 * (number // side), 0.0
+        vehicles.append({"name": f"car{number}", "pose": place, "agent": agent})
     return {
         "name": "crowd",
         "duration_s": duration_s,
@@ -57,7 +60,7 @@ def crowd(count: int, physics: str, preset: str, duration_s: float) -> dict[str,
         "radio": {"preset": preset, "handover_s": HANDOVER_S},
         "vehicles": {"kind": "kinematic" if physics == "kinematic" else "p2dx"},
         "agents": {"period_s": 0.1},
-        "vehicle": [{"name": f"car{n}", "pose": place, "agent": agent} for n, place in enumerate(places)],
+        "vehicle": vehicles,
     }
 
 

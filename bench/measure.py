@@ -60,11 +60,8 @@ def in_turn(ours: Timed, other: Timed, rounds: int) -> tuple[float, float, float
 
 def medians(pairs: Sequence[tuple[float, float]]) -> tuple[float, float, float]:
     """Medians of ours, of the other, and of the ratio of each pair."""
-    return (
-        statistics.median(a for a, _ in pairs),
-        statistics.median(b for _, b in pairs),
-        statistics.median(a / b for a, b in pairs),
-    )
+    ours, other = zip(*pairs, strict=True)
+    return statistics.median(ours), statistics.median(other), statistics.median(a / b for a, b in pairs)
 
 
 def measured(measures: Sequence[Callable[[], Row]]) -> list[Row]:

@@ -22,9 +22,9 @@ from vcmvsp.physics.world.solids import Box
 
 PYTHON = Path(".sionna/bin/python")
 STREETS = [  # x, y m in relay-canyon: along its three streets
-    *((x, 1.0) for x in (-40.0, -10.0, 20.0, 45.0)),
-    *((60.0, y) for y in (2.0, 20.0, 45.0, 70.0)),
-    *((x, 81.0) for x in (61.0, 80.0, 110.0, 140.0)),
+    *zip((-40.0, -10.0, 20.0, 45.0), itertools.repeat(1.0)),
+    *zip(itertools.repeat(60.0), (2.0, 20.0, 45.0, 70.0)),
+    *zip((61.0, 80.0, 110.0, 140.0), itertools.repeat(81.0)),
 ]
 GROUND, MOST, ROUNDS = "medium_dry_ground", 0.01, 1
 

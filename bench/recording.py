@@ -26,7 +26,9 @@ ROUNDS = 7
 VEHICLES, RUN_S = 10, 20.0
 HELD_VEHICLES, HELD_S, PRESET = 50, 10.0, "wifi-g-24"  # more receptions than a run keeps in memory in any case
 HELD_BYTES = 40  # per receiver of a frame, while a run goes on and at its end
-TABLE_BYTES = sum(field.type.bit_width // 8 if field.type.num_fields == 0 else 4 for field in RADIO_SCHEMA)
+TEXT_BYTES = 4  # a text is a number in a dictionary
+FIXED_BYTES = [field.type.bit_width // 8 for field in RADIO_SCHEMA if field.type.num_fields == 0]
+TABLE_BYTES = sum(FIXED_BYTES) + TEXT_BYTES * (len(RADIO_SCHEMA) - len(FIXED_BYTES))
 
 
 class Run(NamedTuple):

@@ -45,7 +45,9 @@ def _row(name: str, sensor: RangeScanner, scene: Scene, rays: "BulletRays", at_o
     places = [k % VEHICLES for k in range(max(at_once, VEHICLES))]
 
     def ours() -> float:
-        work = [places] if at_once > 1 else [[row] for row in places]
+        work = [places]
+        if at_once == 1:
+            work = [[row] for row in places]
         return cpu(lambda: [true_ranges([sensor] * len(each), scene, each) for each in work]) / len(places)
 
     directions = [rays.prepare(sensor, row) for row in places]

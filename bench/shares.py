@@ -162,7 +162,8 @@ def write(found: Mapping[str, Mapping[str, float]], folder: Path) -> list[Path]:
     with numbers.open("w", encoding="utf-8", newline="") as file:
         lines = csv.writer(file, lineterminator="\n")
         lines.writerow(("scenario", *(f"{part}_s" for part in PARTS)))
-        lines.writerows((name, *(f"{seconds[part]:.4f}" for part in PARTS)) for name, seconds in found.items())
+        for name, seconds in found.items():
+            lines.writerow((name, *(f"{seconds[part]:.4f}" for part in PARTS)))
     return [numbers, *style.save(draw(found), folder / "shares")]
 
 

@@ -159,7 +159,8 @@ def _rays(name: str, scenario: dict[str, Any], least: float) -> Row:
 def canyon() -> Row:
     """Rays between the buildings of relay-canyon."""
     places = [(7.0 * k - 85.0, 3.0 * (k % 3 - 1)) for k in range(20)]
-    places += [(60.0, 8.0 + 12.0 * k) for k in range(5)] + [(70.0 + 12.0 * k, 80.0) for k in range(5)]
+    places += [(60.0, 8.0 + 12.0 * k) for k in range(5)]
+    places += [(70.0 + 12.0 * k, 80.0) for k in range(5)]
     scenario = with_rays(built_in("relay-canyon", 1.0)["world"], places, 2)
     return _rays("six buildings, two reflections and diffraction", scenario, 2.0)
 

@@ -65,9 +65,8 @@ def main() -> None:
         result, noted = meeting(loss)
         for number, (name, path) in enumerate(result.states.to_pandas().groupby("vehicle", observed=True)):
             paths.plot(path.x, path.y, style, color=f"C{number}", label=f"robot {name}" if loss == LOSSES[0] else None)
-        times = sorted({time for time, _ in noted})
-        worst = [max(value for at, value in noted if at == time) for time in times]
-        notes.plot(times, worst, style, color="black", label=f"loss {loss:.0%}")
+        worst = dict(sorted(noted))  # the largest of an instant comes last
+        notes.plot([*worst], [*worst.values()], style, color="black", label=f"loss {loss:.0%}")
     paths.plot(*zip(*STARTS.values(), strict=True), "ko", markersize=4, label="start")
     paths.set(xlabel="x (m)", ylabel="y (m)", title=f"Paths: no loss solid, loss {LOSSES[1]:.0%} dashed", aspect="equal")
     paths.legend(fontsize="small")

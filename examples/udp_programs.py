@@ -72,12 +72,9 @@ def main() -> None:
 
     answered = [each for each in waited if each is not None]
     figure, axes = plt.subplots(figsize=(7.0, 4.0), layout="constrained")
-    axes.plot(
-        [PERIOD_S * n for n, each in enumerate(waited) if each is not None],
-        [1e3 * each for each in answered],
-        "o",
-        label="answered",
-    )
+    asked_s = [PERIOD_S * n for n, each in enumerate(waited) if each is not None]
+    took_ms = [1e3 * each for each in answered]
+    axes.plot(asked_s, took_ms, "o", label="answered")
     silent = [PERIOD_S * n for n, each in enumerate(waited) if each is None]
     axes.plot(silent, [0.0] * len(silent), "rx", label=f"no answer: {len(silent)} of {QUESTIONS}")
     axes.axhline(80.0, color="0.7", linestyle=":", label="delay of the radio, there and back")

@@ -1,6 +1,9 @@
 """Scenarios in which both simulators are compared."""
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -111,73 +114,78 @@ def square(phy: str, nodes: int, hz: float) -> Case:
 
 
 PHYS = ("b-1", "b-11", "g-6", "g-54", "a-6", "a-54")
-SQUARES = tuple(square(phy, n, hz) for phy in PHYS for n in (3, 10, 50, 100) for hz in (10, 50, 100))
-WIDE = (
-    *(Case(phy, n, 10, side_m=600.0, exponent=3.0, duration_s=2.0, seeds=10) for phy in PHYS for n in (50, 100)),
-    *(Case(phy, 50, 50, side_m=600.0, exponent=3.0, seeds=10) for phy in ("b-1", "g-6")),
-    Case("b-1", 50, 10, side_m=600.0, exponent=3.0, nakagami=1.0, seeds=10),
-    Case("g-6", 50, 10, side_m=600.0, exponent=3.0, nakagami=3.0, seeds=10),
-    *(
-        Case("g-54", 100, 10, side_m=600.0, exponent=3.0, errors=errors, duration_s=2.0, seeds=10)
-        for errors in ("yans", "nist")
-    ),
-)
-UNICAST = (
-    *(Case(phy, n, 0, unicast=True, saturated=True, drain_s=0.6, seeds=5) for phy in PHYS for n in (2, 5, 10, 20)),
-    Case("g-54", 20, 0, unicast=True, saturated=True, drain_s=0.6, errors="yans", seeds=5),
-    *(Case(phy, 10, 20, unicast=True, seeds=20) for phy in ("b-11", "g-6")),
-    Case("g-24", 10, 50, side_m=100.0, exponent=3.0, nakagami=1.5, size=500, unicast=True, drain_s=0.8, seeds=10),
-    Case("b-5.5", 20, 20, side_m=100.0, exponent=3.0, nakagami=1.0, size=500, unicast=True, drain_s=0.8, seeds=10),
-    *(
-        Case(phy, n, 0, saturated=True, drain_s=0.6, duration_s=3.0, seeds=40 // n + 4)
-        for phy in ("b-1", "g-6")
-        for n in (2, 5, 20)
-    ),
-)
-HT = (
-    *(Case(f"n-{rate}", n, hz) for rate, hz in (("6.5", 50), ("65", 100)) for n in (10, 50)),
-    *(Case(f"n-{rate}", 50, 10, side_m=600.0, exponent=3.0, duration_s=2.0, seeds=10) for rate in ("13", "39", "65")),
-    *(
-        Case(f"n-{rate}", n, 0, unicast=True, saturated=True, drain_s=0.6, seeds=5)
-        for rate in ("6.5", "26", "65")
-        for n in (2, 10)
-    ),
+PLANE: dict[str, Any] = {"side_m": 600.0, "exponent": 3.0}
+FULL: dict[str, Any] = {"saturated": True, "drain_s": 0.6}
+LOST: dict[str, Any] = {"exponent": 3.0, "size": 500, "unicast": True, "drain_s": 0.8}
+
+
+def squares() -> Iterator[Case]:
+    """One collision domain, of all rates, densities and loads."""
+    for phy, n, hz in product(PHYS, (3, 10, 50, 100), (10, 50, 100)):
+        yield square(phy, n, hz)
+
+
+def wide() -> Iterator[Case]:
+    """Hidden nodes."""
+    for phy, n in product(PHYS, (50, 100)):
+        yield Case(phy, n, 10, **PLANE, duration_s=2.0, seeds=10)
+    for phy in ("b-1", "g-6"):
+        yield Case(phy, 50, 50, **PLANE, seeds=10)
+    yield Case("b-1", 50, 10, **PLANE, nakagami=1.0, seeds=10)
+    yield Case("g-6", 50, 10, **PLANE, nakagami=3.0, seeds=10)
+    for errors in ("yans", "nist"):
+        yield Case("g-54", 100, 10, **PLANE, errors=errors, duration_s=2.0, seeds=10)
+
+
+def unicast() -> Iterator[Case]:
+    """Acknowledged frames, and saturated broadcasts."""
+    for phy, n in product(PHYS, (2, 5, 10, 20)):
+        yield Case(phy, n, 0, unicast=True, **FULL, seeds=5)
+    yield Case("g-54", 20, 0, unicast=True, **FULL, errors="yans", seeds=5)
+    for phy in ("b-11", "g-6"):
+        yield Case(phy, 10, 20, unicast=True, seeds=20)
+    yield Case("g-24", 10, 50, side_m=100.0, nakagami=1.5, **LOST, seeds=10)
+    yield Case("b-5.5", 20, 20, side_m=100.0, nakagami=1.0, **LOST, seeds=10)
+    for phy, n in product(("b-1", "g-6"), (2, 5, 20)):
+        yield Case(phy, n, 0, **FULL, duration_s=3.0, seeds=40 // n + 4)
+
+
+def newer(standard: str, loads: Mapping[str, int], far: Sequence[str], full: Sequence[str]) -> Iterator[Case]:
+    """The same of 802.11n and 802.11ax: rates with their load in Hz, those with hidden nodes, those that are saturated."""
+    for (rate, hz), n in product(loads.items(), (10, 50)):
+        yield Case(f"{standard}-{rate}", n, hz)
+    for rate in far:
+        yield Case(f"{standard}-{rate}", 50, 10, **PLANE, duration_s=2.0, seeds=10)
+    for rate, n in product(full, (2, 10)):
+        yield Case(f"{standard}-{rate}", n, 0, unicast=True, **FULL, seeds=5)
+
+
+def rts() -> Iterator[Case]:
+    """Frames behind RTS and CTS."""
+    for phy, n in product(("b-11", "g-54", "n-65"), (2, 10)):
+        yield Case(phy, n, 0, unicast=True, size=1000, rts_bytes=500, **FULL, seeds=5)
+    for (phy, size), least in product((("b-1", 1000), ("g-6", 2000), ("n-26", 1000)), (None, 500)):
+        yield Case(phy, 3, 0, 140.0, 3.0, size=size, sink=True, rts_bytes=least, saturated=True, duration_s=5.0, seeds=10)
+    for phy, n, hz in (("g-24", 20, 20), ("n-26", 20, 20), ("b-11", 10, 50)):
+        yield Case(phy, n, hz, side_m=150.0, rts_bytes=400, **LOST, seeds=60)
+
+
+def ideal() -> Iterator[Case]:
+    """Rates chosen by the signal-to-noise ratio."""
+    for phy, sides_m in (("a-6", (20, 40, 60, 80)), ("n-6.5", (20, 60, 100, 140)), ("ax-8.6", (10, 20, 60, 100, 140))):
+        for side_m in sides_m:
+            yield Case(phy, 2, 0, side_m=side_m, exponent=3.0, size=1000, sink=True, ideal=True, saturated=True, seeds=5)
+    for (phy, side), m in product((("a-6", 40.0), ("n-6.5", 60.0), ("ax-8.6", 60.0)), (0.0, 3.0)):
+        yield Case(phy, 10, 20, side_m=side, nakagami=m, **{**LOST, "size": 1000}, ideal=True, seeds=20)
+
+
+CASES = (
+    *squares(),
+    *wide(),
+    *unicast(),
+    *newer("n", {"6.5": 50, "65": 100}, ("13", "39", "65"), ("6.5", "26", "65")),
     Case("n-65", 10, 20, unicast=True, size=1000, seeds=20),
+    *rts(),
+    *newer("ax", {"8.6": 50, "143.4": 100}, ("17.2", "86", "114.7"), ("8.6", "34.4", "143.4")),
+    *ideal(),
 )
-RTS = (
-    *(
-        Case(phy, n, 0, unicast=True, saturated=True, size=1000, rts_bytes=500, drain_s=0.6, seeds=5)
-        for phy in ("b-11", "g-54", "n-65")
-        for n in (2, 10)
-    ),
-    *(
-        Case(phy, 3, 0, 140.0, 3.0, size=size, sink=True, rts_bytes=rts, saturated=True, duration_s=5.0, seeds=10)
-        for phy, size in (("b-1", 1000), ("g-6", 2000), ("n-26", 1000))
-        for rts in (None, 500)
-    ),
-    Case("g-24", 20, 20, side_m=150.0, exponent=3.0, size=500, unicast=True, rts_bytes=400, drain_s=0.8, seeds=60),
-    Case("n-26", 20, 20, side_m=150.0, exponent=3.0, size=500, unicast=True, rts_bytes=400, drain_s=0.8, seeds=60),
-    Case("b-11", 10, 50, side_m=150.0, exponent=3.0, size=500, unicast=True, rts_bytes=400, drain_s=0.8, seeds=60),
-)
-HE = (
-    *(Case(f"ax-{rate}", n, hz) for rate, hz in (("8.6", 50), ("143.4", 100)) for n in (10, 50)),
-    *(Case(f"ax-{rate}", 50, 10, side_m=600.0, exponent=3.0, duration_s=2.0, seeds=10) for rate in ("17.2", "86", "114.7")),
-    *(
-        Case(f"ax-{rate}", n, 0, unicast=True, saturated=True, drain_s=0.6, seeds=5)
-        for rate in ("8.6", "34.4", "143.4")
-        for n in (2, 10)
-    ),
-)
-IDEAL = (
-    *(
-        Case(phy, 2, 0, side_m=side_m, exponent=3.0, size=1000, sink=True, ideal=True, saturated=True, seeds=5)
-        for phy, sides_m in (("a-6", (20, 40, 60, 80)), ("n-6.5", (20, 60, 100, 140)), ("ax-8.6", (10, 20, 60, 100, 140)))
-        for side_m in sides_m
-    ),
-    *(
-        Case(phy, 10, 20, side_m=side_m, exponent=3.0, nakagami=m, size=1000, unicast=True, ideal=True, drain_s=0.8, seeds=20)
-        for phy, side_m in (("a-6", 40.0), ("n-6.5", 60.0), ("ax-8.6", 60.0))
-        for m in (0.0, 3.0)
-    ),
-)
-CASES = (*SQUARES, *WIDE, *UNICAST, *HT, *RTS, *HE, *IDEAL)

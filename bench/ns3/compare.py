@@ -48,7 +48,8 @@ def compare(case: Case, judge: Sequence[Sample], ours: Sequence[Sample], *, pair
     """All figures of a scenario; paired: runs of the same seed have the same phases."""
 
     def row(quantity: str, figure: Callable[[Sample], float], tolerance: float, *, relative: bool = False) -> Row:
-        a, b = (np.array([figure(sample) for sample in samples]) for samples in (judge, ours))
+        a = np.array([figure(sample) for sample in judge])
+        b = np.array([figure(sample) for sample in ours])
         allowed = tolerance * abs(a.mean()) if relative else tolerance
         error = _error(b - a) if paired else float(np.hypot(_error(a), _error(b)))
         return Row(quantity, a.mean(), b.mean(), error, allowed)
@@ -100,7 +101,9 @@ def _error(values: Floats) -> float:
 def main(words: Sequence[str]) -> int:
     """Print a table for each scenario; the exit code."""
     names = [word for word in words if not word.startswith("--")]
-    chosen = [case for case in CASES if not names or any(name in case.name for name in names)]
+    chosen = list(CASES)
+    if names:
+        chosen = [case for case in CASES if any(name in case.name for name in names)]
     if "--list" in words:
         print(*(case.name for case in chosen), sep="\n")
         return 0
@@ -110,11 +113,10 @@ def main(words: Sequence[str]) -> int:
     missed = 0
     for case in chosen:
         judge = [ns3(case, seed) for seed in range(1, case.seeds + 1)]
-        frames = sum(int(sample.intended.sum()) for sample in judge) / (1 if case.unicast else case.nodes - 1)
-        print(
-            f"\n{case.name}: {case.seeds} runs, {frames:.0f} frames, ns-3 {sum(sample.cpu_s for sample in judge):.1f} s of CPU",
-            flush=True,
-        )
+        receivers = 1 if case.unicast else case.nodes - 1
+        frames = sum(int(sample.intended.sum()) for sample in judge) / receivers
+        cpu_s = sum(sample.cpu_s for sample in judge)
+        print(f"\n{case.name}: {case.seeds} runs, {frames:.0f} frames, ns-3 {cpu_s:.1f} s of CPU", flush=True)
         if "--judge" in words:
             continue
         try:

@@ -102,8 +102,8 @@ class Air:
         for row, (frame, each) in enumerate(pairs):
             delay_ns[row, each.fate == Fate.RECEIVED] = each.end_ns - frame.time_ns
 
-        sender, to, sent_ns = (np.array([getattr(frame, name) for frame, _ in pairs]) for name in ("sender", "to", "time_ns"))
-        start_ns, attempts = (np.array([getattr(each, name) for _, each in pairs]) for name in ("start_ns", "attempts"))
+        columns = [(frame.sender, frame.to, frame.time_ns, each.start_ns, each.attempts) for frame, each in pairs]
+        sender, to, sent_ns, start_ns, attempts = np.array(columns).reshape(-1, 5).T
         return Frames(sender, to, sent_ns, start_ns, attempts, delay_ns)
 
 

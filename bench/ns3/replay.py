@@ -81,6 +81,10 @@ def _same(ours: Decided, frames: Frames, number: int, last_ns: int) -> bool:
     return bool(((ours.fate == Fate.RECEIVED) & intended == received).all())
 
 
+def _lists(count: int) -> list[list[Any]]:
+    return [[] for _ in range(count)]
+
+
 def _judge(case: Case, duration_s: float, seed: int) -> Judged:
     stem = program.folder() / f"replay-{case.name}"
     places, out = stem.with_suffix(".csv"), stem.with_suffix(".bin")
@@ -91,7 +95,8 @@ def _judge(case: Case, duration_s: float, seed: int) -> Judged:
     log = subprocess.run(command, check=True, text=True, capture_output=True).stderr
     rows, n = np.fromfile(out, np.int64).reshape(-1, 7 + case.nodes), case.nodes
     numbers = {(sender, of_sender): number for number, (sender, of_sender) in enumerate(rows[:, :2].tolist())}
-    judged = Judged(program.read(Path(out), n), rows[:, 5], [[] for _ in range(n)], [[] for _ in range(n)], [[] for _ in rows])
+    draws, doubts, patience = _lists(n), _lists(n), _lists(len(rows))
+    judged = Judged(program.read(Path(out), n), rows[:, 5], draws, doubts, patience)
     window, on_air, acked_ns = [0] * n, [-1] * n, [-SECOND_NS] * n
     ack_ns = Dcf().rules(Air(case, seed).phy, 1.0).cts_air_ns  # of the same length
     for line in log.splitlines():

@@ -76,7 +76,9 @@ def host(settings: Options) -> None:
     """Answer every value until the world is gone."""
     port, number = map(int, settings.at.split())
     numbers = range(number, settings.agents, settings.processes)
-    groups: list[Sequence[int]] = [numbers] if settings.way == "all" else [[n] for n in numbers]
+    groups: list[Sequence[int]] = [numbers]
+    if settings.way != "all":
+        groups = [[n] for n in numbers]
     first = 1.0 if settings.latency_s else 0.5
     info = federate_info(port, len(groups), first % 1.0)
     create = h.helicsCreateValueFederate if settings.way == "plain" else h.helicsCreateCallbackFederate

@@ -31,7 +31,9 @@ class World(mosaik_api_v3.Simulator):  # type: ignore[misc]
     def init(self, sid: str, time_resolution: float, *, pace: Pace, scans: bool) -> Any:
         """Time 0."""
         self._pace = pace
-        self._observation: dict[str, Any] = {**STATE, **({"scan": [0.1 + n / 51.0 for n in range(BEAMS)]} if scans else {})}
+        self._observation: dict[str, Any] = dict(STATE)
+        if scans:
+            self._observation["scan"] = [0.1 + n / 51.0 for n in range(BEAMS)]
         return self.meta
 
     def create(self, num: int, model: str) -> Any:

@@ -61,11 +61,10 @@ class Still(Agent):
 
 def scenario(settings: Options) -> dict[str, Any]:
     """The star."""
-    scanner = (
-        {"sensors": {"scan": {"kind": "range_scanner", "beams": BEAMS, "field_of_view": 4.0, "range_max": 10.0}}}
-        if settings.scans
-        else {}
-    )
+    equipment: dict[str, Any] = {"agent": {}}
+    if settings.scans:
+        scanner = {"kind": "range_scanner", "beams": BEAMS, "field_of_view": 4.0, "range_max": 10.0}
+        equipment["sensors"] = {"scan": scanner}
     return {
         "name": "bench",
         "duration_s": 1e6,
@@ -79,9 +78,9 @@ def scenario(settings: Options) -> dict[str, Any]:
             "latency_s": settings.latency_s,
             "busy_s": settings.busy_s,
             "deadline_s": 30.0,
-            **({"processes": settings.processes} if settings.processes else {}),
+            "processes": settings.processes or 1,
         },
-        "vehicle": [{"name": f"car{n:02}", "agent": {}, **scanner} for n in range(settings.agents)],
+        "vehicle": [{"name": f"car{n:02}", **equipment} for n in range(settings.agents)],
     }
 
 

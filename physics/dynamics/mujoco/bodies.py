@@ -27,7 +27,7 @@ MOTOR_STEPS = 2.0
 """Time constant of a motor in steps, the least that MuJoCo allows."""
 MOTOR_IMPEDANCE = 0.999
 
-_IMPEDANCE = (0.98, 0.999, 0.0001, 0.5, 2.0)  # of contacts: nearly rigid, a robot sinks in by 0.2 mm
+_IMPEDANCE = (0.98, 0.999, 0.0001, 0.5, 2.0)  # of contacts: nearly rigid, a robot sinks in by less than 0.1 mm
 CONTACT_STEPS = 5.0  # time constant of wheels and casters on the floor, in steps; robots shake with less than 4
 _IMPACT_STEPS = 3.0  # of other contacts
 
