@@ -125,10 +125,10 @@ def fill() -> None:
     values = flat(api.run(star(50, physics="kinematic", duration_s=0.2) | {"radio": IDEAL}, mcap=False).metrics)
     plan, written = Plan(scenario="", scenario_toml="", vary={"a": list(range(500))}, seeds=list(range(20))), 0
     draw = random.Random(0)
-    texts = {name: value for name, value in values.items() if isinstance(value, str)}
+    texts: dict[str, Any] = {name: value for name, value in values.items() if isinstance(value, str)}
     with tempfile.TemporaryDirectory() as folder, Store(Path(folder), plan, resume=False, force=False) as store:
         for run in plan.runs:
-            drawn: dict[str, float | str] = {name: draw.random() for name in values}
+            drawn: dict[str, Any] = {name: draw.random() for name in values}
             row = encode(Values(drawn | texts))
             written += len(row)
             store.add(run.key, row)
