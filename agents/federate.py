@@ -150,14 +150,20 @@ class AgentRunner:
             raise AgentError(
                 (self.vehicle,), self.spec.kind, "has no state to act on: no estimate of its vehicle was published"
             )
-        clocks = self._clocks
+        clocks, own_time_ns = self._clocks, None
+        if clocks is None:
+            readings = Readings(self._readings)
+        else:
+            newest = dict.items(self._readings)  # without computing those on demand
+            readings = Readings({name: clocks.measured(self.vehicle, reading) for name, reading in newest})
+            own_time_ns = clocks.reading_ns(self.vehicle, now_ns)
         return Observation(
             vehicle=self.vehicle,
             time_ns=now_ns,
             state=self._state,
-            readings=Readings(self._readings) if clocks is None else self._measured(clocks),
+            readings=readings,
             heard=received,
-            own_time_ns=None if clocks is None else clocks.reading_ns(self.vehicle, now_ns),
+            own_time_ns=own_time_ns,
         )
 
     def _act(self, now_ns: int, when: int, received: ReceivedMessages, events: list[Event]) -> None:
@@ -182,17 +188,12 @@ class AgentRunner:
         if agent._notes or agent._shown or self.radio._outbox:  # noqa: SLF001  checked here: runs at every tick of every agent
             self._tell(when, events)
 
-    def _measured(self, clocks: VehicleClocks) -> Readings:
-        """The newest readings, with times of the vehicle's clock."""
-        newest = dict.items(self._readings)  # without computing those on demand
-        return Readings({name: clocks.measured(self.vehicle, reading) for name, reading in newest})
-
     def _tell(self, when: int, events: list[Event]) -> None:
         if notes := self.agent.drain_notes():
             events.append(Event(self._note_key, when, Note(values=notes)))
-        if self.agent._shown:  # noqa: SLF001  as in `_act`
+        if self.agent._shown:  # noqa: SLF001  as in `conclude`
             events += [Event(f"{self.vehicle}/{topic}", when, value) for topic, value in self.agent.drain_shown().items()]
-        if self.radio._outbox:  # noqa: SLF001  as in `_act`
+        if self.radio._outbox:  # noqa: SLF001  as in `conclude`
             events += [Event(f"{self.vehicle}/send", when, message) for message in self.radio.drain()]
 
     def die(self, now_ns: int, events: list[Event]) -> None:
@@ -298,9 +299,10 @@ class AgentHost:
         events: list[Event] = []
         after = [ticks.after(now_ns) for ticks in self._trains]
         due = [seat.is_due(now_ns) for seat in self._seats]
-        received = self._mail.open(
-            now_ns, None if all(due) else [seat.vehicle for seat in itertools.compress(self._seats, due)]
-        )
+        receivers = None
+        if not all(due):
+            receivers = [seat.vehicle for seat in itertools.compress(self._seats, due)]
+        received = self._mail.open(now_ns, receivers)
         nothing, next_ns = ReceivedMessages.none(now_ns), NEVER_NS
         for seat, train, is_due in zip(self._seats, self._train, due, strict=True):
             if is_due:

@@ -118,8 +118,12 @@ def _nearest(velocity: Point, units: Array, most: Array, beams: list[int]) -> tu
             cross = a * d - b * c
             if beam < other and abs(cross) > EXACT:
                 tried.append((((m * d - n * b) / cross, (n * a - m * c) / cross), [beam, other]))
-    fit = [each for each in tried if all(a * each[0][0] + b * each[0][1] <= m + EXACT for a, b, m in limits)]
-    return min(fit, key=lambda each: math.dist(each[0], velocity))
+
+    def is_allowed(candidate: tuple[Point, list[int]]) -> bool:
+        vx, vy = candidate[0]
+        return all(a * vx + b * vy <= m + EXACT for a, b, m in limits)
+
+    return min(filter(is_allowed, tried), key=lambda each: math.dist(each[0], velocity))
 
 
 def limited_drive(v: float, view: View, keep_m: float, lane_m: float, approach: float) -> float:

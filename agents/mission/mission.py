@@ -91,11 +91,11 @@ class SearchMission(Agent):
         self._roster = Roster(name, members, sectors=self.sectors, **self._hearing)
         sector = tuple(next((each for each in self.sectors if name in each), (name,)))
         self._leads = name != sector[-1]  # others fly along
-        self._tasks = {
-            task: algorithm if task != "formation" else self._flies_along[sector]
-            for task, algorithm in self._algorithms.items()
-            if task != "formation" or name != sector[0]
-        }
+        self._tasks = dict(self._algorithms)
+        if name == sector[0]:
+            self._tasks.pop("formation", None)
+        elif "formation" in self._tasks:
+            self._tasks["formation"] = self._flies_along[sector]
         if self._watch is not None:
             self._watch.start(info)
         for algorithm in self._tasks.values():

@@ -17,6 +17,8 @@ from vcmvsp.cosim.agent import Agent, Observation, Radio, Shown, VehicleInfo
 from vcmvsp.cosim.frames import rotate2
 from vcmvsp.cosim.types import Vec3, Velocity, Waypoint
 
+Command = Velocity | Waypoint
+
 STANDING = Velocity()
 
 
@@ -53,7 +55,7 @@ class Guard:
         direction = view.units[int(view.ranges.argmin())]
         self.closing = math.isfinite(self.nearest_m) and float(direction @ towards) > 0.0
 
-    def limited(self, obs: Observation, command: Velocity | Waypoint) -> Velocity | Waypoint:
+    def limited(self, obs: Observation, command: Command) -> Command:
         """The command, slowed near obstacles. The climb does not change, unless the vehicle has no valid scan.
 
         Near an obstacle a way-point becomes a velocity towards it, because the speed of an autopilot is unknown.
@@ -69,11 +71,6 @@ class Guard:
         if allowed == requested:
             return command if level < 2 else straight
         return Velocity(linear=(*rotate2(*allowed, yaw), z), yaw_rate=straight.yaw_rate)
-
-
-Command = Velocity | Waypoint
-
-STANDING = Velocity()
 
 
 @runtime_checkable

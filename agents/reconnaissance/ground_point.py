@@ -93,9 +93,10 @@ class Nadir(NamedTuple):
         """The pixels that show all of the ground within ``reach_m`` of a place, as far as the picture does; None: none do."""
         x, y = place
         corners = [self.pixel((x + i * reach_m, y + j * reach_m)) for i in (-1, 1) for j in (-1, 1)]
-        columns, rows = zip(*(corner for corner in corners if corner is not None), strict=True) if any(corners) else ((), ())
-        if len(columns) < len(corners):
-            return (0, 0, self.width, self.height) if columns else None
+        in_front = [corner for corner in corners if corner is not None]
+        if len(in_front) < len(corners):
+            return (0, 0, self.width, self.height) if in_front else None
+        columns, rows = zip(*in_front, strict=True)
         first, top = max(0, math.floor(min(columns))), max(0, math.floor(min(rows)))
         last, low = min(self.width, math.ceil(max(columns)) + 1), min(self.height, math.ceil(max(rows)) + 1)
         return (first, top, last, low) if first < last and top < low else None

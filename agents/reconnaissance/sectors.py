@@ -12,6 +12,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from vcmvsp.agents.reconnaissance.probability_map import Rectangle
 from vcmvsp.cosim.clock import seconds_to_ns
@@ -29,9 +30,11 @@ def strips(area: Rectangle, living: Iterable[str]) -> dict[str, Rectangle]:
     }
 
 
-def _natural(name: str) -> list[tuple[int, str]]:
+def _natural(name: str) -> list[Any]:
     """Sort key of names: uav2 before uav10."""
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"([0-9]+)", name)]
+    parts: list[Any] = re.split(r"([0-9]+)", name)  # words and numbers in turn
+    parts[1::2] = map(int, parts[1::2])
+    return parts
 
 
 def lanes(area: Rectangle, radius: float, overlap: float = 0.2, start: Point | None = None) -> tuple[Point, ...]:
@@ -57,8 +60,9 @@ def lanes(area: Rectangle, radius: float, overlap: float = 0.2, start: Point | N
 
 def _way(xs: list[float], ends: tuple[float, float]) -> tuple[Point, ...]:
     points = []
-    for i, x in enumerate(xs):
-        points += [(x, end) for end in (ends if i % 2 == 0 else ends[::-1])]
+    for x in xs:
+        points += [(x, end) for end in ends]
+        ends = ends[::-1]
     return tuple(points)
 
 
@@ -175,11 +179,16 @@ class _Way:
             self.number += self.step
         elif self.across:
             self.lanes, self.across = self.across, self.lanes
-            last = len(self.lanes) - 1
-            distances = [min(math.dist(position, end) for end in self.lanes[number]) for number in (0, last)]
-            self.number, self.step = (0, 1) if distances[0] <= distances[1] else (last, -1)
+            self.number, self.step = 0, 1
+            if _away(self.lanes[-1], position) < _away(self.lanes[0], position):
+                self.number, self.step = len(self.lanes) - 1, -1
         else:
             self.step = -self.step
+
+
+def _away(lane: tuple[Point, Point], position: Point) -> float:
+    """Distance of the nearer end of a lane, m."""
+    return min(math.dist(position, end) for end in lane)
 
 
 AHEAD_S = 1.0  # look-ahead time along a lane

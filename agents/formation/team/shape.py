@@ -129,7 +129,7 @@ def _own(count: int, offsets: Sequence[Slot]) -> Slots:
 def _unit(shape: ShapeName, count: int) -> list[Slot]:
     """The slots of a shape other than "own" with a spacing of 1 m; of a diamond that is not full, also the empty ones."""
     numbers, half, m = range(count), math.sqrt(0.5), 1 + math.isqrt(count - 1)  # m: the least with m m >= count
-    by_turns = [((1.0 if i % 2 == 0 else -1.0), (i + 1) // 2) for i in numbers]  # side and k
+    by_turns = [((-1.0) ** i, (i + 1) // 2) for i in numbers]  # side and k
     match shape:
         case "column":
             return [(-float(i), 0.0) for i in numbers]

@@ -151,7 +151,7 @@ def _all_slots(formation: Formation, count: int) -> Mapping[str, Slots]:
 
 
 def _check_narrower(narrow: str, places: Slots, wide: str, wide_places: Slots) -> None:
-    needs, has = (max(across) - min(across) for across in ([y for _, y in each] for each in (places, wide_places)))
+    needs, has = (float(np.ptp(each, axis=0)[1]) for each in (places, wide_places))
     if len(places) > 1 and needs >= has:
         raise ValueError(
             f"formation.passage.shape = {narrow!r} is no narrower than the formation's own, {wide!r}: "
