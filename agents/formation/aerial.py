@@ -14,7 +14,7 @@ from vcmvsp.agents.avoidance.steering import around
 from vcmvsp.agents.formation.followers.follower import FormationFollower
 from vcmvsp.agents.formation.leaders.leader import Leader
 from vcmvsp.agents.formation.reports.prediction import Estimator, estimator_of
-from vcmvsp.agents.formation.reports.report import PLAUSIBLE, LeaderState, Report
+from vcmvsp.agents.formation.reports.report import LeaderState, Report, plausible
 from vcmvsp.agents.formation.reports.sending import Sending
 from vcmvsp.agents.formation.team.shape import Formation, Slot
 from vcmvsp.cosim.agent import Observation, Radio, VehicleInfo
@@ -90,11 +90,8 @@ def limited(velocity: Vec3, most: float) -> Vec3:
 
 
 def _aloft(body: Mapping[str, Any]) -> tuple[float, float, float, float] | None:
-    try:
-        vx, vy, vz, z = (body[key] for key in KEYS)
-        return (vx, vy, vz, z) if abs(vx) + abs(vy) + abs(vz) + abs(z) < PLAUSIBLE else None
-    except (KeyError, TypeError):
-        return None
+    vx, vy, vz, z = values = [body.get(key) for key in KEYS]
+    return (vx, vy, vz, z) if plausible(values) else None  # type: ignore[return-value]
 
 
 Heading = Literal["keep", "course"]

@@ -20,6 +20,7 @@ Reports are old when they are used. Two forms of the protocol:
 import math
 from bisect import bisect_left
 from collections.abc import Mapping
+from operator import attrgetter
 from typing import Any, Literal, NamedTuple
 
 from vcmvsp.agents.formation.followers.laws import axle_velocity, hand_point
@@ -41,6 +42,9 @@ class NeighbourPoint(NamedTuple):
     t_ns: int
     x: float  # m, world
     y: float  # m, world
+
+
+TIME = attrgetter("t_ns")
 
 
 class Consensus(Agent):
@@ -93,7 +97,6 @@ class Consensus(Agent):
         self._clock_bound_ns, self._timeout_ns = seconds_to_ns(clock_bound_s), seconds_to_ns(timeout_s)
         self._newest: dict[str, NeighbourPoint] = {}
         self._past: list[NeighbourPoint] = []  # the own point at past ticks, up to the oldest usable report
-        self._times: list[int] = []  # the same, when only
         self._refused = 0
         self._places: dict[str, Vec2] = {}  # delta_j - delta_i of every neighbour
         self._changes: list[tuple[int, ShapeName]] = []  # still to come, the next one last
@@ -173,14 +176,13 @@ class Consensus(Agent):
 
     def _remember(self, own_point: NeighbourPoint) -> None:
         self._past.append(own_point)
-        self._times.append(own_point.t_ns)
-        end = bisect_left(self._times, own_point.t_ns - self._timeout_ns) - 1  # one from before, to interpolate
+        end = bisect_left(self._past, own_point.t_ns - self._timeout_ns, key=TIME) - 1  # one from before, to interpolate
         if end > 0:
-            del self._past[:end], self._times[:end]
+            del self._past[:end]
 
     def _recall(self, t_ns: int) -> NeighbourPoint:
         """The own point at a past time, interpolated between ticks."""
-        i = min(bisect_left(self._times, t_ns), len(self._times) - 1)
+        i = min(bisect_left(self._past, t_ns, key=TIME), len(self._past) - 1)
         at = self._past[i]
         if at.t_ns <= t_ns or i == 0:
             return at
@@ -218,13 +220,16 @@ class Consensus(Agent):
 
 def neighbours_of(graph: Graph, index: int, count: int) -> tuple[int, ...]:
     """The neighbours of member ``index`` of ``count``, in ascending order."""
-    others = {
-        "complete": range(count),
-        "star": range(count) if index == 0 else (0,),
-        "path": [j for j in (index - 1, index + 1) if 0 <= j < count],
-        "ring": [(index - 1) % count, (index + 1) % count],
-    }[graph]
-    return tuple(sorted({*others} - {index}))
+    beside = (index - 1, index + 1)
+    if graph == "ring":
+        others = {place % count for place in beside}
+    elif graph == "path":
+        others = {place for place in beside if 0 <= place < count}
+    elif graph == "star" and index > 0:
+        others = {0}
+    else:
+        others = set(range(count))
+    return tuple(sorted(others - {index}))
 
 
 def _parse(body: Mapping[str, Any], latest_ns: int) -> NeighbourPoint | None:

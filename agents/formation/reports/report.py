@@ -70,22 +70,24 @@ def measured_speeds(obs: Observation) -> tuple[float, float]:
     return vx * math.cos(yaw) + vy * math.sin(yaw), obs.state.angular_velocity[2]
 
 
+def plausible(values: Iterable[Any]) -> bool:
+    """Whether all values are numbers of a plausible size."""
+    try:
+        return sum(map(abs, values)) < PLAUSIBLE
+    except TypeError:
+        return False
+
+
 def accelerations(report: Report) -> tuple[float, float]:
     """Accelerations in a report, m/s2 and rad/s2; zero if they are missing or invalid."""
     a, al = report.body.get("a", 0.0), report.body.get("al", 0.0)
-    try:
-        return (a, al) if abs(a) + abs(al) < PLAUSIBLE else (0.0, 0.0)
-    except TypeError:
-        return 0.0, 0.0
+    return (a, al) if plausible((a, al)) else (0.0, 0.0)
 
 
 def height_of(report: Report) -> float | None:
     """Height in a report, m, world; None: missing, as for ground vehicles, or invalid."""
     z = report.body.get("z")
-    try:
-        return z if abs(z) < PLAUSIBLE else None  # type: ignore[arg-type]
-    except TypeError:
-        return None
+    return z if plausible((z,)) else None
 
 
 def plan_of(report: Report) -> tuple[float, list[tuple[float, float]]] | None:
@@ -93,10 +95,7 @@ def plan_of(report: Report) -> tuple[float, list[tuple[float, float]]] | None:
     dt, flat = report.body.get("dt"), report.body.get("plan")
     if not isinstance(dt, float) or not isinstance(flat, list) or not flat or len(flat) % 2:
         return None
-    try:
-        if not SHORTEST_PERIOD_S <= dt < PLAUSIBLE or not sum(map(abs, flat)) < PLAUSIBLE:
-            return None
-    except TypeError:
+    if not SHORTEST_PERIOD_S <= dt < PLAUSIBLE or not plausible(flat):
         return None
     return dt, [report.state[3:], *zip(flat[::2], flat[1::2], strict=True)]
 
