@@ -103,14 +103,7 @@ class MapExchange:
     """A member's knowledge of the area. Each tick: `take` received messages, `look` (possibly at no cell), send `messages`.
 
     This one exchanges nothing (kind ``none``). An entry of a message is a list of ``length`` items that ends with bytes.
-
-    Args:
-        tiling: of the map, equal for all members.
-        sensor: error rates of looks.
-        prior: log-odds before the first look.
-        me: this vehicle.
-        members: all members, with this vehicle.
-        clock_bound_ms: largest lead of other clocks.
+    ``tiling`` is equal for all ``members``, ``prior`` the log-odds before the first look, ``me`` this vehicle.
     """
 
     key = ""
@@ -288,11 +281,8 @@ class Ledger(MapExchange):
     - Relayed counts of a contributor are accepted only if they are newer than its own last message about that tile, and not
       from the future; they add to its counts and reduce none. Of relayed counts the newest apply.
     - A false relay can raise counts only until the contributor's next own message about the tile, and none with
-      ``relay = False``. A contributor's own counts cannot be checked: looks have errors in any case.
-
-    Args:
-        tiling: as of every `MapExchange`, like those behind it.
-        relay: send and accept counts of third members.
+      ``relay = False``, with which counts of third members are neither sent nor accepted. A contributor's own counts cannot
+      be checked: looks have errors in any case.
     """
 
     key, length = "l", 4

@@ -144,10 +144,9 @@ def probability(odds: Array) -> Array:
     return 1.0 / (1.0 + np.exp(-odds))
 
 
-def decisions(odds: Array, target: float = TARGET, empty: float = EMPTY) -> Array:
-    """By cell: 1 where P is above ``target``, -1 where it is below ``empty``, 0 where it is open (int8)."""
-    above, below = log_odds(target), log_odds(empty)
-    return (odds > above).astype(np.int8) - (odds < below).astype(np.int8)
+def decisions(odds: Array) -> Array:
+    """By cell: 1 where P is above `TARGET`, -1 where it is below `EMPTY`, 0 where it is open (int8)."""
+    return (odds > log_odds(TARGET)).astype(np.int8) - (odds < log_odds(EMPTY)).astype(np.int8)
 
 
 def _in_polygon(corners: Array, x: Array, y: Array) -> Array:

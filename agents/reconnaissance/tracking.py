@@ -27,6 +27,7 @@ Phase = Literal["none", "seen", "predicted", "spiral", "lost"]
 GAIN = 0.8  # 1/s: speed towards the target for each metre
 SMOOTHING = 0.2  # share of a new measurement in the estimated velocity, a tick
 WITHIN_M = 2.0  # largest distance between detections of one target
+TARGET_SPEED = 1.0  # m/s: a target out of sight has moved no faster
 LOST_S, SPIRAL_S = 3.0, 10.0  # time without a detection until a target is lost; duration of the search after that
 
 
@@ -57,18 +58,20 @@ class Confirmation:
         """Add the detections of a frame; the place of a target that they and the previous frames confirm."""
         self._frames.append(tuple(place for place in places if _is_place(place)))
         for place in self._frames[-1]:
-            near = sum(any(math.dist(place, other) <= self.within_m for other in frame) for frame in self._frames)
-            if near >= self.needed:
+            if sum(self._is_near(place, frame) for frame in self._frames) >= self.needed:
                 return place
         return None
+
+    def _is_near(self, place: Point, detections: Iterable[Point]) -> bool:
+        return any(math.dist(place, other) <= self.within_m for other in detections)
 
 
 class Tracker:
     """Estimate of one target's place, and velocities to stay above it.
 
-    A detection further than ``within_m``, and ``target_speed`` times the time out of sight, from where the target is expected
-    is not it. The search time counts commands: it stops while another algorithm commands. `ValueError`: the gain is too large
-    for this period and latency. `agents.reconnaissance.track.TrackTarget` explains the other arguments.
+    A detection further than ``within_m``, and 1 m/s times the time out of sight, from where the target is expected is not it.
+    The search time counts commands: it stops while another algorithm commands. `ValueError`: the gain is too large for this
+    period and latency. `agents.reconnaissance.track.TrackTarget` explains the other arguments.
     """
 
     def __init__(
@@ -80,7 +83,6 @@ class Tracker:
         smoothing: float = SMOOTHING,
         max_speed: float = 4.0,
         within_m: float = WITHIN_M,
-        target_speed: float = 1.0,
         lost_s: float = LOST_S,
         spiral_s: float = SPIRAL_S,
         spiral_speed: float = 2.0,
@@ -90,8 +92,8 @@ class Tracker:
         if not 0.0 < gain < most:
             loop = f"a period of {period_s:g} s and a latency of {latency_s:g} s"
             raise ValueError(f"gain = {gain:g} must lie between 0 and {most:.3f} 1/s with {loop}")
-        self.period_s, self.gain, self.smoothing, self.max_speed = period_s, gain, smoothing, max_speed
-        self.within_m, self.target_speed = within_m, target_speed
+        self.period_s, self.gain, self.smoothing = period_s, gain, smoothing
+        self.max_speed, self.within_m = max_speed, within_m
         self.spiral_s, self.spiral_speed, self.spiral_pitch_m = spiral_s, spiral_speed, spiral_pitch_m
         self._lost_ns = seconds_to_ns(lost_s)
         self._place: Point | None = None
@@ -147,7 +149,7 @@ class Tracker:
 
     def reach_m(self, now_ns: int) -> float:
         """Radius of the region of interest around the expected place, m."""
-        return self.within_m + self.target_speed * max(0.0, (now_ns - self.seen_ns) / 1e9)
+        return self.within_m + TARGET_SPEED * max(0.0, (now_ns - self.seen_ns) / 1e9)
 
     def command(self, now_ns: int, position: Vec3) -> Point:
         """Velocity, m/s, world, for a vehicle at ``position``; (0, 0) without a target.

@@ -65,7 +65,6 @@ def test_decisions_of_a_cell_agree_with_the_sequential_test(p: float, net: int, 
 def test_decisions_are_strict() -> None:
     odds = np.array([log_odds(0.99), log_odds(0.9901), 0.0, log_odds(0.01), log_odds(0.0099), 20.0, -20.0])
     assert decisions(odds).tolist() == [0, 1, 0, 0, -1, 1, -1]
-    assert decisions(odds, 0.5, 0.5).tolist() == [1, 1, 0, -1, -1, 1, -1]
 
 
 def test_cells_are_numbered_by_row_from_the_bottom_left() -> None:

@@ -121,10 +121,10 @@ def test_repeated_and_older_pictures_are_ignored() -> None:
 
 
 def test_the_region_of_interest_grows_with_the_time_out_of_sight() -> None:
-    tracker = Tracker(T, within_m=2.0, target_speed=1.5)
+    tracker = Tracker(T, within_m=2.0)
     tracker.begin(0, (0.0, 0.0))
-    assert tracker.reach_m(2 * 10**9) == 5.0
-    assert tracker.see(2 * 10**9, [(4.9, 0.0)])
+    assert tracker.reach_m(2 * 10**9) == 4.0
+    assert tracker.see(2 * 10**9, [(3.9, 0.0)])
     assert tracker.reach_m(2 * 10**9) == 2.0
 
 
