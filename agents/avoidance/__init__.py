@@ -1,7 +1,7 @@
 """Obstacle avoidance from the newest range scan, without a map. Formations and missions do not belong here.
 
 `view`: content of a scan; `method`: question and answer of a method; `potential_field`, `gap`, `vfh`, `dynamic_window`: the
-methods; `levels`: speed limits near obstacles; `steering`: a method around commands; `avoid`: around any agent.
+methods; `steering`: a method around commands, and speed limits near obstacles; `avoid`: around any agent.
 """
 
 from vcmvsp.agents.avoidance.dynamic_window import DynamicWindow
