@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.support.agents.aerial_loop import BODY
-from tests.support.agents.agent_loop import Uav, info, reception_of_body
+from tests.support.agents.agent_loop import Uav, bodies, info, present, reception_of_body
 from tests.support.agents.scans import scan_of
 from vcmvsp.agents.avoidance import Gap
 from vcmvsp.agents.mission.mission import SearchMission
@@ -79,7 +79,7 @@ class MissionRun:
         uav = Uav((0.0, 0.0, 20.0), velocity=velocity)
         command = self.agent.act(uav.see(number * T_NS, [reception_of_body(*each) for each in messages], scan=scan), self.radio)
         self.notes.append(self.agent.drain_notes())
-        self.sent.append([message.body for message in self.radio.drain()])
+        self.sent.append(bodies(self.radio))
         return command
 
 
@@ -138,8 +138,7 @@ def test_the_second_in_a_sector_flies_in_formation_until_the_first_tracks() -> N
     report |= {"vx": 1.0, "vy": 0.0, "vz": 0.0, "z": 20.0}
     flown.tick(0, 9.0, ("a", report))
     assert (flown.notes[0]["task"], flown.notes[0]["task_why"]) == ("formation", "the sector is shared")
-    assert flown.agent.follows is not None
-    assert flown.agent.follows.leader == "a"
+    assert present(flown.agent.follows).leader == "a"
     flown.tick(10, 9.0, ("a", {"do": "track", "ms": 900, "tg": "alpha", "at": [0.0, 0.0], "since": 800}))
     assert flown.notes[-1]["task"] == "search"
     assert flown.agent.follows is None

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.agents.agent_loop import Uav
+from tests.support.agents.agent_loop import Uav, present
 from tests.support.agents.fake_cameras import T_NS, FakeWatch, at_rest, positions_over, started_agent
 from vcmvsp.agents.reconnaissance.ground_point import Nadir
 from vcmvsp.agents.reconnaissance.picture_recording import Mosaicking, Sheet
@@ -20,6 +20,7 @@ from vcmvsp.cosim.types import Array, Image, Mosaic, Sightings, Velocity
 
 SECOND = 10**9
 AREA = Rectangle(-20.0, -10.0, 20.0, 30.0)
+LEVEL = (1.0, 0.0, 0.0, 0.0)
 
 u, v = np.meshgrid(np.arange(640), np.arange(480))
 RAMP = np.stack([u * 0.375, v * 0.5, np.full(u.shape, 200.0)], axis=-1).astype(np.uint8)  # colours encode pixel coordinates
@@ -37,23 +38,18 @@ def attitude(yaw: float, tilt: float, about: float) -> tuple[float, ...]:
     return c * a, c * x - s * y, c * y + s * x, s * a  # tilt first, then yaw
 
 
+ANGLES = st.floats(-math.pi, math.pi)
+
+
 @settings(max_examples=20)
-@given(
-    st.floats(-20.0, 20.0),
-    st.floats(-10.0, 30.0),
-    st.floats(12.0, 40.0),
-    st.floats(-math.pi, math.pi),
-    st.floats(0.0, 0.4),
-    st.floats(-math.pi, math.pi),
-)
+@given(st.floats(-20.0, 20.0), st.floats(-10.0, 30.0), st.floats(12.0, 40.0), ANGLES, st.floats(0.0, 0.4), ANGLES)
 def test_every_cell_shows_the_picture_at_its_centre(
     x: float, y: float, height: float, yaw: float, tilt: float, about: float
 ) -> None:
     sheet = Sheet(Mosaicking(area=AREA, cell_m=1.0))
     one = frame(RAMP, 0, (x, y, height), attitude(yaw, tilt, about))
     sheet.lay(one)
-    shown = sheet.due_mosaic(0)
-    assert shown is not None
+    shown = present(sheet.due_mosaic(0))
     assert shown.pixels.shape == (40, 40, 3)
     for row in range(0, 40, 4):
         for column in range(0, 40, 4):
@@ -67,12 +63,10 @@ def test_every_cell_shows_the_picture_at_its_centre(
 
 def test_the_newest_picture_lies_on_top_and_the_rest_stays() -> None:
     sheet = Sheet(Mosaicking(area=AREA, cell_m=0.5))
-    sheet.lay(frame(RAMP, 0, (0.0, 0.0, 20.0), (1.0, 0.0, 0.0, 0.0)))
-    before = sheet.due_mosaic(0)
-    sheet.lay(frame(RED, SECOND, (8.0, 0.0, 8.0), (1.0, 0.0, 0.0, 0.0)))  # covers 9.6 m ahead (east) and 12.8 m across
-    after = sheet.due_mosaic(11 * SECOND)
-    assert before is not None
-    assert after is not None
+    sheet.lay(frame(RAMP, 0, (0.0, 0.0, 20.0), LEVEL))
+    before = present(sheet.due_mosaic(0))
+    sheet.lay(frame(RED, SECOND, (8.0, 0.0, 8.0), LEVEL))  # covers 9.6 m ahead (east) and 12.8 m across
+    after = present(sheet.due_mosaic(11 * SECOND))
     red = (after.pixels == (255, 0, 0)).all(axis=-1)
     middles = np.arange(80) * 0.5 + 0.25
     inside = (abs(middles - 10.0)[:, None] < 6.4) & (abs(middles - 20.0 - 8.0)[None, :] < 4.8)
@@ -83,20 +77,16 @@ def test_the_newest_picture_lies_on_top_and_the_rest_stays() -> None:
 
 
 def test_one_picture_a_second_is_laid_and_none_with_horizon_or_far_away() -> None:
-    level = (1.0, 0.0, 0.0, 0.0)
     sheet = Sheet(Mosaicking(area=AREA))
     sheet.lay(frame(RED, 0, (0.0, 0.0, 20.0), attitude(0.0, 1.2, 0.3)))
     assert sheet.due_mosaic(0) is None
-    sheet.lay(frame(RED, 0, (500.0, 0.0, 20.0), level))
-    sheet.lay(frame(RED, SECOND - 1, (0.0, 0.0, 20.0), level))
-    shown = sheet.due_mosaic(SECOND)
-    assert shown is not None
+    sheet.lay(frame(RED, 0, (500.0, 0.0, 20.0), LEVEL))
+    sheet.lay(frame(RED, SECOND - 1, (0.0, 0.0, 20.0), LEVEL))
+    shown = present(sheet.due_mosaic(SECOND))
     assert not shown.pixels.any()
     assert sheet.due_mosaic(2 * SECOND) is None  # once per 10 s
-    sheet.lay(frame(RED, SECOND, (0.0, 0.0, 20.0), level))
-    again = sheet.due_mosaic(11 * SECOND)
-    assert again is not None
-    assert again.pixels.any()
+    sheet.lay(frame(RED, SECOND, (0.0, 0.0, 20.0), LEVEL))
+    assert present(sheet.due_mosaic(11 * SECOND)).pixels.any()
     assert not shown.pixels.any()  # a mosaic already shown does not change
 
 
@@ -104,10 +94,8 @@ def test_a_cell_is_the_mean_of_its_ground() -> None:
     """A checkerboard much finer than the cells becomes grey."""
     board = np.repeat((np.indices((480, 640)).sum(axis=0) % 2 * 255).astype(np.uint8)[:, :, None], 3, axis=2)
     sheet = Sheet(Mosaicking(area=AREA, cell_m=1.0))
-    sheet.lay(frame(cv2.GaussianBlur(board, (3, 3), 0), 0, (0.0, 10.0, 40.0), (1.0, 0.0, 0.0, 0.0)))
-    shown = sheet.due_mosaic(0)
-    assert shown is not None
-    assert abs(shown.pixels[5:35, 5:35].astype(float) - 127.5).max() < 10.0
+    sheet.lay(frame(cv2.GaussianBlur(board, (3, 3), 0), 0, (0.0, 10.0, 40.0), LEVEL))
+    assert abs(present(sheet.due_mosaic(0)).pixels[5:35, 5:35].astype(float) - 127.5).max() < 10.0
 
 
 # --- regions that a tracking agent searches, as commander and in stand-by, and the values that it shows ---
@@ -124,10 +112,8 @@ def test_in_sight_it_searches_around_the_target_and_the_whole_picture_every_seco
 
 
 def test_other_targets_are_found_while_it_tracks_one() -> None:
-    track = started_agent(
-        TrackTarget(),
-        FakeWatch(lambda time_s: {"alpha": (1.0, 0.0), "bravo": (9.0, 3.0)} if time_s > 2.0 else {"alpha": (1.0, 0.0)}),
-    )
+    alpha, both = {"alpha": (1.0, 0.0)}, {"alpha": (1.0, 0.0), "bravo": (9.0, 3.0)}
+    track = started_agent(TrackTarget(), FakeWatch(lambda time_s: both if time_s > 2.0 else alpha))
     uav, radio, found = Uav((0.0, 0.0, 30.0)), Radio("me", ("me", "other")), {}
     for tick in range(80):
         uav.move(command) if isinstance(command := track.act(uav.see(tick * T_NS), radio), Velocity) else None
@@ -135,8 +121,7 @@ def test_other_targets_are_found_while_it_tracks_one() -> None:
             found[name] = tick
     assert found["alpha"] == 2
     assert 40 <= found["bravo"] <= 55  # three pictures, 1 s apart
-    assert track.claim is not None
-    assert track.claim.target == "alpha"
+    assert present(track.claim).target == "alpha"
 
 
 def test_in_stand_by_it_continues_to_observe() -> None:
@@ -153,9 +138,8 @@ def test_in_stand_by_it_continues_to_observe() -> None:
 
 
 def test_every_picture_with_a_target_is_shown_and_its_pixels_once_a_second() -> None:
-    track = started_agent(
-        TrackTarget(), FakeWatch(lambda time_s: {"alpha": (1.0, 0.0)} if 7.0 <= time_s < 9.0 else {}), alone=False
-    )
+    eye = FakeWatch(lambda time_s: {"alpha": (1.0, 0.0)} if 7.0 <= time_s < 9.0 else {})
+    track = started_agent(TrackTarget(), eye, alone=False)
     uav, shown = Uav((0.0, 0.0, 30.0)), {}
     for tick in range(150):
         track.facts(uav.see(tick * T_NS))

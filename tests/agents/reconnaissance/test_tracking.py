@@ -82,17 +82,6 @@ def test_the_bound_is_where_a_root_of_the_loop_leaves_the_unit_circle(n: int) ->
     assert radius(0.999 * bound) < 1.0 < radius(1.001 * bound)
 
 
-@pytest.mark.parametrize(
-    ("latency", "gain", "fits"), [(1.5, 1.01, True), (1.5, 1.02, False), (2.0, 0.76, True), (2.0, 0.8, False)]
-)
-def test_a_gain_unstable_with_the_latency_is_refused(latency: float, gain: float, fits: bool) -> None:
-    if fits:
-        Tracker(T, latency_s=latency, gain=gain)
-    else:
-        with pytest.raises(ValueError, match="must lie between 0 and"):
-            Tracker(T, latency_s=latency, gain=gain)
-
-
 def test_commands_are_limited() -> None:
     tracker = Tracker(T, max_speed=2.0)
     tracker.begin(0, (30.0, 40.0))

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.agents.aerial_loop import BODY
-from tests.support.agents.agent_loop import T, info
+from tests.support.agents.agent_loop import T, info, present
 from vcmvsp.agents.reconnaissance.ground_point import MOUNT, Nadir, Poses, nadir_of
 from vcmvsp.agents.reconnaissance.recognition.ground import FOCAL_PX, SyntheticFrame, frame, glyph, tilted
 from vcmvsp.agents.reconnaissance.watch import GroundDisc, Wanted, Watch, Watching
@@ -56,8 +56,7 @@ def image_of(made: SyntheticFrame, time_ns: int) -> Image:
     return Image(pixels=made.image, time_ns=time_ns, focal_px=FOCAL_PX)
 
 
-# --- pose of the vehicle
-# ------------------------------------------------------------------------------------------------------
+# --- pose of the vehicle ---
 
 
 @given(UNIT, AXIS, st.floats(0.0, 3.0), st.floats(-20.0, 20.0), st.floats(0.0, 1.0), st.booleans())
@@ -85,8 +84,7 @@ def test_interpolation_between_ticks_is_exact_at_constant_acceleration(
         seen_then = Observation(vehicle="me", time_ns=tick * T_NS, state=state(tick * T, sign), readings={})
         poses.add(seen_then)
     time_ns = round(share * T_NS)
-    found, expected = poses.at(time_ns), state(time_ns / 1e9)
-    assert found is not None
+    found, expected = present(poses.at(time_ns)), state(time_ns / 1e9)
     assert found.position == pytest.approx(expected.position, abs=1e-6)
     assert abs(sum(a * b for a, b in zip(found.attitude, expected.attitude, strict=True))) == pytest.approx(1.0, abs=1e-9)
     assert math.hypot(*found.attitude) == pytest.approx(1.0)
@@ -96,27 +94,16 @@ def test_poses_exist_between_two_ticks_and_not_before_after_or_in_gaps() -> None
     poses = Poses(T)
     for tick in (2, 3, 8, 9):
         poses.add(seen(tick, (0.4 * tick, 0.0, 5.0)))
-    for ticks, known in (
-        (1.9, False),
-        (2.0, True),
-        (2.3, True),
-        (3.0, True),
-        (5.0, False),
-        (8.0, True),
-        (8.5, True),
-        (9.1, False),
-    ):
-        pose = poses.at(round(ticks * T_NS))
-        assert (pose is not None) == known
-        if pose is not None:
-            assert pose.position == pytest.approx((0.4 * ticks, 0.0, 5.0))
+    for ticks in (2.0, 2.3, 3.0, 8.0, 8.5):
+        assert present(poses.at(round(ticks * T_NS))).position == pytest.approx((0.4 * ticks, 0.0, 5.0))
+    assert [poses.at(round(ticks * T_NS)) for ticks in (1.9, 5.0, 9.1)] == [None] * 3
     for tick in range(10, 300):
         poses.add(seen(tick, (0.4 * tick, 0.0, 5.0)))
     assert poses.at(8 * T_NS) is None  # too old
     assert poses.at(200 * T_NS) is not None
 
 
-# --- pictures -----------------------------------------------------------------------------------------------------------------
+# --- pictures ---
 
 
 @pytest.mark.parametrize("late", [0.0, 0.5, 1.0, 3.4])
@@ -131,11 +118,9 @@ def test_a_late_picture_is_placed_by_the_pose_at_its_exposure(watch: Watch, late
     then = VehicleState(position=pose(at * T)[0], attitude=pose(at * T)[1])
     for tick in range(8):
         assert watch.look(seen(tick, *pose(tick * T))) is None
-    shown = watch.look(seen(8, *pose(8 * T), camera=image_of(made, round(at * T_NS))))
-    assert shown is not None
+    shown = present(watch.look(seen(8, *pose(8 * T), camera=image_of(made, round(at * T_NS)))))
     (truth,), (sighting,) = made.seen.truths, shown.sightings
-    place = nadir_of(image_of(made, 0), then).ground_point((truth.u, truth.v))
-    assert place is not None
+    place = present(nadir_of(image_of(made, 0), then).ground_point((truth.u, truth.v)))
     assert sighting.place == pytest.approx(place, abs=0.05)
     assert math.dist(sighting.centre_px, (truth.u, truth.v)) < 2.0
     assert math.remainder(sighting.angle - truth.angle, math.tau) == pytest.approx(0.0, abs=0.05)
@@ -147,9 +132,7 @@ def test_a_late_picture_is_placed_by_the_pose_at_its_exposure(watch: Watch, late
 def test_each_picture_is_processed_once_with_one_result_a_tick(watch: Watch) -> None:
     picture = image_of(frame(np.random.default_rng(3), 20.0), 0)
     first = seen(0, (0.0, 0.0, 20.0), camera=picture)
-    shown = watch.look(first)
-    assert shown is not None
-    assert watch.look(first) is shown
+    assert watch.look(first) is present(watch.look(first))
     assert watch.look(seen(1, (0.0, 0.0, 20.0), camera=picture)) is None
     assert watch.look(seen(2, (0.0, 0.0, 20.0))) is None
     assert watch.look(seen(3, (0.0, 0.0, 20.0), camera=image_of(frame(np.random.default_rng(3), 20.0), 3 * T_NS))) is not None
@@ -171,13 +154,11 @@ def test_detections_of_a_tilted_camera_are_placed_correctly(
         rng = np.random.default_rng(tick)
         place = (float(320 + rng.uniform(-60, 60)), float(240 + rng.uniform(-40, 40)))
         level, about = frame(rng, 20.0, places=[place], distractors=False), float(rng.uniform(-3.0, 3.0))
-        true = Nadir((0.0, 0.0, 20.0), (1.0, 0.0, 0.0, 0.0), FOCAL_PX, 640, 480).ground_point(place)
+        true = present(Nadir((0.0, 0.0, 20.0), (1.0, 0.0, 0.0, 0.0), FOCAL_PX, 640, 480).ground_point(place))
         a, b = math.cos(0.5 * tilt), math.sin(0.5 * tilt)
         attitude = a, b * math.sin(about), b * math.cos(about), 0.0
         (x, y, z), made = _camera_at((0.0, 0.0, 20.0), attitude), tilted(level, tilt, about)
-        shown = watch.look(seen(tick, (x, y, z), attitude, camera=image_of(made, tick * T_NS)))
-        assert shown is not None
-        assert true is not None
+        shown = present(watch.look(seen(tick, (x, y, z), attitude, camera=image_of(made, tick * T_NS))))
         assert (shown.looked is not None) == reliable
         if sees is not None:
             assert bool(shown.sightings) == sees
@@ -190,35 +171,30 @@ def _camera_at(position: Vec3, attitude: Quaternion) -> Vec3:
     return tuple(2.0 * p - q for p, q in zip(position, at, strict=True))  # type: ignore[return-value]
 
 
-# --- region that is searched
-# --------------------------------------------------------------------------------------------------
+# --- region that is searched ---
 
 
 def test_only_the_set_region_of_the_ground_is_searched(watch: Watch) -> None:
     made = frame(np.random.default_rng(3), 20.0 + MOUNT[2], places=[(300.0, 200.0)], distractors=False)
-    shown = watch.look(seen(0, (0.0, 0.0, 20.0), camera=image_of(made, 0)))
-    assert shown is not None
+    shown = present(watch.look(seen(0, (0.0, 0.0, 20.0), camera=image_of(made, 0))))
     assert shown.whole
     x, y = shown.nadir.ground_point((300.0, 200.0)) or (math.nan, math.nan)
     for tick, (aside, found) in enumerate([(0.0, 1), (1.9, 1), (2.2, 0)], start=1):
         watch.region = GroundDisc((x + aside, y), 2.0)
-        part = watch.look(seen(tick, (0.0, 0.0, 20.0), camera=image_of(made, tick * T_NS)))
-        assert part is not None
+        part = present(watch.look(seen(tick, (0.0, 0.0, 20.0), camera=image_of(made, tick * T_NS))))
         assert (len(part.sightings), part.whole) == (found, False)
         corners = np.array(part.footprint)
         assert corners.min(axis=0) == pytest.approx((x + aside - 2.0, y - 2.0), abs=0.1)  # one or two pixels
         assert corners.max(axis=0) == pytest.approx((x + aside + 2.0, y + 2.0), abs=0.1)
     watch.region = GroundDisc((x + 90.0, y), 2.0)
-    part = watch.look(seen(4, (0.0, 0.0, 20.0), camera=image_of(made, 4 * T_NS)))
-    assert part is not None
+    part = present(watch.look(seen(4, (0.0, 0.0, 20.0), camera=image_of(made, 4 * T_NS))))
     assert (part.sightings, part.looked, part.footprint) == ((), None, None)
 
 
 def test_a_target_at_the_edge_does_not_count_as_missed(watch: Watch) -> None:
     """The region that counts as looked at ends half a side of a target from the edges of the picture."""
     made = frame(np.random.default_rng(3), 20.0 + MOUNT[2])
-    shown = watch.look(seen(0, (5.0, 0.0, 20.0), camera=image_of(made, 0)))
-    assert shown is not None
+    shown = present(watch.look(seen(0, (5.0, 0.0, 20.0), camera=image_of(made, 0))))
     assert shown.looked == (21, 21, 619, 459)  # side: 400 * 2 / 19.95 px
     across, ahead = 598 * 19.95 / 400.0, 438 * 19.95 / 400.0
     corners = np.array(shown.footprint)
@@ -231,13 +207,11 @@ def test_too_high_for_recognition_no_region_counts_as_looked_at(watch: Watch) ->
     image = Image(pixels=np.zeros((480, 640, 3), np.uint8), focal_px=400.0)
     for tick, (height, looked) in enumerate([(66.0, True), (67.0, False)]):
         made = msgspec.structs.replace(image, time_ns=tick * T_NS)
-        shown = watch.look(seen(tick, (0.0, 0.0, height - MOUNT[2]), camera=made))
-        assert shown is not None
+        shown = present(watch.look(seen(tick, (0.0, 0.0, height - MOUNT[2]), camera=made)))
         assert (shown.looked is not None) is looked
 
 
-# --- refusals
-# ---------------------------------------------------------------------------------------------------------------------
+# --- refusals ---
 
 
 def test_bad_cameras_are_refused(watch: Watch) -> None:

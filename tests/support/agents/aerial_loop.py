@@ -22,17 +22,8 @@ class Drifter(Agent):
     def act(self, obs: Observation, radio: Radio) -> Velocity:
         (x, y, _), (vx, vy, _) = obs.state.position, self.velocity
         v = vx * math.cos(obs.state.yaw) + vy * math.sin(obs.state.yaw)
-        radio.send(
-            {
-                **report_keys(obs, self.velocity),
-                "t_ns": obs.time_ns,
-                "x": x,
-                "y": y,
-                "th": obs.state.yaw,
-                "v": v,
-                "w": self.yaw_rate,
-            }
-        )
+        planar = {"t_ns": obs.time_ns, "x": x, "y": y, "th": obs.state.yaw, "v": v, "w": self.yaw_rate}
+        radio.send({**report_keys(obs, self.velocity), **planar})
         return Velocity(linear=self.velocity, yaw_rate=self.yaw_rate)
 
 

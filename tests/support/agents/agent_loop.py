@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ T = 0.1
 Floats = NDArray[np.float64]
 Pose = tuple[float, float, float]
 Lost = Callable[[int, int], bool]  # (tick, follower) -> whether the report of that tick is lost on the way to that follower
+Value = TypeVar("Value")
 
 
 @dataclass
@@ -89,6 +90,17 @@ def reception_of(message: Message) -> Reception:
 def reception_of_body(sender: str, body: Any) -> Reception:
     """Reception of an encoded message."""
     return reception_of(Message(sender=sender, body=body, size_bytes=9))
+
+
+def bodies(radio: Radio) -> list[dict[str, Any]]:
+    """Bodies of the messages sent since the last call."""
+    return [message.body for message in radio.drain()]  # type: ignore[misc]
+
+
+def present(value: Value | None) -> Value:
+    """The value, which must be there."""
+    assert value is not None
+    return value
 
 
 def info(name: str = "a", vehicles: Sequence[str] = ("a", "b"), **more: Any) -> VehicleInfo:

@@ -2,11 +2,11 @@
 
 from typing import Any
 
-from tests.support.agents.agent_loop import info, observe, reception_of_body
+from tests.support.agents.agent_loop import info, observe, present, reception_of_body
 from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.agents.formation.team.shape import Formation
 from vcmvsp.cosim.agent import Radio
-from vcmvsp.cosim.types import Message, Reception, Velocity
+from vcmvsp.cosim.types import Follows, Message, Reception, Velocity
 
 CARS = ("car1", "car2", "car3", "car4")
 TICK_NS = 100_000_000
@@ -24,6 +24,17 @@ class MemberRunner:
 
     def __init__(self, name: str, formation: dict[str, Any] | None = None, **params: Any) -> None:
         self.follower, self.radio, self.tick = member(name, formation, **params), Radio(name, CARS), -1
+
+    @property
+    def follows(self) -> Follows:
+        """The place that it keeps."""
+        return present(self.follower.follows)
+
+    def report(self, *received: Reception, v: float = 0.0) -> dict[str, Any]:
+        """Body of the report of the next tick."""
+        (report,) = (message.body for message in self.act(*received, v=v)[2] if message.to is None)
+        assert isinstance(report, dict)
+        return report
 
     def act(self, *received: Reception, v: float = 0.0, x: float = -1.0) -> tuple[Velocity, dict[str, Any], list[Message]]:
         """Next tick: command, notes, and sent messages."""

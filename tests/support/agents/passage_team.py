@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from tests.support.agents import agent_loop
-from tests.support.agents.agent_loop import observe
+from tests.support.agents.agent_loop import bodies, observe, present
 from tests.support.agents.formation_member import TICK_NS, report_of
 from tests.support.agents.scans import scan_of
 from vcmvsp.agents.formation.leaders.trajectory import Trajectory
@@ -34,10 +34,9 @@ def formation(**passage: Any) -> Formation:
     return Formation(spacing=1.0, passage=Passage(**{"spacing": 0.8, **passage}))
 
 
-def lookout(name: str = "car1", team_formation: Formation | None = None) -> Lookout:
+def lookout(name: str = "car1", team_formation: Formation | None = None, **about: Any) -> Lookout:
     of = team_formation or formation()
-    assert of.passage is not None
-    return Lookout(of.passage, Team(of, CARS, name), info(name))
+    return Lookout(present(of.passage), Team(of, CARS, name), info(name))
 
 
 def scan(*points: tuple[float, float], time_ns: int = 0) -> Scan:
@@ -86,6 +85,5 @@ class ScriptedLeader:
         self.tick += 1
         reading = msgspec.structs.replace(reading, time_ns=self.tick * TICK_NS) if isinstance(reading, Scan) else reading
         assert isinstance(self.agent.act(observation(reading, self.tick, *received), self.radio), Velocity)
-        (message,) = self.radio.drain()
-        assert isinstance(message.body, dict)
-        return self.agent.drain_notes(), message.body
+        (report,) = bodies(self.radio)
+        return self.agent.drain_notes(), report

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.agents.agent_loop import Floats, info, observe, reception_of_body
+from tests.support.agents.agent_loop import Floats, info, observe, present, reception_of_body
 from vcmvsp.agents.formation.followers.consensus import Consensus, Graph, neighbours_of
 from vcmvsp.agents.formation.followers.laws import axle_velocity, hand_point
 from vcmvsp.agents.formation.team.shape import Formation
@@ -196,11 +196,9 @@ def test_errors_are_measured_along_a_tree(graph: Graph) -> None:
     for member in range(6):
         agent = Consensus(graph=graph, formation=Formation(shape="column"), heading=1.0)
         agent.start(info(f"m{member}", names(6)))
-        if member == 0:
-            assert agent.follows is None
-        else:
-            assert agent.follows is not None
-            leader = int((agent.follows.leader or "")[1:])
+        assert (agent.follows is None) == (member == 0)
+        if agent.follows is not None:
+            leader = names(6).index(present(agent.follows.leader))
             assert leader < member
             assert agent.follows.slot == pytest.approx((leader - member, 0.0))
 
@@ -212,9 +210,9 @@ def test_on_wheels_errors_are_measured_with_a_common_heading() -> None:
     standing.start(info("m1", names(2)))
     moving.start(info("m1", names(2)))
     assert standing.follows is None
-    assert moving.follows is not None
-    assert moving.follows.slot == pytest.approx((0.0, -1.0))  # south of the first member, which heads east
-    assert moving.follows.handle_m == 0.3
+    follows = present(moving.follows)
+    assert follows.slot == pytest.approx((0.0, -1.0))  # south of the first member, which heads east
+    assert follows.handle_m == 0.3
 
 
 @given(yaw=st.floats(-7, 7), x=st.floats(-3, 3), y=st.floats(-3, 3), handle=st.floats(0.05, 1.0))
@@ -315,9 +313,7 @@ def test_the_own_past_is_kept_for_the_maximum_age_of_reports() -> None:
 @pytest.mark.parametrize(
     ("params", "problem"),
     [
-        ({"formation": Formation(members=("m0", "m9"))}, "formation.members: unknown vehicle 'm9'"),
         ({"formation": Formation(members=("m1", "m2"))}, "does not contain m0"),
-        ({"formation": Formation(members=("m0", "m1", "m1"))}, "names m1 twice"),
         ({"neighbours": ("m7",)}, "'m7' is not another member"),
         ({"neighbours": ("m0",)}, "'m0' is not another member"),
     ],

@@ -18,11 +18,9 @@ from vcmvsp.cosim.types import Message, Reception
 
 
 def test_the_team_sets_parent_and_slot() -> None:
-    follower = member("car3")
-    assert follower.follows is not None
-    assert follower.follows.leader == "car2"
-    assert follower.follows.slot == pytest.approx((-0.8, 0.0))
-    assert follower.follows.handle_m == 0.4
+    place = MemberRunner("car3").follows
+    assert (place.leader, place.handle_m) == ("car2", 0.4)
+    assert place.slot == pytest.approx((-0.8, 0.0))
     assert member("car3", handle=0.6).place.handle == 0.6
 
 
@@ -42,23 +40,16 @@ def test_parent_and_shape_are_noted_when_they_change() -> None:
     _, notes, _ = seat.act(report_of("car2", 0))
     assert set(notes) == {"status", "age_s", "z1", "z2"}
     _, notes, _ = seat.act(report_of("car1", 1, shape="line", sn=1, order=[0, 3, 2, 1]))
-    assert notes["shape"] == "line"
-    assert notes["parent"] == "car4"
-    assert seat.follower.follows is not None
-    assert seat.follower.follows.leader == "car4"
-    assert seat.follower.follows.slot == pytest.approx((0.0, 1.6))
+    assert (notes["shape"], notes["parent"], seat.follows.leader) == ("line", "car4", "car4")
+    assert seat.follows.slot == pytest.approx((0.0, 1.6))
 
 
 def test_a_new_shape_is_passed_on() -> None:
     seat = MemberRunner("car3")
-    *_, sent = seat.act(report_of("car2", 0))
-    assert not {"shape", "sn", "order"} & set(sent[0].body)
-    *_, sent = seat.act(report_of("car2", 1, shape="line", sn=4))
-    assert isinstance(sent[0].body, dict)
-    assert (sent[0].body["shape"], sent[0].body["sn"]) == ("line", 4)
-    *_, sent = seat.act(report_of("car2", 2))
-    assert isinstance(sent[0].body, dict)
-    assert (sent[0].body["shape"], sent[0].body["sn"]) == ("line", 4)
+    assert not {"shape", "sn", "order"} & set(seat.report(report_of("car2", 0)))
+    for received in (report_of("car2", 1, shape="line", sn=4), report_of("car2", 2)):
+        report = seat.report(received)
+        assert (report["shape"], report["sn"]) == ("line", 4)
 
 
 @pytest.mark.parametrize(
@@ -116,8 +107,7 @@ def test_a_member_follows_the_nearest_living_ancestor() -> None:
     notes = notes_with_losses(seat, {"car1": 99, "car2": 20, "car3": 10}, 30)
     assert {tick: note["parent"] for tick, note in enumerate(notes) if "parent" in note} == {0: "car3", 15: "car2", 25: "car1"}
     assert {note["status"] for note in notes[1:]} == {"following"}
-    assert seat.follower.follows is not None
-    assert seat.follower.follows.slot == pytest.approx((-2.4, 0.0))
+    assert seat.follows.slot == pytest.approx((-2.4, 0.0))
     assert seat.act(report_of("car2", 29))[1]["parent"] == "car2"
     assert seat.act(report_of("car3", 30))[1]["parent"] == "car3"
 
@@ -126,9 +116,8 @@ def test_the_lowest_living_member_leads_and_stops() -> None:
     seat = MemberRunner("car2", heartbeat_s=1.0, fade_s=1.0)
     notes, commands = [], []
     for tick in range(60):
-        command, note, _ = seat.act(
-            *([report_of("car1", tick - 1)] if 0 < tick <= 30 else []), report_of("car3", tick), x=0.03 * tick - 0.8
-        )
+        received = [report_of("car1", tick - 1)] if 0 < tick <= 30 else []
+        command, note, _ = seat.act(*received, report_of("car3", tick), x=0.03 * tick - 0.8)
         notes.append(note)
         commands.append(command.linear[0])
     assert notes[40]["parent"] == ""
@@ -155,9 +144,7 @@ def test_in_a_star_the_others_follow_the_lowest_living_member() -> None:
     seat = MemberRunner("car4", star, heartbeat_s=1.0)
     notes = notes_with_losses(seat, {"car1": 20, "car3": 99}, 40)
     assert {tick: note["parent"] for tick, note in enumerate(notes) if "parent" in note} == {0: "car1", 30: "car3"}
-    assert seat.follower.follows is not None
-    half_way = math.sqrt(0.75)
-    assert seat.follower.follows.slot == pytest.approx((-half_way, -1.5))  # car4 (-2 h, -1) minus car3 (-h, 0.5)
+    assert seat.follows.slot == pytest.approx((-math.sqrt(0.75), -1.5))  # car4 (-2 h, -1) minus car3 (-h, 0.5)
 
 
 def test_without_heartbeat_the_parent_stays() -> None:
@@ -258,20 +245,15 @@ def test_the_speed_of_a_lost_leader_is_not_fed_forward() -> None:
 
 
 def test_followers_that_feed_the_leader_forward_relay_it() -> None:
-    seat = MemberRunner("car3", feed="leader")
-    *_, sent = seat.act()
-    assert "lead" not in sent[0].body
-    *_, sent = seat.act(report_of("car2", 0, lead=[0, 1.0, 2.0, 0.5, 0.25, 0.1]))
-    assert isinstance(sent[0].body, dict)
-    assert sent[0].body["lead"] == [0, 1.0, 2.0, 0.5, 0.25, 0.1]
+    seat, lead = MemberRunner("car3", feed="leader"), [0, 1.0, 2.0, 0.5, 0.25, 0.1]
+    assert "lead" not in seat.report()
+    assert seat.report(report_of("car2", 0, lead=lead))["lead"] == lead
 
 
 def test_outside_a_team_a_parent_without_relay_is_the_leader() -> None:
     seat = MemberRunner("car2")
     seat.follower = LeaderFollower("car1", 0.8, feed="leader", broadcast=True)
-    *_, sent = seat.act(report_of("car1", 0, v=0.2))
-    assert isinstance(sent[0].body, dict)
-    assert sent[0].body["lead"] == [0, 0.0, 0.0, 0.0, 0.2, 0.0]
+    assert seat.report(report_of("car1", 0, v=0.2))["lead"] == [0, 0.0, 0.0, 0.0, 0.2, 0.0]
 
 
 def test_the_acceleration_of_the_parent_compensates_the_own_lag() -> None:
@@ -283,6 +265,5 @@ def test_the_acceleration_of_the_parent_compensates_the_own_lag() -> None:
 
 def test_users_of_accelerations_report_their_own() -> None:
     seat = MemberRunner("car3", feed_forward_s=0.5)
-    assert [seat.act(v=v)[2][0].body["a"] for v in (0.1, 0.1, 0.15, 0.1)] == pytest.approx([0.0, 0.0, 0.5, -0.5])  # type: ignore[call-overload]
-    *_, sent = MemberRunner("car3").act()
-    assert "a" not in sent[0].body
+    assert [seat.report(v=v)["a"] for v in (0.1, 0.1, 0.15, 0.1)] == pytest.approx([0.0, 0.0, 0.5, -0.5])
+    assert "a" not in MemberRunner("car3").report()

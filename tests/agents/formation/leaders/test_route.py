@@ -10,7 +10,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from tests.support.agents.agent_loop import Floats, Pose, Vehicle, info, observe
+from tests.support.agents.agent_loop import Floats, Pose, Vehicle, bodies, info, observe, present
 from vcmvsp.agents.formation.leaders.route import Point, Route
 from vcmvsp.cosim.agent import Radio
 
@@ -37,12 +37,9 @@ def tour(agent: Route, duration_s: float, pose: Pose = (0.0, 0.0, 0.0), tau: tup
         command = agent.act(observe(car.pose, round(tick * T * 1e9), v=car.v, w=car.w), radio)
         poses.append(car.pose)
         commands.append((command.linear[0], command.yaw_rate))
-        assert agent._stage is not None
-        done.points.append(agent._stage.number)
+        done.points.append(present(agent._stage).number)
         done.notes.append(agent.drain_notes())
-        for message in radio.drain():
-            assert isinstance(message.body, dict)
-            done.reports.append(message.body)
+        done.reports += bodies(radio)
         car.move(command, T)
     done.poses, done.commands = np.array(poses), np.array(commands)
     return done

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.agents.agent_loop import info, observe
+from tests.support.agents.agent_loop import bodies, info, observe
 from vcmvsp.agents.formation.leaders.teleop import Teleop
 from vcmvsp.cosim.agent import Radio
 
@@ -34,7 +34,7 @@ class Hand:
 
     def __call__(self) -> tuple[float, float]:
         command = self.agent.act(observe((0.0, 0.0, 0.0), self.tick * 100_000_000), self.radio)
-        self.notes, self.sent = self.agent.drain_notes(), self.radio.drain()
+        self.notes, self.sent = self.agent.drain_notes(), bodies(self.radio)
         self.tick += 1
         return command.linear[0], command.yaw_rate
 
@@ -216,9 +216,7 @@ def test_reports_contain_the_commands(tmp_path: Path) -> None:
     table.write_text("0,0.3,0.2\n")
     hand = Hand(Teleop(str(table)))
     v, w = hand()
-    (message,) = hand.sent
-    assert isinstance(message.body, dict)
-    assert (message.body["v"], message.body["w"]) == (v, w)
+    assert [(report["v"], report["w"]) for report in hand.sent] == [(v, w)]
     assert v > 0.0
 
 

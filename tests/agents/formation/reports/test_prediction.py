@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.agents.agent_loop import present
 from tests.support.docs.readme_pages import block
 from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.agents.formation.reports.prediction import Acceleration, DeadReckoning, Hold, PlanPrediction, estimator_of
@@ -202,8 +203,7 @@ def test_malformed_accelerations_count_as_zero() -> None:
 
 def test_relayed_reports_are_checked_like_received_ones() -> None:
     state = LeaderState(0.0, 0.0, 0.0, 0.3, 0.0)
-    lead = lead_of(Report(100, state, {"lead": [90, 1.0, 2.0, 0.5, 0.3, -0.1]}), 100)
-    assert lead is not None
+    lead = present(lead_of(Report(100, state, {"lead": [90, 1.0, 2.0, 0.5, 0.3, -0.1]}), 100))
     assert (lead.t_ns, lead.state) == (90, LeaderState(1.0, 2.0, 0.5, 0.3, -0.1))
     for bad in (
         None,
