@@ -38,14 +38,11 @@ def stopping_m(v: float) -> float:
 
 
 @settings(max_examples=150)
-@given(
-    st.integers(0, 2**32), st.sampled_from((0.0, 1e-12, 1e-6, 0.01)) | st.floats(0.0, 8.0), st.booleans(), st.floats(0.05, 0.6)
-)
-def test_free_arc_lengths_agree_with_small_steps(seed: int, curvature: float, to_right: bool, keep: float) -> None:
+@given(st.integers(0, 2**32), st.sampled_from((0.0, 1e-12, -1e-6, 0.01)) | st.floats(-8.0, 8.0), st.floats(0.05, 0.6))
+def test_free_arc_lengths_agree_with_small_steps(seed: int, curvature: float, keep: float) -> None:
     rng = np.random.default_rng(seed)
     points = rng.uniform(-1.5, 1.5, (12, 2))
     points = points[np.hypot(*points.T) > keep + 1e-3]
-    curvature = -curvature if to_right else curvature
     length = 1.5 if curvature == 0.0 else min(1.5, math.tau / abs(curvature))
     places = along(curvature, length)
     apart = np.hypot(*(places[:, None, :] - points).T).min(axis=0, initial=math.inf)
@@ -67,9 +64,9 @@ def test_many_arcs_at_once_equal_single_arcs(seed: int, turned: float) -> None:
 
 
 def test_a_touched_obstacle_stops_approach_and_not_departure() -> None:
-    for x, free in ((0.1, 0.0), (-0.1, math.inf)):
-        assert clearances(np.array([[x, 0.05]]), np.zeros(1), KEEP)[0] >= min(free, 1e6)
-        assert (clearances(np.array([[x, 0.05]]), np.zeros(1), KEEP)[0] == 0.0) == (free == 0.0)
+    for x, departs in ((0.1, False), (-0.1, True)):
+        free = float(clearances(np.array([[x, 0.05]]), np.zeros(1), KEEP)[0])
+        assert free > 1e6 if departs else free == 0.0
     assert clearances(np.array([[0.0, 0.2]]), np.array([5.0, 100.0]), KEEP).tolist() == [0.0, 0.0]  # on a circle around it, too
     assert clearances(np.empty((0, 2)), np.array([0.0, 1.0]), KEEP).tolist() == [math.inf, math.inf]
 

@@ -27,12 +27,7 @@ def posts(*places: tuple[float, float], beams: int = 361, fov: float = math.tau)
     return view._replace(ranges=ranges)
 
 
-@given(
-    st.floats(0.05, 3.0),
-    st.floats(-math.pi, math.pi),
-    st.floats(0.1, 0.8),
-    st.sampled_from((36, 72, 128)),
-)
+@given(st.floats(0.05, 3.0), st.floats(-math.pi, math.pi), st.floats(0.1, 0.8), st.sampled_from((36, 72, 128)))
 def test_an_obstacle_blocks_the_directions_in_which_a_disc_touches_it(
     distance: float, bearing: float, keep: float, sectors: int
 ) -> None:

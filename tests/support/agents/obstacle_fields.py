@@ -20,6 +20,7 @@ Box = tuple[Point, Point]  # lower and upper corner, m
 
 PILLAR: Box = ((-0.25, -0.25), (0.25, 0.25))
 GOAL: Point = (3.0, 0.0)
+ORIGIN: Pose = (0.0, 0.0, 0.0)
 ROBOT, DRONE = Body(width_m=0.33, radius_m=0.216), Body(width_m=0.5, radius_m=0.25, flies=True)
 
 
@@ -30,8 +31,8 @@ def to_goal(pose: Pose) -> Task:
     return Task((0.0 if abs(aside) > 0.8 else min(0.3, math.hypot(*aim)), 0.0), max(-0.8, min(1.5 * aside, 0.8)), aim)
 
 
-def there(place: Point | Pose) -> bool:
-    return math.dist(place[:2], GOAL) < 0.15
+def there(pose: Pose) -> bool:
+    return math.dist(pose[:2], GOAL) < 0.15
 
 
 def rooms(seed: int, beams: int = 181) -> Array:
@@ -71,28 +72,6 @@ class DriveResult:
     @property
     def seconds(self) -> float:
         return T * len(self.decisions)
-
-
-def fly(
-    method: Method,
-    start: Point,
-    task: Callable[[Point], Task],
-    until: Callable[[Point], bool],
-    *,
-    yaw: float = 0.0,
-    seconds: float = 60.0,
-) -> DriveResult:
-    """A vehicle of constant yaw past a pillar, moving at the commanded velocity; its task is given in the world frame."""
-    place, poses, decisions = start, [(*start, yaw)], list[Decision]()
-    while len(decisions) < seconds / T and not until(place):
-        wish = task(place)
-        now = (decisions[-1].velocity[0], decisions[-1].yaw_rate) if decisions else (0.0, 0.0)
-        body_task = wish._replace(velocity=rotate2(*wish.velocity, -yaw), now=now)
-        decisions.append(method.decide(look((*place, yaw), [PILLAR]), body_task))
-        ux, uy = rotate2(*decisions[-1].velocity, yaw)
-        place = place[0] + ux * T, place[1] + uy * T
-        poses.append((*place, yaw))
-    return DriveResult(poses, decisions, min(clearance(pose[:2], [PILLAR]) for pose in poses))
 
 
 def drive(
@@ -142,10 +121,13 @@ def observation_from(pose: Pose, scan: Scan | None, tick: int, speed: float = 0.
 def sweep(
     pose: Pose, boxes: Sequence[Box], tick: int = 0, *, beams: int = 181, fov: float = math.pi, first: float | None = None
 ) -> Scan:
-    """A scan at a position, whose first beam points to ``first``, rad; default: straight behind, or the scanner's rightmost
-    beam.
-    """
+    """A scan at a position, whose first beam points to ``first``, rad; default: straight behind, or the rightmost beam."""
     return scan_of(ranges_of(walls_of(boxes), pose, beams, fov, first), fov, first, tick * 10**8)
+
+
+def seen(boxes: Sequence[Box], tick: int = 0, **scanner: Any) -> Observation:
+    """Observation of a vehicle at the origin, with a scan of these boxes."""
+    return observation_from(ORIGIN, sweep(ORIGIN, boxes, tick, **scanner), tick)
 
 
 def steer_to_goal(
