@@ -6,22 +6,11 @@ put is dropped.
 """
 
 import base64
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import IO, TYPE_CHECKING, Any
 
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.transport.key_names import (
-    ABOUT,
-    HUB_ALIVE,
-    JOIN,
-    OPEN,
-    PAGE_SCENERY,
-    PAGE_UPDATE,
-    TOPICS,
-    about_key,
-    greet_key,
-    join_key,
-)
+from vcmvsp.cosim.transport.key_names import ABOUT, HUB_ALIVE, JOIN, OPEN, PAGE_SCENERY, PAGE_UPDATE, TOPICS
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Bundle, Keys
@@ -43,8 +32,44 @@ LOG = "error,zenoh_link_tls=warn,zenoh::net::routing::hat::broker::pubsub=off"
 """Zenoh's log in a hub with certificates: the only place that gives the reason for a refused connection."""
 
 Config = dict[str, Any]
-Allow = Callable[[str, str, list[str], str], None]
-"""Adds a rule: its name, flow, messages and key."""
+Rules = Sequence[tuple[str, str, str, str]]
+"""Access rules of a machine: name, flow, message and key, in which ``{name}`` is the name of the machine.
+
+All else is denied. "ingress" is from a machine, "egress" to it; the hub's own session is exempt.
+"""
+_SEES_HUB: Rules = [
+    ("watches", "ingress", "declare_liveliness_subscriber", HUB_ALIVE),
+    ("sees", "egress", "liveliness_token", HUB_ALIVE),
+]
+_MACHINE: Rules = [
+    ("inquires", "ingress", "query", "vcmvsp/about/{name}"),
+    ("is told", "egress", "reply", "vcmvsp/about/{name}"),
+    *_SEES_HUB,
+]
+HOST: Rules = [
+    *_MACHINE,
+    ("greets", "ingress", "query", "vcmvsp/join/{name}"),
+    ("is answered", "egress", "reply", "vcmvsp/join/{name}"),
+    ("listens", "ingress", "declare_subscriber", "vcmvsp/host/{name}/*/ask"),
+    ("is asked", "egress", "put", "vcmvsp/host/{name}/*/ask"),
+    ("is heard", "egress", "declare_subscriber", "vcmvsp/host/{name}/*/answer"),
+    ("answers", "ingress", "put", "vcmvsp/host/{name}/*/answer"),
+    ("is alive", "ingress", "liveliness_token", "vcmvsp/host/{name}/*/alive"),
+]
+OBSERVER: Rules = [
+    *_MACHINE,
+    ("listens", "ingress", "declare_subscriber", TOPICS),
+    ("hears", "egress", "put", TOPICS),
+    ("opens a page", "ingress", "declare_subscriber", PAGE_UPDATE),
+    ("sees it", "egress", "put", PAGE_UPDATE),
+    ("asks for scenery", "ingress", "query", PAGE_SCENERY),
+    ("gets it", "egress", "reply", PAGE_SCENERY),
+]
+ROBOT: Rules = [
+    *_SEES_HUB,
+    ("greets", "ingress", "query", "vcmvsp/robot/{name}/greet"),
+    ("is answered", "egress", "reply", "vcmvsp/robot/{name}/greet"),
+]
 
 
 def admission(keys: "Keys", name: str, vehicles: Iterable[str]) -> str | None:
@@ -71,27 +96,25 @@ def hub_security(keys: "Keys") -> Config:
     config = merge(_listening(keys), LIMITS)
     rule = {"id": "asked", "flows": ["ingress"], "messages": ["query"], "key_exprs": [JOIN, ABOUT], "size_limit": MAX_JOIN}
     config["low_pass_filter"] = [rule]
-    by_role = {role: [entry.name for entry in keys.members if entry.role == role] for role in ("host", "observer")}
-    return config | {"access_control": _access(by_role["host"], by_role["observer"])}
+    hosts = {entry.name: HOST for entry in keys.members if entry.role == "host"}
+    observers = {entry.name: OBSERVER for entry in keys.members if entry.role == "observer"}
+    return config | {"access_control": access(hosts | observers)}
 
 
 def driver_security(keys: "Keys", vehicle: str) -> Config:
     """Security part of a driver's configuration: machines without a certificate for its vehicle may only send a greeting."""
-    config = merge(_listening(keys), ROBOT_LIMITS)
-    rules = _Rules()
-    for name, vehicles in [(entry.name, entry.vehicles) for entry in keys.members if entry.role == "host"]:
-        allow = rules.of(name)
-        _sees_hub(allow)
-        allow("greets", "ingress", ["query"], greet_key(name))
-        allow("is answered", "egress", ["reply"], greet_key(name))
-        if vehicle in vehicles:
-            own = f"vcmvsp/robot/{name}/{vehicle}/*"
-            allow("listens", "ingress", ["declare_subscriber"], f"{own}/down")
-            allow("is driven", "egress", ["put"], f"{own}/down")
-            allow("is heard", "egress", ["declare_subscriber"], f"{own}/up")
-            allow("tells", "ingress", ["put"], f"{own}/up")
-            allow("is alive", "ingress", ["liveliness_token"], f"{own}/alive")
-    return config | {"access_control": rules.config()}
+    own = f"vcmvsp/robot/{{name}}/{vehicle}/*"
+    driven: Rules = [
+        *ROBOT,
+        ("listens", "ingress", "declare_subscriber", f"{own}/down"),
+        ("is driven", "egress", "put", f"{own}/down"),
+        ("is heard", "egress", "declare_subscriber", f"{own}/up"),
+        ("tells", "ingress", "put", f"{own}/up"),
+        ("is alive", "ingress", "liveliness_token", f"{own}/alive"),
+    ]
+    rules = {entry.name: ROBOT for entry in keys.members if entry.role == "host"}
+    rules |= {entry.name: driven for entry in keys.members if vehicle in entry.vehicles}
+    return merge(_listening(keys), ROBOT_LIMITS) | {"access_control": access(rules)}
 
 
 def hub_secret(secret: str, file: IO[bytes]) -> Config:
@@ -136,9 +159,7 @@ def check_hub(identifiers: Iterable[str | None]) -> None:
     Zenoh's client trusts all public authorities beside the given one, and anyone can obtain a public certificate for a host
     name; but no public authority issues one with the bare common name ``hub``.
     """
-    from vcmvsp.cosim.security.certificates import (
-        HUB,  # here, because loading the library of certificates takes a quarter of a second
-    )
+    from vcmvsp.cosim.security.certificates import HUB  # here: the library of certificates takes a quarter of a second
 
     for name in identifiers:
         if name != HUB:
@@ -158,65 +179,17 @@ def _listening(keys: "Keys") -> Config:
     return config
 
 
-class _Rules:
-    """Access rules: all else is denied. "ingress" is from a machine, "egress" to it; the hub's own session is exempt."""
-
-    def __init__(self) -> None:
-        self._rules: list[Config] = []
-        self._policies: list[Config] = []
-
-    def of(self, name: str) -> Allow:
-        """The function that adds rules for the machine of this name."""
-        own: list[str] = []
-        self._policies.append({"subjects": [name], "rules": own})
-
-        def allow(rule: str, flow: str, messages: list[str], key: str) -> None:
-            rule = f"{name}/{rule}"  # names have no slash
-            self._rules.append({"id": rule, "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": [key]})
-            own.append(rule)
-
-        return allow
-
-    def config(self) -> Config:
-        """The rules in Zenoh's format."""
-        subjects = [{"id": name, "cert_common_names": [name]} for each in self._policies for name in each["subjects"]]
-        default = {"enabled": True, "default_permission": "deny"}
-        return {**default, "rules": self._rules, "subjects": subjects, "policies": self._policies}
-
-
-def _access(hosts: Iterable[str], observers: Iterable[str]) -> Config:
-    rules = _Rules()
-
-    def policy(name: str) -> Allow:
-        allow = rules.of(name)
-        allow("inquires", "ingress", ["query"], about_key(name))
-        allow("is told", "egress", ["reply"], about_key(name))
-        _sees_hub(allow)
-        return allow
-
-    for name in hosts:
-        allow = policy(name)
-        allow("greets", "ingress", ["query"], join_key(name))
-        allow("is answered", "egress", ["reply"], join_key(name))
-        allow("listens", "ingress", ["declare_subscriber"], f"vcmvsp/host/{name}/*/ask")
-        allow("is asked", "egress", ["put"], f"vcmvsp/host/{name}/*/ask")
-        allow("is heard", "egress", ["declare_subscriber"], f"vcmvsp/host/{name}/*/answer")
-        allow("answers", "ingress", ["put"], f"vcmvsp/host/{name}/*/answer")
-        allow("is alive", "ingress", ["liveliness_token"], f"vcmvsp/host/{name}/*/alive")
-    for name in observers:
-        allow = policy(name)
-        allow("listens", "ingress", ["declare_subscriber"], TOPICS)
-        allow("hears", "egress", ["put"], TOPICS)
-        allow("opens a page", "ingress", ["declare_subscriber"], PAGE_UPDATE)
-        allow("sees it", "egress", ["put"], PAGE_UPDATE)
-        allow("asks for scenery", "ingress", ["query"], PAGE_SCENERY)
-        allow("gets it", "egress", ["reply"], PAGE_SCENERY)
-    return rules.config()
-
-
-def _sees_hub(allow: Allow) -> None:
-    allow("watches", "ingress", ["declare_liveliness_subscriber"], HUB_ALIVE)
-    allow("sees", "egress", ["liveliness_token"], HUB_ALIVE)
+def access(machines: Mapping[str, Rules]) -> Config:
+    """The rules of machines, by name, in Zenoh's format."""
+    config: Config = {"enabled": True, "default_permission": "deny", "rules": [], "subjects": [], "policies": []}
+    for name, rules in machines.items():
+        ids = [f"{name}/{rule}" for rule, *_ in rules]  # names have no slash
+        for rule_id, (_, flow, message, key) in zip(ids, rules, strict=True):
+            allowed = {"flows": [flow], "messages": [message], "key_exprs": [key.format(name=name)]}
+            config["rules"].append({"id": rule_id, "permission": "allow", **allowed})
+        config["subjects"].append({"id": name, "cert_common_names": [name]})
+        config["policies"].append({"subjects": [name], "rules": ids})
+    return config
 
 
 def _base64(text: str) -> str:

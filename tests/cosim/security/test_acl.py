@@ -94,7 +94,7 @@ class Stage:
 
 def _grants() -> list[tuple[str, str]]:
     """Every message of every rule of a host and an observer."""
-    rules = access_control._access(["car2"], ["anna"])["rules"]
+    rules = access_control.access({"car2": access_control.HOST, "anna": access_control.OBSERVER})["rules"]
     return [(rule["id"], message) for rule in rules for message in rule["messages"]]
 
 
