@@ -16,7 +16,7 @@ from vcmvsp.cosim.errors import FederateError, Interrupted, UsageError, VcmvspEr
 from vcmvsp.cosim.federate import Federate
 from vcmvsp.cosim.hosts import protocol
 from vcmvsp.cosim.transport import access_control, endpoints, key_names, zenoh_session
-from vcmvsp.cosim.transport.zenoh_session import UNIX, common_names, opened, threads
+from vcmvsp.cosim.transport.zenoh_session import UNIX, client, common_names, threads
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Bundle
@@ -222,14 +222,12 @@ def dial(endpoint: str, bundle: "Bundle | None", on_state: Callable[[str], None]
         bundle: certificate of this machine; None: plain TCP.
         secret: secret of the run, where there is no certificate; None: the one that this user's run has left on this machine.
     """
-    connect = {"endpoints": [endpoint], "timeout_ms": 0, "retry": _RETRY}
-    own = {"mode": "client", "listen": {"endpoints": []}, "connect": connect}
     last = ""
     while True:
         secure = dialling(endpoint, bundle, secret)
         try:
             if secure is not None:  # else any process may listen there
-                session = opened(own, secure, f"cannot connect to '{endpoint}'")
+                session = client(endpoint, secure, f"cannot connect to '{endpoint}'", retry=_RETRY)
                 break
         except UsageError as error:
             if "Unable to connect" not in str(error):

@@ -3,6 +3,7 @@
 import contextlib
 import os
 import queue
+import secrets
 import shlex
 import threading
 import time
@@ -113,7 +114,7 @@ class Entrance:
         self._refused: set[str] = set()  # refusals that have been reported
         self._certified, listen = self._certificates(agents.listen, specs)
         with contextlib.ExitStack() as stack:
-            secret = None if self._certified or insecure else endpoints.new_secret()
+            secret = None if self._certified or insecure else secrets.token_hex(16)
             wait_s, cut_s = patience_s(agents, specs), cut_deadline_s(agents)
             self.hub = Hub(listen, self._certified, secret=secret, patience_s=wait_s, cut_deadline_s=cut_s, hosts=len(specs))
             stack.callback(self.hub.close)

@@ -21,7 +21,7 @@ from vcmvsp.cosim.hosts import protocol
 from vcmvsp.cosim.hosts.event_publisher import ECHO, About, stamp
 from vcmvsp.cosim.hosts.host_client import NO_RUN, dial, dialling, hub_of
 from vcmvsp.cosim.transport import access_control, key_names, zenoh_session
-from vcmvsp.cosim.transport.zenoh_session import common_names, opened
+from vcmvsp.cosim.transport.zenoh_session import client, common_names
 from vcmvsp.cosim.util.documents import read_json
 
 if TYPE_CHECKING:
@@ -257,14 +257,12 @@ def _own_certificate(bundle: "Bundle") -> Check:
 
 def _session(endpoint: str, bundle: "Bundle | None", secret: str | None) -> zenoh.Session | None:
     """A client session; retries for as long as a listener may pause after a failed connection."""
-    connect = {"endpoints": [endpoint], "timeout_ms": 0}
-    own = {"mode": "client", "listen": {"endpoints": []}, "connect": connect}
     last = time.monotonic() + PATIENCE_S
     while time.monotonic() < last:
         try:
             if (secure := dialling(endpoint, bundle, secret)) is None:
                 return None
-            return opened(own, secure, "")
+            return client(endpoint, secure, "")
         except UsageError:
             time.sleep(POLL_S)
     return None

@@ -8,7 +8,6 @@ passes over the link.
 import contextlib
 import ipaddress
 import os
-import secrets
 import socket
 import stat
 import tempfile
@@ -135,11 +134,6 @@ def read_secret(path: Path) -> str:
     """The secret in a file."""
     with path.open("r") as file:
         return file.read(LONGEST).strip()
-
-
-def new_secret() -> str:
-    """A new secret."""
-    return secrets.token_hex(16)
 
 
 def _path(endpoint: str) -> Path:

@@ -56,6 +56,12 @@ def opened(own: dict[str, Any], secure: dict[str, Any], failure: str) -> zenoh.S
         raise UsageError(f"{failure}: {str(error).splitlines()[0].partition(where_in_its_sources)[0]}") from error
 
 
+def client(endpoint: str, secure: dict[str, Any], failure: str, **connect: Any) -> zenoh.Session:
+    """A session that dials an endpoint once; further arguments: of Zenoh's ``connect``. Errors as of `opened`."""
+    connect |= {"endpoints": [endpoint], "timeout_ms": 0}
+    return opened({"mode": "client", "listen": {"endpoints": []}, "connect": connect}, secure, failure)
+
+
 def closed(session: zenoh.Session) -> None:
     """Close a session; unfinished handshakes may delay this for seconds, but do not make it fail."""
     with contextlib.suppress(zenoh.ZError):
