@@ -29,7 +29,8 @@ def texts(values: Sequence[str | None]) -> "pa.Array[Any]":
     """An Arrow array of texts, null for None."""
     encoded = [(value or "").encode() for value in values]
     offsets = np.cumsum([0, *map(len, encoded)], dtype=np.int32)
-    bits = as_bits(np.array([value is not None for value in values], np.bool_)) if None in values else None
+    valid = np.array([value is not None for value in values], np.bool_)
+    bits = None if valid.all() else as_bits(valid)
     buffers = [bits, pa.py_buffer(offsets.tobytes()), pa.py_buffer(b"".join(encoded))]
     return pa.Array.from_buffers(pa.string(), len(values), buffers)
 
@@ -48,7 +49,7 @@ def numbers(table: pa.Table, name: str, null: float = 0) -> Array:
 def names_of(table: pa.Table, name: str) -> tuple[tuple[str, ...], Array]:
     """The distinct names of a column of names, and the index of each row's name among them."""
     chunks: Any = table[name].unify_dictionaries().chunks
-    names = tuple(str(value) for value in chunks[0].dictionary) if chunks else ()
+    names = tuple(map(str, chunks[0].dictionary)) if chunks else ()
     return names, joined([_numbers(chunk.indices, 0) for chunk in chunks], (0,), np.int32)
 
 

@@ -3,14 +3,16 @@
 A report is one or two kilobytes of small objects. Packed, a receiver of a frame takes some tens of bytes.
 """
 
+from collections import defaultdict
 from collections.abc import Collection, Iterable, Sequence
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import pyarrow as pa
 from msgspec import UNSET
+from numpy.typing import DTypeLike
 
 from vcmvsp.cosim.tables.columns import column, joined, name_column
 from vcmvsp.cosim.tables.spool import Spool
@@ -38,12 +40,7 @@ NAMED = ("sender", "receiver", "outcome", "wall_materials")
 COLUMNS = (*PER_FRAME, "sender", "receiver", *PER_ROW, "delay_ns", "outcome", "wall_materials", *BUDGET)
 _FIELDS = (*PER_FRAME, *PER_ROW, *BUDGET, *PATHS, "sender", "receivers", "outcome", "wall_materials")
 _FIELDS_OF = attrgetter(*_FIELDS)
-
-
-class _Numbered(dict[str, int]):
-    def __missing__(self, name: str) -> int:
-        number = self[name] = len(self)
-        return number
+T = TypeVar("T")
 
 
 class Names:
@@ -51,7 +48,8 @@ class Names:
 
     def __init__(self, known: Sequence[str]) -> None:
         self.known = len(known)
-        self._codes = _Numbered((name, i) for i, name in enumerate(known))
+        self._codes = defaultdict[str, int](None, zip(known, range(len(known)), strict=True))
+        self._codes.default_factory = self._codes.__len__  # a new name gets the next code
         self._groups: dict[tuple[str, ...], Array] = {}  # codes of groups that may come again
         self._grouped = 0  # names in these groups
 
@@ -86,8 +84,8 @@ class Names:
         return Names([names[old] for old in order]), np.argsort(order).astype(np.int32)
 
 
-class Frames:
-    """Packed frame reports, kept outside memory (`Spool`); one row per intended receiver of a frame.
+class PackedRows(Generic[T]):
+    """Rows of a table, packed many at once and kept outside memory (`Spool`).
 
     Args:
         vehicles: names of the run's vehicles.
@@ -95,10 +93,34 @@ class Frames:
     """
 
     def __init__(self, vehicles: Sequence[str], folder: Path | None = None) -> None:
-        self._vehicles, self._outcomes, self._materials = Names(vehicles), Names(("received",)), Names(("",))
-        self._folder, self._spool = folder, Spool(folder)
-        self._waiting: list[FrameReport] = []
-        self._held = 0  # frames and rows not packed yet
+        self._vehicles, self._folder, self._spool = Names(vehicles), folder, Spool(folder)
+        self._waiting: list[T] = []
+        self._held = 0  # rows not packed yet
+
+    @property
+    def rows(self) -> int:
+        """Number of rows so far."""
+        self._pack()
+        return self._spool.starts[-1]
+
+    def _pack(self) -> None:
+        if self._waiting:
+            self._keep(self._packed(self._waiting))
+            self._waiting, self._held = [], 0
+
+    def _packed(self, waiting: Sequence[T]) -> dict[str, Array]:
+        raise NotImplementedError
+
+    def _keep(self, packed: dict[str, Array]) -> None:
+        self._spool.append(packed, len(packed["vehicle"]))
+
+
+class Frames(PackedRows[FrameReport]):
+    """Packed frame reports; one row per intended receiver of a frame. A frame counts as one more row while it waits."""
+
+    def __init__(self, vehicles: Sequence[str], folder: Path | None = None) -> None:
+        super().__init__(vehicles, folder)
+        self._outcomes, self._materials = Names(("received",)), Names(("",))
         self._newest = 0  # greatest number of a packed frame
         self._knows_paths = False
         self._is_sorted = True
@@ -112,12 +134,6 @@ class Frames:
             self._held += 1 + len(report.receivers)
             if self._held >= CHUNK_ROWS:
                 self._pack()
-
-    @property
-    def rows(self) -> int:
-        """Number of rows so far."""
-        self._pack()
-        return self._spool.starts[-1]
 
     @property
     def has_paths(self) -> bool:
@@ -176,16 +192,12 @@ class Frames:
         if (name, end_ns) not in self._cache:
             self._outcomes.codes((UNDER_WAY,))
             if name in ("sender", "receiver"):
-                ordered = self._vehicles.in_order_of(
-                    [
-                        *self._codes_by_occurrence("receiver", self._vehicles),
-                        *self._codes_by_occurrence("sender", self._vehicles),
-                    ]
-                )
+                names = self._vehicles
+                codes = [code for each in ("receiver", "sender") for code in self._codes_by_occurrence(each, names)]
             else:
                 names = self._outcomes if name == "outcome" else self._materials
-                ordered = names.in_order_of(self._codes_by_occurrence(name, names, end_ns))
-            self._cache[name, end_ns] = ordered
+                codes = [*self._codes_by_occurrence(name, names, end_ns)]
+            self._cache[name, end_ns] = names.in_order_of(codes)
         return self._cache[name, end_ns]
 
     def _codes_by_occurrence(self, name: str, names: Names, end_ns: int = 2**63 - 1) -> Iterable[int]:
@@ -201,10 +213,8 @@ class Frames:
             seen |= dict.fromkeys(sorted(first, key=first.__getitem__))
         return seen
 
-    def _pack(self) -> None:
-        reports = sorted(self._waiting, key=attrgetter("frame"))
-        if not reports:
-            return
+    def _packed(self, waiting: Sequence[FrameReport]) -> dict[str, Array]:
+        reports = sorted(waiting, key=attrgetter("frame"))
         columns = dict(zip(_FIELDS, zip(*map(_FIELDS_OF, reports), strict=True), strict=True))
         counts = [len(receivers) for receivers in columns["receivers"]]
         packed = {name: np.array(columns[name], np.int64) for name in PER_FRAME}
@@ -217,18 +227,11 @@ class Frames:
         for name, dtype in PER_ROW.items():
             packed[name] = joined(list(columns[name]), (0,), dtype)
         for name, dtype in BUDGET.items():
-            if all(part is None for part in columns[name]):
-                packed[name] = np.zeros(sum(counts), dtype)
-            else:
-                parts = zip(columns[name], counts, strict=True)
-                packed[name] = joined([np.zeros(n, dtype) if part is None else part for part, n in parts], (0,), dtype)
+            packed[name] = _filled(columns[name], counts, None, 0, dtype)
         for name, dtype in PATHS.items():
-            parts = zip(columns[name], counts, strict=True)
-            values = [np.full(n, np.nan) if part is UNSET else part for part, n in parts]
-            packed[name] = joined(values, (0,), dtype)
+            packed[name] = _filled(columns[name], counts, UNSET, np.nan, dtype)
             self._knows_paths |= any(part is not UNSET for part in columns[name])
-        self._keep(packed)
-        self._waiting, self._held = [], 0
+        return packed
 
     def _keep(self, packed: dict[str, Array]) -> None:
         """Keep the next part of all columns, sorted by frame."""
@@ -270,9 +273,20 @@ def _selected(spool: Spool, frames: Array, first_of: Array) -> dict[str, Array]:
     chosen = counts[rows]
     starts = (np.cumsum(counts) - counts)[rows] - (np.cumsum(chosen) - chosen)
     places = np.repeat(starts, chosen) + np.arange(chosen.sum())
-    names = (*PER_FRAME, "receivers", "sender"), ("receiver", "outcome", "wall_materials", *PER_ROW, *BUDGET, *PATHS)
-    of_frames = {name: spool.read(name, numbers, dtype_of(name))[rows] for name in names[0]}
-    return of_frames | {name: spool.read(name, numbers, dtype_of(name))[places] for name in names[1]}
+    columns = dict.fromkeys((*PER_FRAME, "receivers", "sender"), rows)
+    columns |= dict.fromkeys(("receiver", "outcome", "wall_materials", *PER_ROW, *BUDGET, *PATHS), places)
+    return {name: spool.read(name, numbers, dtype_of(name))[chosen] for name, chosen in columns.items()}
+
+
+def _filled(parts: Sequence[Any], counts: Sequence[int], missing: object, value: float, dtype: DTypeLike) -> Array:
+    """The parts of a column one after the other, with this value in the place of those that are missing."""
+    if all(part is missing for part in parts):
+        return np.full(sum(counts), value, dtype)
+
+    def whole(part: Any, count: int) -> Array:
+        return np.full(count, value, dtype) if part is missing else part
+
+    return joined(list(map(whole, parts, counts)), (0,), dtype)
 
 
 def _narrow(codes: Array) -> Array:

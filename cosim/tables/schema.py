@@ -9,7 +9,7 @@ The schema metadata of all contain the facts of the run (`RunFacts`), so that ea
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, islice
+from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -20,37 +20,37 @@ import pyarrow.parquet as pq
 
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.tables.columns import column, joined
-from vcmvsp.cosim.tables.radio_frames import CHUNK_ROWS, NAMED, PATHS, UNDER_WAY, Frames, Names, dtype_of
-from vcmvsp.cosim.tables.spool import Spool
-from vcmvsp.cosim.types import Follows, FrameReport, States
+from vcmvsp.cosim.tables.radio_frames import CHUNK_ROWS, NAMED, PATHS, UNDER_WAY, Frames, Names, PackedRows, dtype_of
+from vcmvsp.cosim.types import Array, Follows, FrameReport, States
 from vcmvsp.cosim.util import limits
 from vcmvsp.cosim.util.documents import read_json
 
 NAME = pa.dictionary(pa.int32(), pa.string())
 ATTITUDE = ("qw", "qx", "qy", "qz")
 STATE_VALUES = ("x", "y", "z", *ATTITUDE, "vx", "vy", "vz", "wx", "wy", "wz")
-STATES_SCHEMA = pa.schema(
-    [("time_ns", pa.int64()), ("vehicle", NAME), *((name, pa.float64()) for name in (*STATE_VALUES, "yaw"))]
-)
+_WHEN = [("time_ns", pa.int64()), ("vehicle", NAME)]
+STATES_SCHEMA = pa.schema(_WHEN + [(name, pa.float64()) for name in (*STATE_VALUES, "yaw")])
 """Time ns; position m, attitude (world_from_body), velocity m/s: world; angular velocity rad/s: body; yaw rad, of attitude."""
-ERRORS_SCHEMA = pa.schema(
-    [("time_ns", pa.int64()), ("vehicle", NAME), ("leader", NAME)]
-    + [(name, pa.float64()) for name in ("error_m", "ahead_m", "left_m")]
-)
+ERRORS_SCHEMA = pa.schema([*_WHEN, ("leader", NAME), *((name, pa.float64()) for name in ("error_m", "ahead_m", "left_m"))])
 """The formation error z of a follower: its length; its place from the handle, in the follower's frame."""
-NOTES_SCHEMA = pa.schema([("time_ns", pa.int64()), ("vehicle", NAME), ("name", NAME), ("value", pa.float64()), ("text", NAME)])
+NOTES_SCHEMA = pa.schema([*_WHEN, ("name", NAME), ("value", pa.float64()), ("text", NAME)])
 """A noted number (true: 1, false: 0), null for a text and NaN; a noted text, empty for a number."""
+
+
+def _radio_field(name: str) -> "pa.Field[Any]":
+    return pa.field(name, NAME if name in NAMED else pa.from_numpy_dtype(np.dtype(dtype_of(name))))
+
+
 RADIO_SCHEMA = pa.schema(
-    (name, NAME if name in NAMED else pa.from_numpy_dtype(np.dtype(dtype_of(name))))
-    for name in (
-        *("frame", "sender", "receiver", "sent_ns", "received_ns", "size_bytes", "distance_m", "rssi_dbm", "outcome"),
-        *("delay_ns", "copy_ns", "snr_db", "sinr_db", "path_loss_db", "walls", "wall_materials", "wall_loss_db"),
-        *("shadowing_db", "fading_db", "air_time_ns", "queue_ns", "access_ns"),
-    )
+    [
+        *map(_radio_field, ("frame", "sender", "receiver", "sent_ns", "received_ns", "size_bytes", "distance_m", "rssi_dbm")),
+        *map(_radio_field, ("outcome", "delay_ns", "copy_ns", "snr_db", "sinr_db", "path_loss_db", "walls", "wall_materials")),
+        *map(_radio_field, ("wall_loss_db", "shadowing_db", "fading_db", "air_time_ns", "queue_ns", "access_ns")),
+    ]
 )
 """See `cosim.recording.mcap_writer.FRAME`. Null: ``received_ns`` and ``delay_ns`` of frames lost or under way at the end of the
 run, ``copy_ns`` without a second copy, unknown items of a link budget."""
-PATHS_SCHEMA = pa.schema((name, pa.from_numpy_dtype(np.dtype(dtype))) for name, dtype in PATHS.items())
+PATHS_SCHEMA = pa.schema(map(_radio_field, PATHS))
 """Further columns of the radio table of a run whose channel knows the paths of the wave."""
 NOT_LOST = ("received", UNDER_WAY)  # outcomes
 DERIVED = ("yaw",)  # columns made from others, which do not enter the digest
@@ -155,18 +155,8 @@ def selected(table: Table, columns: Collection[str]) -> pa.Table:
     return pa.concat_tables(blocks_of(table, columns))
 
 
-class StateRows:
-    """True states of the vehicles at recorded instants, kept outside memory (`Spool`).
-
-    Args:
-        vehicles: names of the run's vehicles.
-        folder: of the temporary file; None: the system's folder for them.
-    """
-
-    def __init__(self, vehicles: Sequence[str], folder: Path | None = None) -> None:
-        self._vehicles, self._spool = Names(vehicles), Spool(folder)
-        self._waiting: list[tuple[int, States]] = []
-        self._held = 0  # rows not packed yet
+class StateRows(PackedRows[tuple[int, States]]):
+    """True states of the vehicles at recorded instants."""
 
     def append(self, time_ns: int, states: States) -> None:
         """Add the states of an instant."""
@@ -175,52 +165,36 @@ class StateRows:
         if self._held >= CHUNK_ROWS:
             self._pack()
 
-    @property
-    def rows(self) -> int:
-        """Number of rows so far."""
-        self._pack()
-        return self._spool.starts[-1]
-
     def columns(self, rows: tuple[int, int], names: Collection[str] = STATES_SCHEMA.names) -> dict[str, Any]:
         """The Arrow columns of these rows."""
         parts, cut = self._spool.around(*rows)
-        arrays = {}
+        columns: dict[str, Any] = {}
         for name in names:
             if name == "yaw":
                 qw, qx, qy, qz = (self._spool.read(each, parts, np.float64)[cut] for each in ATTITUDE)
-                arrays[name] = np.arctan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
+                values = np.arctan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
             else:
-                arrays[name] = self._spool.read(name, parts, _STATE_TYPES.get(name, np.float64))[cut]
-        return {name: self._vehicles.column(each) if name == "vehicle" else column(each) for name, each in arrays.items()}
+                values = self._spool.read(name, parts, _STATE_TYPES.get(name, np.float64))[cut]
+            columns[name] = self._vehicles.column(values) if name == "vehicle" else column(values)
+        return columns
 
-    def _pack(self) -> None:
-        rows = self._waiting
-        if not rows:
-            return
-        names = [states.names for _, states in rows]
-        packed = {"time_ns": np.repeat(np.array([time for time, _ in rows], np.int64), [len(each) for each in names])}
+    def _packed(self, waiting: Sequence[tuple[int, States]]) -> dict[str, Array]:
+        times, instants = zip(*waiting, strict=True)
+        names = [states.names for states in instants]
+        packed = {"time_ns": np.repeat(np.array(times, np.int64), list(map(len, names)))}
         packed["vehicle"] = self._vehicles.codes_of_groups(names)
-        blocks = [
-            joined([getattr(states, name) for _, states in rows], (0, width)).T
-            for name, width in (("position", 3), ("attitude", 4), ("velocity", 3), ("angular_velocity", 3))
-        ]
-        packed |= zip(STATE_VALUES, chain.from_iterable(blocks), strict=True)
-        self._spool.append(packed, len(packed["vehicle"]))
-        self._waiting, self._held = [], 0
+        blocks: list[Array] = []
+        for name, width in (("position", 3), ("attitude", 4), ("velocity", 3), ("angular_velocity", 3)):
+            blocks.extend(joined([getattr(states, name) for states in instants], (0, width)).T)
+        return packed | dict(zip(STATE_VALUES, blocks, strict=True))
 
 
-class NoteRows:
-    """Values that agents note, kept outside memory (`Spool`).
-
-    Args:
-        vehicles: names of the run's vehicles.
-        folder: of the temporary file; None: the system's folder for them.
-    """
+class NoteRows(PackedRows[tuple[int, str, Mapping[str, float | str]]]):
+    """Values that agents note."""
 
     def __init__(self, vehicles: Sequence[str], folder: Path | None = None) -> None:
-        self._vehicles, self._names, self._texts = Names(vehicles), Names(()), Names(("",))
-        self._spool = Spool(folder)
-        self._waiting: list[tuple[int, str, Mapping[str, float | str]]] = []
+        super().__init__(vehicles, folder)
+        self._names, self._texts = Names(()), Names(("",))
 
     def append(self, time_ns: int, vehicle: str, values: Mapping[str, float | str]) -> None:
         """Add the notes of an agent at a time."""
@@ -243,21 +217,23 @@ class NoteRows:
         ]
         return with_facts(columns, NOTES_SCHEMA, facts)
 
-    def _pack(self) -> None:
-        if not self._waiting:
-            return
-        time_ns, vehicles, notes = zip(*self._waiting, strict=True)
-        counts = [len(each) for each in notes]
+    def _packed(self, waiting: Sequence[tuple[int, str, Mapping[str, float | str]]]) -> dict[str, Array]:
+        time_ns, vehicles, notes = zip(*waiting, strict=True)
+        counts = list(map(len, notes))
         values = [value for each in notes for value in each.values()]
-        packed = {
+        numbers, texts = np.full(len(values), np.nan), [""] * len(values)
+        for place, value in enumerate(values):
+            if isinstance(value, str):
+                texts[place] = value
+            else:
+                numbers[place] = value
+        return {
             "time_ns": np.repeat(np.array(time_ns, np.int64), counts),
             "vehicle": np.repeat(self._vehicles.codes(vehicles), counts),
             "name": self._names.codes_of_groups(map(tuple, notes)),
-            "value": np.array([np.nan if isinstance(value, str) else value for value in values], np.float64),
-            "text": self._texts.codes(value if isinstance(value, str) else "" for value in values),
+            "value": numbers,
+            "text": self._texts.codes(texts),
         }
-        self._spool.append(packed, len(values))
-        self._waiting.clear()
 
 
 def states_table(
@@ -294,10 +270,9 @@ def radio_table(
 
 def write_table(table: Table, path: Path | BinaryIO) -> None:
     """Write Parquet, deterministically (fixed row groups, zstd)."""
-    encodings: dict[str, Any] = {
-        "use_dictionary": [field.name for field in table.schema if pa.types.is_dictionary(field.type)],
-        "use_byte_stream_split": [field.name for field in table.schema if pa.types.is_floating(field.type)],
-    }
+    texts: Any = [field.name for field in table.schema if pa.types.is_dictionary(field.type)]
+    floats: Any = [field.name for field in table.schema if pa.types.is_floating(field.type)]
+    encodings = {"use_dictionary": texts, "use_byte_stream_split": floats}
     blocks = iter((table,)) if isinstance(table, pa.Table) else table.blocks()
     with pq.ParquetWriter(path, table.schema, compression="zstd", **encodings) as writer:
         while group := list(islice(blocks, max(1, ROW_GROUP // PART_ROWS))):
@@ -342,8 +317,9 @@ def _checked(about: pq.FileMetaData, name: str) -> list[str]:
     if strange := [each.path for each in columns if each.max_repetition_level or each.physical_type not in _PHYSICAL]:
         raise ValueError(f"its column {strange[0]} contains neither numbers nor texts")
     texts = [number for number, each in enumerate(columns) if each.physical_type == "BYTE_ARRAY"]
-    groups = [about.row_group(number) for number in range(about.num_row_groups)] if texts else []
-    packed = sum(group.column(number).total_uncompressed_size for group in groups for number in texts)
+    packed = 0
+    for group in map(about.row_group, range(about.num_row_groups) if texts else ()):
+        packed += sum(group.column(number).total_uncompressed_size for number in texts)
     limits.within(packed, limits.TABLE_TEXT_BYTES, f"bytes of texts in {name}")
     return [columns[number].path for number in texts]
 
