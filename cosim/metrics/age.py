@@ -118,7 +118,8 @@ def _pairs(names: tuple[Sequence[str], Sequence[str]], codes: Array) -> list[Pai
 
 def _codes(names: tuple[Sequence[str], Sequence[str]], pairs: Collection[Pair]) -> Array:
     """Numbers of links, as far as both names are known."""
-    to, by = (codes_of(side_names, [pair[side] for pair in pairs]) for side, side_names in enumerate(names))
+    receivers, senders = zip(*pairs, strict=True) if pairs else ((), ())
+    to, by = codes_of(names[0], receivers), codes_of(names[1], senders)
     return (to * len(names[1]) + by)[(to >= 0) & (by >= 0)]
 
 
@@ -156,21 +157,19 @@ def age_metrics(
     parts: Iterable[ReceptionRows], follows: Sequence[Placement], ticks: Mapping[str, Ticks], window: Window, end_ns: int
 ) -> dict[str, float | None]:
     """Age of the newest message (s) at the receivers' ticks in the window; its mean over time, and the mean of its peaks."""
-    spans = [(name, *span) for name in followers(ticks, follows) for span in stretches(name, follows)]
-    intervals = [((name, at.leader), since, until) for name, since, until, at in spans if at.leader is not None]
-    receptions = histories(parts, {pair for pair, _, _ in intervals} if follows else None)
-    if not follows:
+    if follows:
+        spans = [(name, *span) for name in followers(ticks, follows) for span in stretches(name, follows)]
+        intervals = [((name, at.leader), since, until) for name, since, until, at in spans if at.leader is not None]
+        receptions = histories(parts, {pair for pair, _, _ in intervals})
+    else:
+        receptions = histories(parts)
         intervals = [(pair, 0, FOREVER_NS) for pair in receptions.pairs if pair[0] in ticks]
     counted = _stretches(receptions, intervals)
     begin, last = window_ns(window)
     over_time, peak = _sawtooth(receptions, counted.cut(begin, min(last, end_ns)))
     ages = _at_ticks(receptions, counted, ticks, window, end_ns)
     del receptions
-    return {
-        **quantiles(ages, ("mean", "p95", "max")),
-        "time_average": over_time,
-        "peak": peak,
-    }
+    return {**quantiles(ages, ("mean", "p95", "max")), "time_average": over_time, "peak": peak}
 
 
 def _stretches(receptions: LinkHistories, intervals: Sequence[tuple[Pair, int, int]]) -> _Stretches:

@@ -9,9 +9,9 @@ An answer that arrives in time leaves no trace here, however late on the wall cl
 """
 
 import itertools
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from vcmvsp.cosim.types import Array, Incident, Presence, RealStatus
 
 KEYS = ("speed_rms_m_s", "yaw_rate_rms_rad_s", "acceleration_rms_m_s2", "yaw_acceleration_rms_rad_s2", "effort_m2_s")
 SPREAD = ("p50", "p99", "max")
+T = TypeVar("T")
 LIMITS = "limits"  # a cause in `RealStatus`: limits of speed and acceleration
 
 
@@ -66,13 +67,9 @@ def _summary(sums: Array) -> dict[str, float | None]:
     held_s, speed, yaw_rate, apart, acceleration, yaw_acceleration = sums.tolist()
     if not held_s:
         return dict.fromkeys(KEYS)
-    return {
-        "speed_rms_m_s": (speed / held_s) ** 0.5,
-        "yaw_rate_rms_rad_s": (yaw_rate / held_s) ** 0.5,
-        "acceleration_rms_m_s2": (acceleration / apart) ** 0.5 if apart else None,
-        "yaw_acceleration_rms_rad_s2": (yaw_acceleration / apart) ** 0.5 if apart else None,
-        "effort_m2_s": speed,
-    }
+    held = (speed / held_s) ** 0.5, (yaw_rate / held_s) ** 0.5
+    changed = ((acceleration / apart) ** 0.5, (yaw_acceleration / apart) ** 0.5) if apart else (None, None)
+    return dict(zip(KEYS, (*held, *changed, speed), strict=True))
 
 
 def agent_metrics(
@@ -80,10 +77,15 @@ def agent_metrics(
 ) -> dict[str, Any]:
     """The ``agents`` part of a run that ended at ``end_ns`` of ``duration_ns``, given the ticks at which agents did not act."""
     until_ns = min(end_ns + 1, duration_ns)  # an agent that ends the run has missed the tick at its end
-    return {
-        vehicle: _of_agent([each for name, each in presences if name == vehicle], train, end_ns, until_ns)
-        for vehicle, train in sorted(ticks.items())
-    }
+    own = _by_vehicle(presences)
+    return {vehicle: _of_agent(own[vehicle], train, end_ns, until_ns) for vehicle, train in sorted(ticks.items())}
+
+
+def _by_vehicle(events: Iterable[tuple[str, T]]) -> defaultdict[str, list[T]]:
+    groups = defaultdict[str, list[T]](list)
+    for vehicle, event in events:
+        groups[vehicle].append(event)
+    return groups
 
 
 def _of_agent(presences: Sequence[Presence], train: Ticks, end_ns: int, until_ns: int) -> dict[str, Any]:
@@ -111,33 +113,35 @@ def hardware_metrics(
     parts: Iterable[ReceptionRows],
 ) -> dict[str, Any]:
     """The ``hardware`` part of each real vehicle, from its timed statuses (ns), incidents and received fixes."""
-    return {
-        vehicle: _of_one(
-            history, [each for name, each in incidents if name == vehicle], fixes.get(vehicle, 0), _delays_s(parts, vehicle)
-        )
-        for vehicle, history in sorted(statuses.items())
-    }
+    own, numbers = _by_vehicle(incidents), {}
+    for vehicle, history in sorted(statuses.items()):
+        numbers[vehicle] = _of_one(history, own[vehicle], fixes.get(vehicle, 0), _delays_s(parts, vehicle))
+    return numbers
 
 
 def _of_one(
     history: Sequence[tuple[int, RealStatus]], incidents: Sequence[Incident], fixes: int, delays_s: Array
 ) -> dict[str, Any]:
-    statuses = [status for _, status in history]
-    ages_s = _numbers([each.age_s for each in statuses])
-    latency_s = float(np.median(ages_s)) if ages_s.size else None
-    return {
-        "age_s": quantiles(ages_s, SPREAD),
-        "fix_age_s": quantiles(_numbers([each.fix_age_s for each in statuses]), SPREAD),
-        "sigma_m": quantiles(_numbers([each.sigma_m for each in statuses]), SPREAD),
-        "prediction_m": quantiles(_numbers([each.prediction_m for each in statuses]), SPREAD),
+    known = {name: _known(history, name) for name in ("age_s", "fix_age_s", "sigma_m", "prediction_m")}
+    latency_s = float(np.median(known["age_s"])) if known["age_s"].size else None
+    stops = Counter(each.cause for each in incidents if each.what == "stopped")
+    limited_ns = [after - now for (now, status), (after, _) in itertools.pairwise(history) if status.causes]
+    numbers: dict[str, Any] = {name: quantiles(values, SPREAD) for name, values in known.items()}
+    return numbers | {
         "fixes": fixes,
-        "gated": max((each.gated for each in statuses), default=0),
-        "reconnects": max(0, max((each.link for each in statuses), default=0) - 1),
-        "stops": dict(sorted(Counter(each.cause for each in incidents if each.what == "stopped").items())),
-        "limited_s": sum(after - now for (now, status), (after, _) in itertools.pairwise(history) if status.causes) / SECOND_NS,
+        "gated": int(_known(history, "gated").max()),
+        "reconnects": max(0, int(_known(history, "link").max()) - 1),
+        "stops": dict(sorted(stops.items())),
+        "limited_s": sum(limited_ns) / SECOND_NS,
         "limited_by_s": limited_by_s(history),
         "frames_too_early": None if latency_s is None else int(np.count_nonzero(delays_s < latency_s)),
     }
+
+
+def _known(history: Sequence[tuple[int, RealStatus]], name: str) -> Array:
+    """A number of the statuses, without unknown values."""
+    values = np.array([getattr(status, name) for _, status in history], np.float64)  # None becomes NaN
+    return values[np.isfinite(values)]
 
 
 def limited_by_s(history: Sequence[tuple[int, RealStatus]]) -> dict[str, float]:
@@ -155,7 +159,3 @@ def _delays_s(parts: Iterable[ReceptionRows], sender: str) -> Array:
         own = part.by == code_of(part.senders, sender)
         delays_s.append((part.received_ns[own] - part.sent_ns[own]) / SECOND_NS)
     return np.concatenate(delays_s)
-
-
-def _numbers(values: Sequence[float | None]) -> Array:
-    return np.array([each for each in values if each is not None and np.isfinite(each)])

@@ -188,7 +188,7 @@ def metric_of(path: Sequence[str]) -> Metric:
     """The catalogue entry of a metric or of its table; empty if both are unknown."""
     for length in range(len(path), 0, -1):
         for place in range(length, -1, -1):
-            name = ".".join("*" if at == place else part for at, part in enumerate(path[:length]))
+            name = ".".join([*path[:place], "*", *path[place + 1 : length]] if place < length else path[:length])
             if name in METRICS:
                 return METRICS[name]
     return Metric("")

@@ -108,8 +108,10 @@ def formation_metrics(moved: Motion, follows: Sequence[Placement], window: Windo
         return _settling_s(moved.time_ns, np.array(chosen).reshape(len(chosen), len(moved.time_ns)))
 
     def changed(names: Collection[str], tellers: Iterable[str]) -> dict[str, Any]:
-        teams = dict.fromkeys(leads[name] for name in names)
-        when = {leader: settled(name for name in names if leads[name] == leader) for leader in teams}
+        teams: dict[str, list[str]] = {}
+        for name in names:
+            teams.setdefault(leads[name], []).append(name)
+        when = {leader: settled(members) for leader, members in teams.items()}
         return {**change_metrics(noted, names, tellers, end_ns), "reformed_s": reformed_s(noted, when)}
 
     each = {}
@@ -179,16 +181,14 @@ def _hop_gain(own: Array, leaders: Array, inside: Array) -> float | None:
 
 def _summary(errors: Array, inside: Array) -> dict[str, float | None]:
     """RMS, mean and maximum of errors (followers, m) in the window, and the largest at the last instant."""
-    chosen = errors[:, inside]
-    chosen = chosen[np.isfinite(chosen)]
-    final = errors[:, -1:]
-    final = final[np.isfinite(final)]
-    return {
-        "rms_m": float(np.sqrt(np.mean(chosen**2))) if chosen.size else None,
-        "mean_m": float(np.mean(chosen)) if chosen.size else None,
-        "max_m": float(np.max(chosen)) if chosen.size else None,
-        "final_m": float(np.max(final)) if final.size else None,
-    }
+    chosen, final = (part[np.isfinite(part)] for part in (errors[:, inside], errors[:, -1:]))
+    summary: dict[str, float | None] = dict.fromkeys(("rms_m", "mean_m", "max_m", "final_m"))
+    if chosen.size:
+        rms, mean, most = np.sqrt(np.mean(chosen**2)), np.mean(chosen), np.max(chosen)
+        summary |= {"rms_m": float(rms), "mean_m": float(mean), "max_m": float(most)}
+    if final.size:
+        summary["final_m"] = float(np.max(final))
+    return summary
 
 
 def _settling_s(time_ns: Array, errors: Array) -> float | None:
@@ -283,13 +283,14 @@ def _teams(names: Sequence[str], placed: Mapping[str, Follows]) -> list[Team]:
     for first in (*leading, *names):  # second pass: members of rings
         if first in where or not links[first]:
             continue
-        where[first], members = 0j, [first]
+        team, members = {first: 0j}, [first]
         for member in members:  # grows during the loop
             for neighbour, slot in links[member]:
-                if neighbour not in where:
-                    where[neighbour] = where[member] + slot
+                if neighbour not in team:
+                    team[neighbour] = team[member] + slot
                     members.append(neighbour)
-        teams.append(([names.index(member) for member in members], np.array([where[member] for member in members])))
+        where |= team
+        teams.append((list(map(names.index, team)), np.array([*team.values()])))
     return teams
 
 
@@ -299,20 +300,21 @@ def change_metrics(noted: Noted, vehicles: Iterable[str], tellers: Iterable[str]
     The values of modes are None if no vehicle notes a mode.
     """
     modes = [history for name in vehicles if (history := noted.of(name, "mode"))]
+    shape_changes = sum(max(0, len(noted.of(name, "shape")) - 1) for name in tellers)
+    if not modes:
+        return {"shape_changes": shape_changes, "mode_toggles": None, "avoid_s": None}
     steps = [(before, after) for history in modes for (_, before), (_, after) in pairwise(history)]
     spans = [span for history in modes for span in pairwise([*history, (end_ns, None)])]
     away_ns = [end - begin for (begin, mode), (end, _) in spans if mode in AROUND]
-    return {
-        "shape_changes": sum(max(0, len(noted.of(name, "shape")) - 1) for name in tellers),
-        "mode_toggles": sum((before in AROUND) != (after in AROUND) for before, after in steps) if modes else None,
-        "avoid_s": sum(away_ns) / SECOND_NS if modes else None,
-    }
+    toggles = sum((before in AROUND) != (after in AROUND) for before, after in steps)
+    return {"shape_changes": shape_changes, "mode_toggles": toggles, "avoid_s": sum(away_ns) / SECOND_NS}
 
 
 def leaders(names: Iterable[str], follows: Sequence[Placement]) -> list[str]:
     """Team leaders: vehicles that are followed and never follow."""
-    followed, following = {each.follows.leader for each in follows}, {each.vehicle for each in follows}
-    return [name for name in names if name in followed and name not in following]
+    followed = {each.follows.leader for each in follows}
+    followed -= {each.vehicle for each in follows}
+    return [name for name in names if name in followed]
 
 
 def led_by(name: str, follows: Sequence[Placement]) -> str:

@@ -6,8 +6,10 @@ any target. A vehicle whose agent has failed (``status``) or is lost has none of
 """
 
 import math
+from bisect import bisect_left
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain, pairwise
+from operator import itemgetter
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -113,7 +115,8 @@ class Mission:
         """Times (ns) at which a vehicle gave up tracking, and the targets."""
         tasks = self.of(vehicle, "task")
         ends = [end for (_, task), (end, following) in pairwise(tasks) if task == "track" and following]
-        return [(end, next((name for at, name in reversed(self.of(vehicle, "target")) if at < end), "")) for end in ends]
+        targets = [(-1, ""), *self.of(vehicle, "target")]
+        return [(end, targets[bisect_left(targets, end, key=itemgetter(0)) - 1][1]) for end in ends]
 
     def metrics(self, moved: Motion, targets: Sequence[Target]) -> dict[str, Any] | None:
         """The ``mission`` part (`cosim.metrics`); None without targets and without a vehicle on a mission."""
@@ -127,16 +130,19 @@ class Mission:
                 false_finds += 1
             elif first_s[target.name] is None:
                 first_s[target.name] = find.time_ns / SECOND_NS
-        changes = [history for (_, name), history in self._histories.items() if name == "commander"]
-        commanders = [[name for _, name in history if name] for history in changes]  # ignores gaps without a commander
+        switches = 0
+        for history in [each for (_, name), each in self._histories.items() if name == "commander"]:
+            commanders = [name for _, name in history if name]  # ignores gaps without a commander
+            switches += sum(before != after for before, after in pairwise(commanders))
+        tracked = [target for target in targets if self._tracked(moved, target)]
         return {
-            "targets_found": sum(time_s is not None for time_s in first_s.values()),
-            "targets_tracked": sum(self._tracked(moved, target) for target in targets),
+            "targets_found": len(first_s) - list(first_s.values()).count(None),
+            "targets_tracked": len(tracked),
             "found_s": first_s,
             "false_finds": false_finds,
             "area_seen_ratio": searched_ratio(self._maps.values()),
             "map_bytes_sent": int(sum(filter(math.isfinite, chain.from_iterable(self._map_bytes.values())))),
-            "switches": sum(before != after for names in commanders for before, after in pairwise(names)),
+            "switches": switches,
         }
 
     def _tracked(self, moved: Motion, target: Target) -> bool:

@@ -104,28 +104,33 @@ def radio_metrics(radio: Table, ages: dict[str, float | None]) -> dict[str, Any]
         frames += int(np.count_nonzero(np.diff(frame, prepend=newest)))  # the rows of a frame are adjacent
         newest = int(frame[-1]) if len(frame) else newest
         delays_s.append(delays[delays >= 0] / SECOND_NS)
-    received, under_way = counts["received"], counts.pop(UNDER_WAY, 0)
-    decided = radio.num_rows - under_way
+    received, under_way = counts.pop("received", 0), counts.pop(UNDER_WAY, 0)
+    decided, losses = radio.num_rows - under_way, {cause: number for cause, number in sorted(counts.items()) if number}
     return {
         "frames": frames,
         "receptions": received,
         "delivery_ratio": received / decided if decided else None,
         "under_way": under_way,
-        "losses": {cause: counts[cause] for cause in sorted(counts) if cause != "received" and counts[cause]},
+        "losses": losses,
         "delay_s": quantiles(np.concatenate(delays_s), ("mean", "p50", "p95", "p99", "max")),
         "age_s": ages,
     }
 
 
+_OF_ALL: dict[str, Any] = {"mean": np.mean, "sd": np.std, "max": np.max}
+
+
 def quantiles(values: Array, names: Sequence[str]) -> dict[str, float | None]:
     """Mean, sd, min, median, max and percentiles (``p95``; linear between ranks); None without values."""
+    numbers: dict[str, float | None] = dict.fromkeys(names)
     if not values.size:
-        return dict.fromkeys(names)
+        return numbers
     percents = {"min": 0, "median": 50} | {name: int(name[1:]) for name in names if name[0] == "p"}
-    of: dict[str, Any] = {"mean": np.mean, "sd": np.std, "max": np.max}
-    ranked = [name for name in names if name not in of]
-    percentiles = dict(zip(ranked, np.percentile(values, [percents[name] for name in ranked]).tolist(), strict=True))
-    return {name: float(of[name](values)) if name in of else percentiles[name] for name in names}
+    ranked = [name for name in names if name in percents]
+    numbers |= zip(ranked, np.percentile(values, [percents[name] for name in ranked]).tolist(), strict=True)
+    for name in numbers.keys() & _OF_ALL.keys():
+        numbers[name] = float(_OF_ALL[name](values))
+    return numbers
 
 
 SPAN_NS = SECOND_NS  # time covered by one graph

@@ -64,12 +64,13 @@ class Routing:
         counts = dict(self._counts)
         hops, delays = np.array(self._arrivals, np.int64).reshape(-1, 2).T
         decided = counts.pop("decided")
+        mean, most = (float(hops.mean()), int(hops.max())) if len(hops) else (None, None)
         return {
             "messages": counts.pop("messages"),
             "arrivals": len(hops),
             "delivery_ratio": len(hops) / decided if decided else None,
-            "hops_mean": float(hops.mean()) if len(hops) else None,
-            "hops_max": int(hops.max()) if len(hops) else None,
+            "hops_mean": mean,
+            "hops_max": most,
             "delay_s": quantiles(delays / SECOND_NS, ("mean", "p50", "p95", "p99", "max")),
             **counts,
         }
