@@ -28,20 +28,19 @@ from vcmvsp.cosim.recording.foxglove import PoseInFrame
 from vcmvsp.cosim.recording.mcap_reader import Recorded
 from vcmvsp.cosim.recording.recorded_run import FILE, Source, Values, is_known, tables_of
 from vcmvsp.cosim.tables.radio_frames import Frames
-from vcmvsp.cosim.tables.schema import PART_ROWS, RunFacts, TableFile, radio_table
+from vcmvsp.cosim.tables.schema import PART_ROWS, TableFile, radio_table
 from vcmvsp.cosim.types import Imu, Incident, Odometry, RealStatus, VehicleState, Velocity, Waypoint
 from vcmvsp.cosim.util import limits
 
-AXES = "xyz"
 TURN = ("qw", "qx", "qy", "qz")  # world_from_body
-STATE = (*(f"{a}_m" for a in AXES), *TURN, "yaw_rad", *(f"v{a}_m_s" for a in AXES), *(f"w{a}_rad_s" for a in AXES))
+SPEEDS, RATES = ("vx_m_s", "vy_m_s", "vz_m_s"), ("wx_rad_s", "wy_rad_s", "wz_rad_s")
 Tabular = VehicleState | Odometry | Imu | PoseInFrame | Velocity | Waypoint
 COLUMNS: Mapping[type[Tabular], Sequence[str]] = {
-    VehicleState: STATE,
+    VehicleState: ("x_m", "y_m", "z_m", *TURN, "yaw_rad", *SPEEDS, *RATES),
     Odometry: ("x_m", "y_m", "yaw_rad", "v_m_s", "w_rad_s"),
-    Imu: ("measured_s", *(f"a{a}_m_s2" for a in AXES), *(f"w{a}_rad_s" for a in AXES)),
+    Imu: ("measured_s", "ax_m_s2", "ay_m_s2", "az_m_s2", *RATES),
     PoseInFrame: ("measured_s", "x_m", "y_m", "z_m", "yaw_rad", "sigma_m", "sigma_rad"),
-    Velocity: ("vx_m_s", "vy_m_s", "vz_m_s", "yaw_rate_rad_s"),
+    Velocity: (*SPEEDS, "yaw_rate_rad_s"),
     Waypoint: ("to_x_m", "to_y_m", "to_z_m", "to_yaw_rad", "speed_m_s"),
 }
 """Columns for each type of value; values with names, such as notes, use their names as columns."""
@@ -176,8 +175,7 @@ def _write_recorded(source: Source, path: Path, count: int, end_ns: int, why: st
     frames, values = Frames(source.vehicles), Values()
     records = (each for each in source.only(lambda topic, _: topic == FRAMES) if each.topic)
     frames.extend(map(values.of, islice(records, count)))
-    facts = RunFacts(scenario=source.scenario, seed=source.seed, end_ns=end_ns, vehicles=source.vehicles)
-    table = radio_table(frames, facts)
+    table = radio_table(frames, source.facts(end_ns))
     _write_parts((table.slice(row, PART_ROWS) for row in range(0, max(1, table.num_rows), PART_ROWS)), path)
 
 
@@ -190,16 +188,12 @@ def _write_parts(parts: Iterator[pa.Table], path: Path) -> None:
 
 
 def _for_csv(table: pa.Table) -> pa.Table:
-    names = table.column_names
-    columns = [_in_seconds(table[name]) if name.endswith("_ns") else _plain(table[name]) for name in names]
-    return pa.table(columns, names=[f"{name.removesuffix('_ns')}_s" if name.endswith("_ns") else name for name in names])
-
-
-def _in_seconds(column: "pa.ChunkedArray[Any]") -> "pa.ChunkedArray[Any]":
-    return pc.divide(column.cast(pa.float64()), float(SECOND_NS))
-
-
-def _plain(column: "pa.ChunkedArray[Any]") -> "pa.ChunkedArray[Any]":
-    if pa.types.is_floating(column.type):
-        return pc.if_else(pc.is_nan(column), None, column)
-    return column.cast(pa.string()) if pa.types.is_dictionary(column.type) else column
+    columns: dict[str, Any] = {}
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        if name.endswith("_ns"):
+            columns[f"{name.removesuffix('_ns')}_s"] = pc.divide(column.cast(pa.float64()), float(SECOND_NS))
+        elif pa.types.is_floating(column.type):
+            columns[name] = pc.if_else(pc.is_nan(column), None, column)
+        else:
+            columns[name] = column.cast(pa.string()) if pa.types.is_dictionary(column.type) else column
+    return pa.table(columns)

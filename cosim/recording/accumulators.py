@@ -218,26 +218,27 @@ class Accumulators:
         ages = age_metrics(Parts(radio, informed), follows, self._ticks, window, end_ns)
         mobile = moved.without(self._run.stations)
         clearance_m = None if self._world is None else self._world.least_clearance_m(mobile.time_ns, mobile.position)
-        hardware = hardware_metrics(self._statuses, self._incidents, self._fixes, got)
-        mission = self._mission.metrics(moved, targets)
         commands = {name: np.frombuffer(rows).reshape(-1, 5) for name, rows in self._commands.items()}
-        return {
+        numbers = {
             "schema": SCHEMA,
             "scenario": self._run.scenario,
             "seed": self._run.seed,
             "duration_s": end_ns / SECOND_NS,
             "formation": formation_metrics(moved, follows, window, self._noted, end_ns),
             "radio": radio_metrics(radio, ages),
-            **({"routing": self._routing.metrics()} if self._routing else {}),
+            "routing": self._routing.metrics(),
             "control": control_metrics(commands, vehicles, window, end_ns),
             "connectivity": connectivity_metrics(got, vehicles, window, end_ns),
             "agents": agent_metrics(self._presences, self._ticks, end_ns, self._run.duration_ns),
-            **({"hardware": hardware} if self._statuses else {}),
-            **({"energy": self._batteries.metrics()} if self._batteries else {}),
+            "hardware": hardware_metrics(self._statuses, self._incidents, self._fixes, got),
+            "energy": self._batteries.metrics(),
             "safety": safety_metrics(mobile, self._contacts.total(), clearance_m),
-            **({} if mission is None else {"mission": mission}),
+            "mission": self._mission.metrics(moved, targets),
             "digest": digest([states, radio], self._others.digest()),
         }
+        absent = {"routing": not self._routing, "hardware": not self._statuses, "energy": not self._batteries}
+        absent["mission"] = numbers["mission"] is None
+        return {name: number for name, number in numbers.items() if not absent.get(name)}
 
     def _take_follows(self, key: str, time_ns: int, follows: types.Follows) -> None:
         vehicle = vehicle_of(key)

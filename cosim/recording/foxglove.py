@@ -15,6 +15,7 @@ rad, world frame ``world`` (x east, y north, z up), a frame per vehicle (x forwa
 
 import math
 from collections.abc import Iterator
+from operator import attrgetter
 from typing import Literal
 
 import msgspec
@@ -468,7 +469,7 @@ def _annotations(sightings: Sightings, color: Color) -> ImageAnnotations:
     for each in sightings.found:
         corners = [Vector2(u + 0.5, v + 0.5) for u, v in corners_of(each)]
         points.append(PointsAnnotation(at, LINE_LOOP, corners, color, [], clear, 2.0))
-        above = Vector2(min(corner.x for corner in corners), min(corner.y for corner in corners) - 2.0)
-        texts.append(TextAnnotation(at, above, label_of(each), FONT_PX, WHITE, SHADE))
+        left, top = min(corner.x for corner in corners), min(map(attrgetter("y"), corners))
+        texts.append(TextAnnotation(at, Vector2(left, top - 2.0), label_of(each), FONT_PX, WHITE, SHADE))
     sizes = sightings.width, sightings.height
     return ImageAnnotations([], points, texts, sightings.sensor, sightings.time_ns, *sizes, sightings.found)

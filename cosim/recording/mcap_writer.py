@@ -222,14 +222,10 @@ class McapLog:
     def _register(self, topic: str, message_type: type) -> int:
         if message_type not in self._schemas:
             schema, number = self._form.schema(message_type), len(self._schemas) + 1
-            self._schemas[message_type] = records.Schema(
-                id=number, name=schema.name, encoding=schema.encoding, data=schema.text
-            )
+            self._schemas[message_type] = records.Schema(number, schema.text, schema.encoding, schema.name)
             self._chunk += _bytes(self._schemas[message_type])
         number, schema_id = len(self._channels) + 1, self._schemas[message_type].id
-        self._channels.append(
-            records.Channel(id=number, topic=topic, message_encoding=self._form.encoding, metadata={}, schema_id=schema_id)
-        )
+        self._channels.append(records.Channel(number, topic, self._form.encoding, {}, schema_id))
         self._chunk += _bytes(self._channels[-1])
         self._numbers[topic, message_type] = number
         if self._sink is not None:
@@ -278,11 +274,13 @@ class McapLog:
         del self._places[:]
 
     def _statistics(self) -> records.Statistics:
+        begin = min((chunk.message_start_time for chunk in self._chunks), default=0)
+        end = max((chunk.message_end_time for chunk in self._chunks), default=0)
         return records.Statistics(
-            message_count=sum(self._counts.values()),
+            message_count=self._counts.total(),
             channel_message_counts=self._counts,
-            message_start_time=min((chunk.message_start_time for chunk in self._chunks), default=0),
-            message_end_time=max((chunk.message_end_time for chunk in self._chunks), default=0),
+            message_start_time=begin,
+            message_end_time=end,
             schema_count=len(self._schemas),
             channel_count=len(self._channels),
             chunk_count=len(self._chunks),

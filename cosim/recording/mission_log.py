@@ -68,8 +68,9 @@ def surest_map(log: MissionLog, now_ns: int) -> tuple[ProbabilityMap | None, Arr
 
     Uses the grid of the first vehicle with a map and ignores other grids. Also returns that map, which holds the grid's origin.
     """
-    newest = [[grid for time_ns, grid in maps if time_ns <= now_ns][-1:] for maps in log.maps.values()]
-    maps = [grid for each in newest for grid in each]
+    maps: list[ProbabilityMap] = []
+    for shown in log.maps.values():
+        maps += [grid for time_ns, grid in shown if time_ns <= now_ns][-1:]
     if not maps:
         return None, np.zeros((0, 0), np.uint8)
     same = [each for each in maps if _grid_of(each) == _grid_of(maps[0])]

@@ -42,20 +42,16 @@ class _Measured(msgspec.Struct, tag="measured"):
 
 
 Command = types.Velocity | types.Waypoint
+_FOXGLOVE = ("CameraCalibration", "CompressedImage", "FrameTransforms", "Grid", "LaserScan", "Log", "PoseInFrame", "RawImage")
 _READ_AS: dict[str, Any] = {
-    **{f"vcmvsp.{name}": getattr(types, name) for name in ("VehicleState", "Odometry", "Imu", "RealStatus", "Incident")},
+    **{f"vcmvsp.{kind.__name__}": kind for kind in (types.VehicleState, types.Odometry, types.Imu, types.RealStatus)},
     **dict.fromkeys(("vcmvsp.Velocity", "vcmvsp.Waypoint"), Command),  # one topic may carry both
+    "vcmvsp.Incident": types.Incident,
     "vcmvsp.Measured": _Measured,
     "vcmvsp.Note": Noted,
     "vcmvsp.Frame": types.FrameReport,
-    **{
-        f"foxglove.{name}": getattr(foxglove, name)
-        for name in (
-            *("CameraCalibration", "CompressedImage", "FrameTransforms", "Grid", "LaserScan", "Log", "PoseInFrame"),
-            *("RawImage", "SceneUpdate"),
-        )
-    },
 }
+_READ_AS |= {f"foxglove.{name}": getattr(foxglove, name) for name in (*_FOXGLOVE, "SceneUpdate")}
 
 
 class Source:
@@ -89,6 +85,10 @@ class Source:
     def __iter__(self) -> Iterator[Recorded]:
         """All messages in order of time; of a damaged recording, those before the damage."""
         return self.only(lambda *_: True)
+
+    def facts(self, end_ns: int) -> schema.RunFacts:
+        """Facts of the run up to a time, without slots of followers."""
+        return schema.RunFacts(scenario=self.scenario, seed=self.seed, end_ns=end_ns, vehicles=self.vehicles)
 
     def only(self, selects: Callable[[str, str], bool]) -> Iterator[Recorded]:
         """Messages of wanted topics, and placeholders without a topic for the others: see `contents`."""
@@ -158,9 +158,8 @@ class Values:
 def _checked(value: Any) -> Any:
     """The value. Raises `ValueError` (a frame with columns of different lengths, or with numbers beyond 64 bits)."""
     if isinstance(value, types.FrameReport):
-        if any(
-            each is not None and each is not msgspec.UNSET and len(each) != len(value.receivers) for each in _COLUMNS_OF(value)
-        ):
+        lengths = {len(each) for each in _COLUMNS_OF(value) if each is not None and each is not msgspec.UNSET}
+        if lengths != {len(value.receivers)}:
             raise ValueError("its columns differ in length")
         if not all(each in _INT64 for each in _NUMBERS_OF(value)):
             raise ValueError("it has numbers of more than 64 bits")
@@ -216,13 +215,10 @@ def radio_columns(
     """Facts of a run, column names of its radio table, and a function that reads one column; errors as of `tables_of`."""
     if absent := _absent(folder):
         _, frames, facts = _recorded(folder, absent, tell)
-        return (
-            facts,
-            schema.radio_table(frames, facts, rows=(0, 0)).schema.names,
-            lambda name: schema.radio_table(frames, facts, (name,)),
-        )
+        names = schema.radio_table(frames, facts, rows=(0, 0)).schema.names
+        return facts, names, lambda name: schema.radio_table(frames, facts, (name,))
     path = folder / "radio.parquet"
-    names = pq.read_schema(path).names if path.is_file() else ()
+    names = pq.read_schema(path).names if path.is_file() else []
     return schema.load_tables(folder, ()).facts, names, lambda name: schema.read_table(path, (name,))
 
 
@@ -256,9 +252,7 @@ def _recorded(
             follows.append(schema.Placement(record.time_ns, vehicle, read_json(record.data, types.Follows)))
     if not instants:
         raise UsageError(f"{source.folder}: {FILE} is still empty: the run was killed early, or has just started")
-    facts = schema.RunFacts(
-        scenario=source.scenario, seed=source.seed, end_ns=end_ns, vehicles=source.vehicles, follows=tuple(follows)
-    )
+    facts = msgspec.structs.replace(source.facts(end_ns), follows=tuple(follows))
     reached = f"up to {end_ns / SECOND_NS:.3f} s, without frames of programs and routes"
     tell(f"{folder}: no {absent} here (the run continues or was killed): data come from {FILE}, {reached}")
     return schema.states_table([(time_ns, states_of(states)) for time_ns, states in instants.items()], facts), frames, facts
@@ -266,6 +260,7 @@ def _recorded(
 
 def states_of(states: Mapping[str, types.VehicleState]) -> types.States:
     """The true states of one instant as columns."""
-    fields = ("position", "velocity", "attitude", "angular_velocity")
-    columns = {name: types.frozen([getattr(state, name) for state in states.values()], np.float64) for name in fields}
+    columns = {}
+    for name in ("position", "velocity", "attitude", "angular_velocity"):
+        columns[name] = types.frozen([getattr(state, name) for state in states.values()], np.float64)
     return types.States(names=tuple(states), **columns)

@@ -16,7 +16,7 @@ Events of unknown types are written unchanged.
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import msgspec
 
@@ -86,14 +86,11 @@ class Recorder(Accumulators):
         self._pack = msgspec.msgpack.Encoder(enc_hook=to_json).encode_into
         self._as_it_is = Way(None, False, self._write)
         takers = self._takers | {States: self._take_states}
-        writers: dict[type, Take | None] = {
-            **({} if self._viewer is None else self._viewer.putters),
-            States: None,
-            Receptions: self._put_receptions if self._writes_heard else None,
-            Reception: None,
-            Later: self._write_later,
-            **dict.fromkeys(event_text.TOLD, self._write_told),
-        }
+        writers: dict[Any, Take | None] = {} if self._viewer is None else dict(self._viewer.putters)
+        writers |= dict.fromkeys((States, Receptions, Reception)) | dict.fromkeys(event_text.TOLD, self._write_told)
+        writers[Later] = self._write_later
+        if self._writes_heard:
+            writers[Receptions] = lambda _key, _time_ns, batch: self._mail.put(batch)
         self._ways = {
             kind: Way(takers.get(kind), kind in PACKED, writers.get(kind, self._write)) for kind in (*takers, *PACKED, *writers)
         }
@@ -155,9 +152,6 @@ class Recorder(Accumulators):
         self.log(level, text, time_ns)
         if not isinstance(event, Contact):
             self._tell(f"at {time_ns / SECOND_NS:.3f} s {text}")
-
-    def _put_receptions(self, key: str, time_ns: int, batch: Receptions) -> None:
-        self._mail.put(batch)
 
     def _write_heard(self, before_ns: int) -> None:
         """Write the messages that agents got at their ticks before a time."""

@@ -172,9 +172,11 @@ def imu(value: Imu, vehicle: str, time_ns: int) -> RosMessage:
 
 def scan(message: messages.LaserScan) -> RosMessage:
     """sensor_msgs/LaserScan, at the time of measurement; a beam without return is infinite (REP 117)."""
-    ranges = np.array([math.inf if each is None else each for each in message.ranges], np.float32)
-    finite = ranges[np.isfinite(ranges)]
-    most = message.range_max if message.range_max is not None else float(finite.max(initial=0.0))
+    ranges = np.array(message.ranges, np.float32)  # None becomes NaN
+    ranges[np.isnan(ranges)] = math.inf
+    most = message.range_max
+    if most is None:
+        most = float(ranges[np.isfinite(ranges)].max(initial=0.0))
     step = (message.end_angle - message.start_angle) / max(1, len(ranges) - 1)
     return _scan(header(message.timestamp.ns, message.frame_id), message.start_angle, message.end_angle, step, most, ranges)
 
@@ -291,8 +293,8 @@ def nanoseconds(message: Any) -> int:
 
 def ros_name(topic: str) -> str:
     """Valid ROS name for a topic: letters, digits and ``_``, no digit first."""
-    parts = (re.sub(r"\W", "_", part, flags=re.ASCII) for part in topic.strip("/").split("/"))
-    return "".join(f"/_{part}" if part[:1].isdigit() else f"/{part}" for part in parts)
+    name = "".join("/" + re.sub(r"\W", "_", part, flags=re.ASCII) for part in topic.strip("/").split("/"))
+    return re.sub(r"/(?=[0-9])", "/_", name)
 
 
 def point(x: float, y: float, z: float) -> RosMessage:
@@ -334,11 +336,10 @@ def markers(message: messages.SceneUpdate, time_ns: int) -> RosMessage:
     nothing = _marker_of(ARROW, messages.Pose(), (0.0, 0.0, 0.0), messages.Color(0.0, 0.0, 0.0, 0.0))
     listed: list[RosMessage] = [_marker(header(time_ns, WORLD), "", 0, action=DELETE_ALL, **nothing) for _ in message.deletions]
     for entity in message.entities:
-        parts = [_arrow(each) for each in entity.arrows]
+        parts = list(map(_arrow, entity.arrows))
         parts += [_marker_of(CUBE, each.pose, _xyz(each.size), each.color) for each in entity.cubes]
         parts += [_marker_of(CYLINDER, each.pose, _xyz(each.size), each.color) for each in entity.cylinders]
-        parts += [_line(each) for each in entity.lines] + [_triangles(each) for each in entity.triangles]
-        parts += [_text(each) for each in entity.texts]
+        parts += [*map(_line, entity.lines), *map(_triangles, entity.triangles), *map(_text, entity.texts)]
         for number, fields in enumerate(parts):
             head = header(time_ns, entity.frame_id)
             listed.append(_marker(head, entity.id, number, frame_locked=entity.frame_locked, **fields))

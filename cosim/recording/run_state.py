@@ -112,10 +112,8 @@ class RunState:
         batches, self._receptions = self._receptions, []
         if batches:
             newest_ns = np.full(len(batches[0].names), -1)
-            receiver, arrival_ns = (
-                np.concatenate(part) for part in zip(*((b.receiver, b.arrival_ns) for b in batches), strict=True)
-            )
-            np.maximum.at(newest_ns, receiver, arrival_ns)
+            receiver = np.concatenate([batch.receiver for batch in batches])
+            np.maximum.at(newest_ns, receiver, np.concatenate([batch.arrival_ns for batch in batches]))
             for row in np.flatnonzero(newest_ns >= 0).tolist():
                 self.keep("heard_ns", batches[0].names[row], int(newest_ns[row]))
 
