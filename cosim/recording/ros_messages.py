@@ -210,12 +210,7 @@ def picture(value: Image, frame: str) -> RosMessage:
 
 def pinhole(value: Image, frame: str) -> RosMessage:
     """sensor_msgs/CameraInfo of a reading: a pinhole without distortion, whose principal point is the centre."""
-    height, width, _ = value.pixels.shape
-    k = np.array([[value.focal_px, 0.0, 0.5 * width], [0.0, value.focal_px, 0.5 * height], [0.0, 0.0, 1.0]])
-    matrices = k.ravel(), np.eye(3).ravel(), np.hstack([k, np.zeros((3, 1))]).ravel()
-    whole = make("sensor_msgs/RegionOfInterest", 0, 0, 0, 0, False)
-    head = header(value.time_ns, frame)
-    return make("sensor_msgs/CameraInfo", head, height, width, "plumb_bob", np.zeros(5), *matrices, 0, 0, whole)
+    return camera_info(messages.CameraCalibration.of(value, frame, value.time_ns), value.time_ns, frame)
 
 
 def satellite_fix(time_ns: int, frame: str, geodetic: Vec3, sigmas_m: Vec3) -> RosMessage:

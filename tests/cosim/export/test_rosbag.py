@@ -21,7 +21,8 @@ from vcmvsp.cosim.export.formats import export
 from vcmvsp.cosim.export.rosbag import write_bag
 from vcmvsp.cosim.frames import product
 from vcmvsp.cosim.recording import recorded_run
-from vcmvsp.cosim.recording.ros_messages import ros_name
+from vcmvsp.cosim.recording.ros_messages import pinhole, ros_name
+from vcmvsp.cosim.types import Image
 from vcmvsp.cosim.util import limits
 
 pytestmark = pytest.mark.processes
@@ -109,6 +110,14 @@ def test_pictures_are_the_same_pixels_and_come_with_their_cameras(bags: dict[str
     (_, grid), (_, original) = bag["/uav1/map"][0], topic_messages("recon-team", "uav1/map")[0]
     assert (grid.info.width, len(grid.data)) == (original["column_count"], grid.info.width * grid.info.height)
     assert 0 <= grid.data.min() <= grid.data.max() <= 100
+
+
+def test_the_principal_point_is_the_centre_of_the_picture() -> None:
+    """The centre of the first pixel is (0, 0), as in the calibration of a recording."""
+    info: Any = pinhole(Image(pixels=np.zeros((3, 5, 3), np.uint8), focal_px=80.0, time_ns=4), "camera")
+    assert info.k.tolist() == [80.0, 0.0, 2.0, 0.0, 80.0, 1.0, 0.0, 0.0, 1.0]
+    assert info.p.reshape(3, 4)[:, 2].tolist() == [2.0, 1.0, 1.0]
+    assert (info.header.frame_id, info.width, info.height, ns(info.header.stamp)) == ("camera", 5, 3, 4)
 
 
 def test_readings_are_stamped_with_their_time_of_measurement(bags: dict[str, Path]) -> None:
