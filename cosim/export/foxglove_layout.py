@@ -77,7 +77,8 @@ class _Content:
         is_bounded = (np.abs([low, high]) < FARTHEST_M).all()
         self.middle: list[float] = (0.5 * (low + high)).tolist() if is_bounded else [0.0, 0.0]
         self.size_m = max(LEAST_VIEW_M, float((high - low).max())) if is_bounded else LEAST_VIEW_M
-        keys = [name for name in WORDS if any(isinstance(values.get(name), str) for values in noted.values())][:1]
+        texts = {name for values in noted.values() for name, value in values.items() if isinstance(value, str)}
+        keys = [name for name in WORDS if name in texts][:1]
         self.words = [(vehicle, name) for name in keys for vehicle in self.vehicles if name in noted.get(vehicle, {})]
 
     def curves(self, paths: Sequence[tuple[str, str]]) -> list[dict[str, Any]]:

@@ -77,7 +77,10 @@ class _Film:
         self._colors: Array = np.empty((0, 3), np.uint8)
         self._end_ns = 0
         self._read(source)
-        self._arrays = {name: ([at for at, _ in way], np.array([pose for _, pose in way])) for name, way in self._ways.items()}
+        self._arrays: dict[str, tuple[tuple[int, ...], Array]] = {}
+        for name, way in self._ways.items():
+            times, poses = zip(*way, strict=True)
+            self._arrays[name] = times, np.array(poses)
         if not any(_is_shown(poses[:, :2]).any() for _, poses in self._arrays.values()):
             raise UsageError("--mp4: the recording contains no vehicle")
         self.step_ns = max(SECOND_NS // FPS, -(-self._end_ns // MOST_FRAMES))
@@ -136,7 +139,7 @@ class _Film:
         self._outlines = {entity.frame_id: _outline(entity) for entity in scene.entities if entity.cubes or entity.cylinders}
         parts = [part for entity in scene.entities for part in entity.triangles]
         if parts:
-            corners, colors = (np.concatenate([of(part) for part in parts]) for of in (_corners, _colors))
+            corners, colors = np.concatenate(list(map(_corners, parts))), np.concatenate(list(map(_colors, parts)))
             order = np.argsort(corners[:, :, 2].max(axis=1), kind="stable")
             self._corners, self._colors = corners[order], colors[order]
 

@@ -8,7 +8,7 @@ import contextlib
 import struct
 import time
 from base64 import b64encode
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
@@ -80,7 +80,7 @@ class Topics:
         self.session, self._about, self._keys = session, about, keys
         self._version = metadata.version("vcmvsp")
         self._now_ns: int | None = None
-        self._has_subscribers: dict[str, bool] = {}  # whether a key has subscribers
+        self._has_subscribers = _HasSubscribers(self._declare)
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._each: tuple[tuple[str, ...], tuple[str, ...]] = (), ()  # vehicles, and the keys of their states
         self._queryable = session.declare_queryable(key_names.ABOUT, Callback(self._on_question, indirect=False))
@@ -91,8 +91,7 @@ class Topics:
         if type(event.value) is Receptions:
             self._on_receptions(event.time_ns, event.value)
             return
-        has_subscribers = self._has_subscribers.get(event.key)
-        if has_subscribers or (has_subscribers is None and self._declare(event.key)):
+        if self._has_subscribers[event.key]:
             self._publish(event.key, event.time_ns, event.value)
         if type(event.value) is States:
             self._on_states(event.time_ns, event.value)
@@ -104,10 +103,7 @@ class Topics:
             with contextlib.suppress(zenoh.ZError):  # the session may be closed already
                 handle.undeclare()
 
-    def _declare(self, key: str) -> bool:
-        """Declare a topic when its key first appears; returns whether it has subscribers."""
-        self._has_subscribers[key] = False
-
+    def _declare(self, key: str) -> None:
         def on_matching(status: zenoh.MatchingStatus) -> None:
             self._has_subscribers[key] = status.matching
 
@@ -118,30 +114,22 @@ class Topics:
                 )
                 self._publishers[key] = publisher
                 publisher.declare_matching_listener(Callback(on_matching, indirect=False))
-        return self._has_subscribers[key]
 
     def _on_states(self, time_ns: int, states: States) -> None:
         """Publish the state of each vehicle under its own key, as in the recording."""
         if self._each[0] != states.names:
             self._each = states.names, tuple(f"{name}/state" for name in states.names)
-        columns: list[Any] = []
-        for row, key in enumerate(self._each[1]):
-            has_subscribers = self._has_subscribers.get(key)
-            if has_subscribers or (has_subscribers is None and self._declare(key)):
-                columns = columns or [
-                    column.tolist() for column in (states.position, states.velocity, states.attitude, states.angular_velocity)
-                ]
-                p, v, q, w = (column[row] for column in columns)
-                self._publish(key, time_ns, VehicleState(position=p, velocity=v, attitude=q, angular_velocity=w))
+        rows = [row for row, key in enumerate(self._each[1]) if self._has_subscribers[key]]
+        if rows:
+            columns = states.position, states.velocity, states.attitude, states.angular_velocity
+            for row, p, v, q, w in zip(rows, *(column[rows].tolist() for column in columns), strict=True):
+                state = VehicleState(position=p, velocity=v, attitude=q, angular_velocity=w)
+                self._publish(self._each[1][row], time_ns, state)
 
     def _on_receptions(self, time_ns: int, batch: Receptions) -> None:
         """Publish each reception under its receiver's own key, when it is decided; it may arrive later."""
         keys = {row: f"{batch.names[row]}/heard" for row in np.flatnonzero(np.bincount(batch.receiver)).tolist()}
-        rows = {
-            row
-            for row, key in keys.items()
-            if self._has_subscribers.get(key) or (key not in self._has_subscribers and self._declare(key))
-        }
+        rows = {row for row, key in keys.items() if self._has_subscribers[key]}
         if not rows:
             return
         sent_ns, columns = batch.sent_ns.tolist(), (batch.message, batch.receiver, batch.arrival_ns, batch.rssi_dbm)
@@ -170,10 +158,22 @@ class Topics:
 
     def _answer(self, name: str) -> dict[str, Any]:
         entry = None if self._keys is None else self._keys.index.find(name)
-        facts = {key: value() if callable(value) else value for key, value in self._about.items()}
+        facts = {key: value() for key, value in self._about.items() if callable(value)}
         you = You(name) if entry is None else You(name, entry.role, entry.vehicles)
         now = {"time_ns": self._now_ns, "wall_ns": time.time_ns(), "you": you}
-        return facts | {"version": self._version, "protocol": protocol.PROTOCOL, **now}
+        return {**self._about, **facts, "version": self._version, "protocol": protocol.PROTOCOL, **now}
+
+
+class _HasSubscribers(dict[str, bool]):
+    """Whether each topic has subscribers; a topic is declared when its key first appears."""
+
+    def __init__(self, declare: Callable[[str], None]) -> None:
+        self._declare = declare
+
+    def __missing__(self, key: str) -> bool:
+        self[key] = False
+        self._declare(key)
+        return self[key]
 
 
 def _encoded(value: Value | Later) -> tuple[str, bytes]:

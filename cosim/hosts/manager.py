@@ -90,11 +90,11 @@ class Hosts:
     @property
     def unrepeatable(self) -> list[str]:
         """Events in hosts that a repetition of the run does not reproduce."""
-        lost = [loss for host in self.federates if isinstance(host, RemoteHost) for loss in host.losses]
-        return [
-            *(f"the host of {vehicle} ran different code: {how}" for vehicle, how in sorted(self._other_code.items())),
-            *(f"the host of {vehicles} was lost at {time_s:g} s: {cause}" for vehicles, time_s, cause in lost),
-        ]
+        events = [f"the host of {vehicle} ran different code: {how}" for vehicle, how in sorted(self._other_code.items())]
+        for host in self.federates:
+            for vehicles, time_s, cause in host.losses if isinstance(host, RemoteHost) else ():
+                events.append(f"the host of {vehicles} was lost at {time_s:g} s: {cause}")
+        return events
 
     def start(self, specs: Mapping[str, Sequence[AgentSpec]], objects: Mapping[str, Agent]) -> None:
         """Start the hosts of all agents, or wait for them.
@@ -184,8 +184,8 @@ class Hosts:
         for knock in knocking(hub, timeout_s, missing, self._tell, needed):
             hello = knock.hello
             # A replacement need not wait until an unreachable host is given up.
-            away = {host: {spec.vehicle for spec in joined[host][1]} for host in hub.gone.keys() & joined.keys()}
-            give_up({host for host, vehicles in away.items() if vehicles.intersection(hello.vehicles)})
+            away = [(host, spec.vehicle) for host in hub.gone.keys() & joined.keys() for spec in joined[host][1]]
+            give_up({host for host, vehicle in away if vehicle in hello.vehicles})
             if link := entrance.let_in(knock, listener.refusal(hello, waiting, spec_of)):
                 specs_of = [listener.as_host_says(waiting.pop(vehicle), hello, self.kinds) for vehicle in hello.vehicles]
                 joined[knock.machine] = link, specs_of
@@ -260,9 +260,10 @@ class Hosts:
         return list(dict.fromkeys((*self._waiting, *self._lost())))
 
     def _lost(self) -> list[str]:
-        return [
-            vehicle for vehicle in list(self._specs) if any(each.accepts_host_for(vehicle) for each in list(self._elsewhere))
-        ]
+        return list(filter(self._accepts_host_for, list(self._specs)))
+
+    def _accepts_host_for(self, vehicle: str) -> bool:
+        return any(each.accepts_host_for(vehicle) for each in list(self._elsewhere))
 
     def _answer_door(self) -> None:
         if self.entrance is None:
@@ -274,7 +275,7 @@ class Hosts:
             hub.shut()
         if knock := hub.next_hello(0.0):  # one a tick, so that join requests cannot stall the run
             hello = knock.hello
-            places = [each for each in self._elsewhere if all(each.accepts_host_for(vehicle) for vehicle in hello.vehicles)]
+            places = [each for each in self._elsewhere if all(map(each.accepts_host_for, hello.vehicles))]
             link = self.entrance.let_in(knock, listener.late_refusal(hello, self._specs, lost, together=bool(places)))
             if link is not None:
                 self._tell(f"{', '.join(hello.vehicles)} joined")

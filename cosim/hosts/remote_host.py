@@ -7,12 +7,13 @@ on the wall clock, so it is recorded.
 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from itertools import chain
 from typing import Protocol
 
 import msgspec
 
 from vcmvsp.cosim.agent import AgentSpec
-from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
+from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from vcmvsp.cosim.errors import AgentError, FederateError, ScenarioError, VcmvspError
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.hosts import protocol
@@ -230,8 +231,9 @@ class RemoteHost:
         self.latest = tuple(key for each in built for key in each.latest)
         self._latency_ns = {info.vehicle: info.latency_ns for info in self.agents}
         self._infos = {info.vehicle: info for info in self.agents}
-        trains = dict.fromkeys(info.ticks for info in self.agents)
-        self._trains = {each: frozenset(info.vehicle for info in self.agents if info.ticks == each) for each in trains}
+        self._trains: dict[Ticks, frozenset[str]] = {}
+        for info in self.agents:
+            self._trains[info.ticks] = self._trains.get(info.ticks, frozenset()) | {info.vehicle}
         self.lookahead_ns = min(info.latency_ns for info in self.agents)
         self._crews = list(crews)  # hosts that receive steps
         self._others: list[Crew] = []  # hosts that owe an answer before their next step
@@ -239,7 +241,8 @@ class RemoteHost:
         self._missing = tuple(missing)
         self._away: dict[str, Absence] = {}
         self._newest: dict[str, Event] = {}  # newest events that absent vehicles have received
-        policies = {spec.on_lost for crew in crews for spec in crew.specs} | {spec.on_lost for spec in missing}
+        specs = [*chain.from_iterable(crew.specs for crew in crews), *missing]
+        policies = {spec.on_lost for spec in specs}
         self._may_go_on = policies != {"stop"}
         self._replaceable = frozenset(self.latest) if "hold" in policies else frozenset()
         self._following: set[str] = set()  # vehicles that have announced a slot in a formation
@@ -284,7 +287,9 @@ class RemoteHost:
             inbox = self._look_around(open_step, inbox)
         whole = len(self._crews) == 1 and not self._away
         for crew in self._crews:
-            events = list(inbox) if whole else [event for event in inbox if _vehicle(event) in crew.vehicles]
+            events = list(inbox)
+            if not whole:
+                events = [event for event in inbox if _vehicle(event) in crew.vehicles]
             received = self._mail.take(now_ns, crew.vehicles)
             if received is not None:
                 events.append(Event(RECEPTIONS, now_ns, pruned(received)))
@@ -303,7 +308,10 @@ class RemoteHost:
             except FederateError as error:
                 events += self._lose(crew, now_ns, error)
             else:
-                events += [event for event in answer if _vehicle(event) not in self._away] if self._away else answer
+                accepted = answer
+                if self._away:
+                    accepted = [event for event in answer if _vehicle(event) not in self._away]
+                events += accepted
                 if self._may_go_on:
                     self._note(answer, crew)
         for vehicle, absence in self._away.items():
@@ -430,8 +438,6 @@ class RemoteHost:
 
 
 class _OpenStep(msgspec.Struct):
-    """An open step."""
-
     now_ns: int
     due: frozenset[str]  # vehicles with a tick in this step
     crews: list[Crew] = []  # hosts that received the step

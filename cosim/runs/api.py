@@ -146,9 +146,9 @@ class Simulation:
             from vcmvsp.cosim.view.live.broadcast import Broadcast
 
             self._broadcast = Broadcast(run, topics)
-        pages = [page.on for page in (live, self._broadcast) if page is not None]
-        onlookers = (topics.on if topics else None, observe, self._control.on if self._control else None, *pages)
-        self._observers = [each for each in onlookers if each is not None]
+        self._observers: list[Observer] = [] if topics is None else [topics.on]
+        self._observers += [] if observe is None else [observe]
+        self._observers += [each.on for each in (self._control, live, self._broadcast) if each is not None]
         self._resolved = run.resolved()  # before the run: an error here must not discard a finished run
         info = msgspec.structs.replace(run.info, paced=self._clock.speed is not None)
         strict = run.scenario.clock.late == "stop"
@@ -477,8 +477,13 @@ def run(
     parsed, source = loaded
     progress = progress or notebook.bar(parsed.name)
     started, cpu = datetime.now(UTC), time.process_time()
-    replayed = None if playback is None else external_inputs.read_inputs(Path(playback) / external_inputs.FILE, tell=tell)
+    recorded, replayed, vehicles = None, None, None
+    if playback is not None:
+        recorded = Path(playback) / FILE
+        replayed = external_inputs.read_inputs(recorded, tell=tell)
+        vehicles = real_vehicles.playback(parsed, replayed, tell)
     paced = clock_of(parsed, realtime, replayed=replayed is not None)
+    built = (lambda _: None) if view is None else view.prepare
     try:
         with (
             drawer or Drawer(apart=folder is not None and view is None and paced.speed is None) as drawing,
@@ -489,19 +494,19 @@ def run(
                 objects=objects,
                 runs=runs,
                 listen=listen,
-                keys=None if keys is None else Path(keys),
+                keys=_path(keys),
                 insecure=insecure,
                 connect=replayed is None,
-                playback=None if replayed is None else real_vehicles.playback(parsed, replayed, tell),
+                playback=vehicles,
                 bridged=replayed,
-                recorded_radio=None if recorded_radio is None else Path(recorded_radio),
+                recorded_radio=_path(recorded_radio),
                 tell=tell,
                 watch=watch,
-                built=(lambda _: None) if view is None else view.prepare,
+                built=built,
             ) as assembled,
         ):
-            if playback is not None:
-                assembled.keep(Path(playback) / external_inputs.FILE)  # so that a replay can be replayed
+            if recorded is not None:
+                assembled.keep(recorded)  # so that a replay can be replayed
             simulation = Simulation(
                 assembled,
                 folder,
@@ -522,6 +527,10 @@ def run(
         failure.result = result
         raise failure
     return result
+
+
+def _path(path: str | Path | None) -> Path | None:
+    return None if path is None else Path(path)
 
 
 def check(

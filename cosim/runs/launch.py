@@ -71,9 +71,10 @@ def launch(
     settings |= _placing(path, listed, parsed)
     listen = listen or _listening(parsed.agents, listed)
     tables = [parsed.agents.defaults, *(msgspec.to_builtins(each.agent) for each in parsed.vehicle)]
-    code = {
-        host.called: registry.host_options(tables, "." if host.folder else str(source.folder.resolve())) for host in listed.host
-    }
+    here = str(source.folder.resolve())
+    code = {}
+    for host in listed.host:
+        code[host.called] = registry.host_options(tables, "." if host.folder else here)
     plans = _plan(path, listed, listen, folder, code, insecure=insecure, tell=tell)
     result: api.Result | None = None
     with Fleet(plans, path.parent, tell) as fleet:

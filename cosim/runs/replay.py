@@ -63,18 +63,20 @@ def replay(
         )
     if twin and not real:
         raise UsageError(f"--twin: no vehicle of {folder} was real; leave the option out")
-    programs = bool(parsed.bridge.doors or parsed.stack)
-    outside = (() if twin else real) + (("its programs",) if programs else ())
+    outside = () if twin else real
+    remedy = ": replay with simulated vehicles (--twin)" if outside else ""
+    if parsed.bridge.doors or parsed.stack:
+        outside += ("its programs",)
     if outside and not (folder / FILE).is_file():
-        message = f"{folder} has no {FILE} with the inputs of {', '.join(outside)}"
-        raise UsageError(f"{message}: replay with simulated vehicles (--twin)" if real and not twin else message)
+        raise UsageError(f"{folder} has no {FILE} with the inputs of {', '.join(outside)}{remedy}")
+    recorded_radio = folder / RADIO_FILE if radio == "recorded" else None
     return api.run(
         loaded,
         agents=agents,  # type: ignore[arg-type]  # `run` checks them
         out=out,
         force=force,
         playback=folder if outside else None,
-        recorded_radio=folder / RADIO_FILE if radio == "recorded" else None,
+        recorded_radio=recorded_radio,
         **options,
     )
 
@@ -94,12 +96,8 @@ def comparison(run_dir: str | Path, result: api.Result) -> tuple[bool, str]:
 
 def beside(run_dir: Path) -> Path:
     """Default folder of a replay: ``NAME-replay`` beside the run ``NAME``."""
-    folder = run_dir.resolve()
-    return (
-        run_dir.parent / f"{run_dir.name}-replay"
-        if run_dir.name not in ("", "..")
-        else folder.with_name(f"{folder.name}-replay")
-    )
+    folder = run_dir if run_dir.name not in ("", "..") else run_dir.resolve()
+    return folder.with_name(f"{folder.name}-replay")
 
 
 def _content(path: Path) -> dict[str, Any]:
