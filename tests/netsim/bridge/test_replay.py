@@ -1,10 +1,6 @@
 """Whole runs with programs: a replay equals the run, and its files agree with each other."""
 
-import contextlib
 import json
-import socket
-import threading
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import vcmvsp
+from tests.support.netsim.bridge_runs import sent_repeatedly
 from tests.support.netsim.gateway_context import free_ports
 from vcmvsp.cosim.recording.external_inputs import read_inputs
 from vcmvsp.cosim.runs.replay import replay
@@ -21,9 +18,8 @@ from vcmvsp.cosim.types import Datagrams
 pytestmark = [pytest.mark.processes, pytest.mark.sockets]
 
 SAME = ("radio.parquet", "states.parquet", "metrics.json")
-DURATION_S, PERIOD_S = 1.5, 0.004
-MOST_SAID = round(2.0 * DURATION_S / PERIOD_S)
-SETTINGS: dict[str, Any] = {"duration_s": DURATION_S, "seed": 3, "physics.kind": "kinematic"}
+ROUNDS = 750  # for twice the run's duration: a run that lags behind must not receive ever more datagrams
+SETTINGS: dict[str, Any] = {"duration_s": 1.5, "seed": 3, "physics.kind": "kinematic"}
 CHANNELS: dict[str, dict[str, Any]] = {
     "uncontended": {"radio": {"loss": {"probability": 0.2}, "delay": {"seconds": 0.01, "jitter_s": 0.01}}},
     "dcf": {"radio": {"preset": "wifi-g-54", "mac": {"kind": "dcf"}}},
@@ -32,36 +28,10 @@ CHANNELS: dict[str, dict[str, Any]] = {
 }
 
 
-@contextlib.contextmanager
-def programs(first_port: int) -> Iterator[None]:
-    """The first vehicle's program broadcasts, the second's sends to the third, repeatedly.
-
-    They end after twice the run's duration: a run that lags behind must not receive ever more datagrams.
-    """
-    stop = threading.Event()
-
-    def say() -> None:
-        rounds = 0
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
-            while rounds < MOST_SAID and not stop.wait(PERIOD_S):
-                with contextlib.suppress(ConnectionError):  # the run has not started, or has ended
-                    program.sendto(b"to all", ("127.0.0.1", first_port))
-                    program.sendto(b"to one", ("127.0.0.1", first_port + 100 + 3))
-                    rounds += 1
-
-    thread = threading.Thread(target=say)
-    thread.start()
-    try:
-        yield
-    finally:
-        stop.set()
-        thread.join()
-
-
 @pytest.mark.parametrize("channel", CHANNELS)
 def test_a_replay_with_programs_is_equal_to_the_byte_and_its_files_agree(channel: str, tmp_path: Path) -> None:
     first_port, folder = free_ports(300), tmp_path / "run"
-    with programs(first_port):
+    with sent_repeatedly({first_port: b"to all", first_port + 100 + 3: b"to one"}, ROUNDS):
         run = vcmvsp.run(
             "formation-circle", set={**SETTINGS, **CHANNELS[channel], "bridge.udp.first_port": first_port}, out=folder
         )

@@ -18,9 +18,8 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from tests.support.cosim.run_processes import VCMVSP
 from tests.support.docs.readme_pages import PAGES, block
-from vcmvsp.netsim.bridge.gateways.ip import run_networks
+from tests.support.netsim.vehicle_namespaces import network_up
 
 pytestmark = [
     pytest.mark.processes,
@@ -85,26 +84,14 @@ def running(folder: Path, program: str) -> Iterator[Chain]:
     """The page's run, while the program routes."""
     folder.mkdir()
     made = Chain(folder, program)
-    start = [*VCMVSP, "net", "up", "chain.toml", "--out", "out"]
-    with subprocess.Popen(start, cwd=folder, stderr=subprocess.PIPE, text=True, start_new_session=True) as run:
-        try:
-            assert run.stderr is not None
-            for line in run.stderr:
-                if "vcmvsp net exec car1" in line:
-                    break
-            made.began_s = time.monotonic()
-            routers = subprocess.Popen(["sh", "route.sh"], cwd=folder, start_new_session=True)
+    with network_up(folder / "chain.toml", made.name):
+        made.began_s = time.monotonic()
+        with subprocess.Popen(["sh", "route.sh"], cwd=folder, start_new_session=True) as routers:
             try:
                 yield made
             finally:
                 os.killpg(routers.pid, signal.SIGINT)
                 routers.wait(READY_S)
-            run.send_signal(signal.SIGINT)
-            run.communicate(timeout=READY_S)
-        finally:
-            run.kill()
-            with contextlib.suppress(run_networks.RunAlive):
-                run_networks.clear(made.name)
 
 
 def next_hop(chain: Chain, car: str, to: str) -> str:

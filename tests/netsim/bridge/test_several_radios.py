@@ -3,10 +3,8 @@
 import contextlib
 import json
 import os
-import signal
 import socket
 import subprocess
-import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -21,13 +19,14 @@ import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.cosim.run_processes import VCMVSP
 from tests.support.docs.readme_pages import block
-from tests.support.netsim.gateway_context import RunlessContext, free_ports, open_gateway
-from tests.support.netsim.vehicle_namespaces import RUN, next_datagram, run_command, udp
+from tests.support.netsim.bridge_runs import sent_repeatedly
+from tests.support.netsim.gateway_context import PATIENCE_S, RunlessContext, free_ports, open_gateway
+from tests.support.netsim.vehicle_namespaces import IN_NAMESPACES, RUN, network_up, next_datagram, run_command, udp
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.runs.api import check
 from vcmvsp.cosim.runs.replay import replay
 from vcmvsp.netsim.bridge.gateways.base import BROADCAST
-from vcmvsp.netsim.bridge.gateways.ip import ethernet, run_networks
+from vcmvsp.netsim.bridge.gateways.ip import ethernet
 from vcmvsp.netsim.bridge.gateways.ip.gateway import Ip, network_after, network_of
 
 T = TypeVar("T", bound=Callable[..., Any])
@@ -37,7 +36,6 @@ LOSS = {"near": 0.3, "far": 0.0}
 SIZES = {"near": 120, "far": 240}  # payload, bytes, that tells datagrams from the kernel's own packets
 ADDRESSES = {"near": ("10.77.0.1", "10.77.0.2"), "far": ("10.78.0.1", "10.78.0.2")}
 COUNT = 200
-READY_S = 60.0
 COMMANDS = [
     line.partition("  #")[0].strip().replace("lora", "far") for line in block(PAGE, "ping car2.lora").splitlines() if line
 ]
@@ -61,8 +59,7 @@ def scenario(**own: Any) -> dict[str, Any]:
 
 def in_namespaces(test: T) -> T:
     """Marks a test that makes network namespaces of Linux."""
-    marks = (pytest.mark.processes, pytest.mark.sockets, pytest.mark.needs("ip", "ping"))
-    for mark in (*marks, pytest.mark.usefixtures("namespaces_allowed")):
+    for mark in (*IN_NAMESPACES, pytest.mark.needs("ping")):
         test = mark(test)
     return test
 
@@ -72,28 +69,6 @@ def frames_of(folder: Path) -> pd.DataFrame:
     return rows.astype({"radio": str, "sender": str, "receiver": str, "outcome": str})
 
 
-@contextlib.contextmanager
-def talking(ports: dict[str, int]) -> Iterator[None]:
-    """Programs of car1 that broadcast on each radio and send to car3."""
-    stop = threading.Event()
-
-    def talk() -> None:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
-            while not stop.wait(0.004):
-                for name, first in ports.items():
-                    for port in (first, first + 3):
-                        with contextlib.suppress(ConnectionError):  # the run has not started, or has ended
-                            program.sendto(bytes(SIZES[name]), ("127.0.0.1", port))
-
-    thread = threading.Thread(target=talk)
-    thread.start()
-    try:
-        yield
-    finally:
-        stop.set()
-        thread.join()
-
-
 @pytest.mark.processes
 @pytest.mark.sockets
 @pytest.mark.parametrize("agents", [False, True])
@@ -101,7 +76,8 @@ def test_gateways_have_the_radio_of_their_tables_and_a_replay_repeats_both(agent
     first = free_ports(600)
     ports = {"near": first, "far": first + 300}
     gateways = {name: {"kind": "udp", "radio": name, "first_port": port} for name, port in ports.items()}
-    with talking(ports):
+    datagrams = {port: bytes(SIZES[name]) for name, first in ports.items() for port in (first, first + 3)}
+    with sent_repeatedly(datagrams, 1000):  # to all, and to car3
         vcmvsp.run(scenario(bridge={"agents": agents, **gateways}), out=tmp_path / "run")
     frames = frames_of(tmp_path / "run")
     for name, size in SIZES.items():
@@ -131,31 +107,15 @@ def up(folder: Path) -> Iterator[None]:
         + '[[vehicle]]\nname = "car1"\n[[vehicle]]\nname = "car2"\nposition = [1.0, 0.0, 0.0]\n'
         + '[[vehicle]]\nname = "car3"\nposition = [2.0, 0.0, 0.0]\nradios = ["far"]\n'
     )
-    command = [*VCMVSP, "net", "up", "radios.toml", "--out", "out"]
-    with subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, text=True, start_new_session=True) as run:
-        try:
-            assert run.stderr is not None
-            lines = []
-            for line in run.stderr:
-                lines.append(line)
-                if "vcmvsp net exec car1" in line:
-                    break
-            else:
-                raise AssertionError("".join(lines))
-            yield
-            run.send_signal(signal.SIGINT)
-            run.communicate(timeout=READY_S)
-        finally:
-            run.kill()
-            with contextlib.suppress(run_networks.RunAlive):
-                run_networks.clear(NAME)
+    with network_up(folder / "radios.toml", NAME):
+        yield
 
 
 def on(vehicle: str, words: str, tries: int = 1) -> str:
     """Output of a command on a vehicle's machine; retried if it fails."""
     command = [*VCMVSP, "net", "exec", vehicle, "--run", NAME, "--", *words.split()]
     for _ in range(tries):
-        result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=READY_S)
+        result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE_S)
         if result.returncode == 0:
             return result.stdout
     raise AssertionError(f"{words}: {result.stdout}{result.stderr}")

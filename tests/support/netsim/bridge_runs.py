@@ -4,7 +4,7 @@ import contextlib
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -171,6 +171,29 @@ def background_run(run: BridgeRun) -> Iterator[BridgeRun]:
         run.stop()
     if run.error is not None:
         raise run.error
+
+
+@contextlib.contextmanager
+def sent_repeatedly(datagrams: Mapping[int, bytes], rounds: int, period_s: float = 0.004) -> Iterator[None]:
+    """A program that sends these datagrams to ports of this machine in every period, for so many rounds at the most."""
+    stop = threading.Event()
+
+    def send() -> None:
+        done = 0
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
+            while done < rounds and not stop.wait(period_s):
+                with contextlib.suppress(ConnectionError):  # the run has not started, or has ended
+                    for port, payload in datagrams.items():
+                        program.sendto(payload, ("127.0.0.1", port))
+                    done += 1
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
 
 
 def receive_all(receiver: socket.socket, count: int) -> list[bytes]:

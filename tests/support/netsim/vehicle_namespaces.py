@@ -1,14 +1,65 @@
 """Network namespaces of vehicles in tests: an open gateway on the loop, and sockets and commands inside."""
 
 import asyncio
+import contextlib
 import os
+import signal
 import socket
-from collections.abc import Sequence
+import subprocess
+from collections.abc import AsyncIterator, Iterator, Sequence
+from pathlib import Path
+from typing import Any
 
-from tests.support.netsim.gateway_context import PATIENCE_S
+import pytest
+
+from tests.support.cosim.run_processes import VCMVSP
+from tests.support.netsim.gateway_context import PATIENCE_S, RunlessContext, open_gateway
 from vcmvsp.netsim.bridge.gateways.ip import namespaces, run_networks
+from vcmvsp.netsim.bridge.gateways.ip.gateway import Ip
 
 RUN = f"test{os.getpid()}"
+CARS = ("car1", "car2", "car3")
+IN_NAMESPACES = [
+    pytest.mark.processes,
+    pytest.mark.sockets,
+    pytest.mark.needs("ip"),
+    pytest.mark.usefixtures("namespaces_allowed"),
+]
+"""Marks of tests that make network namespaces of Linux."""
+
+
+@contextlib.asynccontextmanager
+async def machines(*vehicles: str, run: str = RUN, **params: Any) -> AsyncIterator[RunlessContext]:
+    """Context of an open IP gateway with these parameters; without names of vehicles of `CARS`."""
+    async with open_gateway(Ip(**params), RunlessContext(vehicles or CARS, run=run)) as context:
+        yield context
+
+
+@contextlib.contextmanager
+def network_up(scenario: Path, name: str) -> Iterator[None]:
+    """A run of a scenario file, of this name, in which each vehicle is a machine; ended by Ctrl-C."""
+    command = [*VCMVSP, "net", "up", scenario.name, "--out", "out"]
+    with subprocess.Popen(command, cwd=scenario.parent, stderr=subprocess.PIPE, text=True, start_new_session=True) as run:
+        try:
+            assert run.stderr is not None
+            lines = [""]
+            while "vcmvsp net exec car1" not in lines[-1]:
+                lines.append(run.stderr.readline())
+                assert lines[-1], "".join(lines)
+            yield
+            run.send_signal(signal.SIGINT)
+            run.communicate(timeout=PATIENCE_S)
+        finally:
+            run.kill()
+            with contextlib.suppress(run_networks.RunAlive):
+                run_networks.clear(name)
+
+
+def shell(commands: str) -> str:
+    """Output of commands, all of which must succeed."""
+    result = subprocess.run(["sh", "-ec", commands], check=False, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr + result.stdout
+    return result.stdout
 
 
 def space(vehicle: str, run: str = RUN) -> str:

@@ -12,13 +12,25 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 
 from tests.support.netsim.gateway_context import PATIENCE_S, RunlessContext, open_gateway, until
-from tests.support.netsim.vehicle_namespaces import RUN, next_datagram, remains_of_run, run_command, space, udp
+from tests.support.netsim.vehicle_namespaces import (
+    CARS,
+    IN_NAMESPACES,
+    RUN,
+    machines,
+    next_datagram,
+    remains_of_run,
+    run_command,
+    shell,
+    space,
+    udp,
+)
 from tests.support.paths import ROOT
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
@@ -26,20 +38,12 @@ from vcmvsp.netsim.bridge.gateways.base import BROADCAST, GatewayError
 from vcmvsp.netsim.bridge.gateways.ip import namespaces, run_networks
 from vcmvsp.netsim.bridge.gateways.ip.gateway import MEMBERSHIP, NO_ADDRESS, NO_ROOM, Ip
 
-pytestmark = [
-    pytest.mark.processes,
-    pytest.mark.sockets,
-    pytest.mark.needs("ip"),
-    pytest.mark.usefixtures("namespaces_allowed"),
-]
-
-CARS = ("car1", "car2", "car3")
+pytestmark = IN_NAMESPACES
 
 
 @pytest.mark.parametrize(("first", "second", "header"), [("10.77.0.1", "10.77.0.2", 28), ("fd77::1", "fd77::2", 48)])
 async def test_a_datagram_reaches_the_vehicle_that_has_its_address_and_no_other(first: str, second: str, header: int) -> None:
-    context = RunlessContext(CARS, run=RUN)
-    async with open_gateway(Ip(layer=3), context):
+    async with machines(layer=3) as context:
         with udp("car1", first) as sender, udp("car2", second, 9000) as listener:
             sender.sendto(b"x" * 100, (second, 9000))
             assert await next_datagram(listener) == (b"x" * 100, first)
@@ -49,8 +53,7 @@ async def test_a_datagram_reaches_the_vehicle_that_has_its_address_and_no_other(
 
 @pytest.mark.parametrize("to", ["10.77.255.255", "255.255.255.255"])
 async def test_a_broadcast_is_a_broadcast_by_radio(to: str) -> None:
-    context = RunlessContext(CARS, run=RUN)
-    async with open_gateway(Ip(layer=3), context):
+    async with machines(layer=3) as context:
         with udp("car2", "10.77.0.2") as sender, udp("car1", "", 9000) as one, udp("car3", "", 9000) as other:
             sender.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
             sender.sendto(b"all", (to, 9000))
@@ -61,8 +64,7 @@ async def test_a_broadcast_is_a_broadcast_by_radio(to: str) -> None:
 
 @pytest.mark.parametrize(("group", "own"), [("239.255.0.1", "10.77.0.1"), ("ff05::77", "fd77::1")])
 async def test_a_multicast_reaches_members_and_memberships_cost_no_air_time(group: str, own: str) -> None:
-    context = RunlessContext(CARS, run=RUN)
-    async with open_gateway(Ip(layer=3), context):
+    async with machines(layer=3) as context:
         anywhere = "::" if ":" in group else "0.0.0.0"
         with udp("car1", own) as sender, udp("car3", anywhere, 9000) as joined, udp("car2", anywhere, 9000) as not_joined:
             if ":" in group:
@@ -79,8 +81,7 @@ async def test_a_multicast_reaches_members_and_memberships_cost_no_air_time(grou
 
 
 async def test_packets_to_unknown_addresses_are_counted_and_not_sent() -> None:
-    context = RunlessContext(CARS, run=RUN)
-    async with open_gateway(Ip(layer=3, vehicles=("car1", "car2")), context):
+    async with machines(layer=3, vehicles=("car1", "car2")) as context:
         with udp("car1", "10.77.0.1") as sender:
             for nobody in ("10.77.0.3", "10.77.9.9"):  # the third vehicle has no interface
                 sender.sendto(b"hello?", (nobody, 9000))
@@ -90,8 +91,7 @@ async def test_packets_to_unknown_addresses_are_counted_and_not_sent() -> None:
 
 async def test_idle_vehicles_send_nothing() -> None:
     """Without programs there is no router solicitation, address detection or neighbour request: the air is free."""
-    context = RunlessContext(CARS, run=RUN)
-    async with open_gateway(Ip(layer=3), context):
+    async with machines(layer=3) as context:
         await asyncio.sleep(1.2)
     assert not context.offered
     assert not context.counts
@@ -137,8 +137,7 @@ async def test_ping_measures_the_channels_delay_and_loss(to: str) -> None:
 
 
 async def test_the_kernel_splits_a_long_datagram_at_the_mtu() -> None:
-    context = RunlessContext(CARS, run=RUN)
-    async with open_gateway(Ip(layer=3, mtu_bytes=127), context):
+    async with machines(layer=3, mtu_bytes=127) as context:
         with udp("car1", "10.77.0.1") as sender, udp("car2", "10.77.0.2", 9000) as listener:
             sender.sendto(bytes(1000), ("10.77.0.2", 9000))
             assert await next_datagram(listener) == (bytes(1000), "10.77.0.1")
@@ -151,8 +150,7 @@ async def test_without_room_packets_wait_in_the_kernel_and_more_than_its_queue_h
     def sent(context: RunlessContext) -> list[bytes]:
         return [each.payload for each in context.offered if each.sender == 0]
 
-    context = RunlessContext(CARS, run=RUN)
-    async with open_gateway(Ip(layer=3), context):
+    async with machines(layer=3) as context:
         with udp("car1", "10.77.0.1") as sender:
             context.room = False
             for number in range(2 * namespaces.QUEUE):
@@ -167,19 +165,19 @@ async def test_without_room_packets_wait_in_the_kernel_and_more_than_its_queue_h
     assert numbers == list(range(len(numbers)))  # the first packets, in order; later ones find no room
 
 
-async def test_payloads_that_are_no_ip_packet_are_ignored() -> None:
-    context = RunlessContext(CARS, run=RUN)
-    gateway = Ip(layer=3)
-    async with open_gateway(gateway, context):
+NEITHER = (b"", b"\x93agents speak MessagePack", bytes(65535))
+
+
+@pytest.mark.parametrize(
+    ("layer", "payloads"),
+    [(2, (*NEITHER, bytes(13), bytes(14))), (3, (*NEITHER, b"\x45" * 20, b"\x60" * 40, b"\x45" + bytes(40)))],
+    ids=["no frames", "no IP packets"],
+)
+async def test_messages_of_agents_are_ignored(layer: Literal[2, 3], payloads: Sequence[bytes]) -> None:
+    gateway = Ip(layer=layer)
+    async with open_gateway(gateway, RunlessContext(CARS, run=RUN)):
         with udp("car2", "10.77.0.2", 9000) as listener, udp("car1", "10.77.0.1") as sender:
-            for payload in (
-                b"",
-                b"\x93agents speak MessagePack",
-                b"\x45" * 20,
-                b"\x60" * 40,
-                b"\x45" + bytes(40),
-                bytes(65535),
-            ):
+            for payload in payloads:
                 gateway.deliver(0, 1, payload)
             sender.sendto(b"after it", ("10.77.0.2", 9000))
             assert await next_datagram(listener) == (b"after it", "10.77.0.1")
@@ -195,25 +193,25 @@ async def test_real_machines_join_through_a_vehicle() -> None:
         assert any("behind car1: 192.168.213.0/24" in line for line in context.lines)
         try:
             namespaces.create(robot)
-            _sh(f"ip link add {cable} type veth peer name eth0 netns {robot}")
-            _sh(f"ip addr add 192.168.213.1/24 dev {cable}; ip link set {cable} up")
-            _sh(f"{ip} addr add 192.168.213.10/24 dev eth0; {ip} link set eth0 up; {ip} link set lo up")
-            _sh(f"{ip} route add default via 192.168.213.1")
+            shell(f"ip link add {cable} type veth peer name eth0 netns {robot}")
+            shell(f"ip addr add 192.168.213.1/24 dev {cable}; ip link set {cable} up")
+            shell(f"{ip} addr add 192.168.213.10/24 dev eth0; {ip} link set eth0 up; {ip} link set lo up")
+            shell(f"{ip} route add default via 192.168.213.1")
             Path(f"/proc/sys/net/ipv4/conf/{cable}/forwarding").write_text("1")
             for _ in range(3):  # one at a time: after the last of many requests, ping waits no longer than two have taken
                 code, out = await run_command("car2", "ping", "-n", "-c", "1", "-W", "30", "192.168.213.10")
                 assert (code, "1 received" in out) == (0, True), out
             assert [(each.sender, each.to) for each in context.offered] == 3 * [(1, 0), (0, 1)]
             for _ in range(3):
-                out = await asyncio.to_thread(_sh, f"ip netns exec {robot} ping -n -c 1 -W 30 10.77.0.3")
+                out = await asyncio.to_thread(shell, f"ip netns exec {robot} ping -n -c 1 -W 30 10.77.0.3")
                 assert "1 received" in out
             assert [(each.sender, each.to) for each in context.offered[6:]] == 3 * [(0, 2), (2, 0)]
         finally:
             namespaces.remove(robot)
             subprocess.run(["ip", "link", "del", cable], check=False, capture_output=True)
-    assert "192.168.213" not in _sh("ip rule")
-    assert "fd05:213" not in _sh("ip -6 rule")
-    assert namespaces.port_of(RUN, "car1", (), ()).interface not in _sh("ip link")
+    assert "192.168.213" not in shell("ip rule")
+    assert "fd05:213" not in shell("ip -6 rule")
+    assert namespaces.port_of(RUN, "car1", (), ()).interface not in shell("ip link")
 
 
 # --- refusals ---
@@ -222,37 +220,30 @@ async def test_real_machines_join_through_a_vehicle() -> None:
 @pytest.mark.parametrize(
     ("params", "problem"),
     [
-        ({"network": "10.77.0.0"}, "bridge.ip: network: 10.77.0.0/32 has too few addresses for 3 vehicles"),
-        ({"network": "10.77.0.0/30"}, "bridge.ip: network: 10.77.0.0/30 has too few addresses for 3 vehicles"),
+        ({"network": "10.77.0.0"}, "network: 10.77.0.0/32 has too few addresses for 3 vehicles"),
+        ({"network": "10.77.0.0/30"}, "network: 10.77.0.0/30 has too few addresses for 3 vehicles"),
         ({"network": "10.77.0.5/16"}, "bridge.ip.network: 10.77.0.5/16 has host bits set"),
         ({"network6": "10.78.0.0/16"}, "bridge.ip.network6: 10.78.0.0/16 is an IPv4 network"),
         ({"mtu_bytes": 60}, "bridge.ip.mtu_bytes: "),
-        ({"mtu_bytes": 65_522}, "bridge.ip: mtu_bytes: more than 65521 bytes need layer = 3, not 65522 and 2"),
+        ({"mtu_bytes": 65_522}, "mtu_bytes: more than 65521 bytes need layer = 3, not 65522 and 2"),
         ({"layer": 4}, "bridge.ip.layer: "),
-        ({"vehicles": ["car9"]}, "bridge.ip: vehicles: unknown vehicle 'car9'"),
-        ({"routes": {"car9": ["192.168.5.0/24"]}}, "bridge.ip: routes: unknown vehicle with an interface 'car9'"),
+        ({"vehicles": ["car9"]}, "vehicles: unknown vehicle 'car9'"),
+        ({"routes": {"car9": ["192.168.5.0/24"]}}, "routes: unknown vehicle with an interface 'car9'"),
         ({"routes": {"car1": ["10.77.3.0/24"]}}, "10.77.3.0/24 overlaps 10.77.0.0/16"),
         ({"routes": {"car1": ["192.168.5.0/24"], "car2": ["192.168.0.0/16"]}}, "overlaps 192.168.5.0/24"),
         ({"routes": {"car1": ["fd05::/64"]}, "mtu_bytes": 1000}, "fd05::/64 needs IPv6, and mtu_bytes of 1280 or more"),
     ],
 )
 def test_parameters_without_a_meaning_are_refused_before_anything_is_created(params: dict[str, Any], problem: str) -> None:
-    def checked() -> None:
-        gateway = binding.call(Ip, params, key="bridge.ip")
-        try:
-            gateway.check(CARS)
-        except ValueError as error:  # as the run reports it
-            raise ScenarioError(str(error), key="bridge.ip") from error
-
-    with pytest.raises(ScenarioError, match=re.escape(problem)):
-        checked()
+    with pytest.raises((ValueError, ScenarioError), match=re.escape(problem)):
+        binding.call(Ip, params, key="bridge.ip").check(CARS)
 
 
 # --- remains ---
 
 
 async def test_nothing_is_left_after_closing() -> None:
-    async with open_gateway(Ip(), RunlessContext(CARS, run=RUN)):
+    async with machines():
         assert len(remains_of_run(CARS)) == 4
         assert [each.alive for each in run_networks.networks() if each.run == RUN] == [True]
         with pytest.raises(run_networks.RunAlive):
@@ -261,10 +252,9 @@ async def test_nothing_is_left_after_closing() -> None:
 
 
 async def test_a_second_run_of_one_name_is_refused_and_the_first_goes_on() -> None:
-    context = RunlessContext(CARS[:2], run=RUN)
-    async with open_gateway(Ip(), context):
+    async with machines(*CARS[:2]):
         with pytest.raises(GatewayError, match=rf"a run named {RUN} already has a network on this machine"):
-            async with open_gateway(Ip(), RunlessContext(CARS[:2], run=RUN)):
+            async with machines(*CARS[:2]):
                 pass
         with udp("car1", "10.77.0.1") as sender, udp("car2", "10.77.0.2", 9000) as listener:
             sender.sendto(b"still", ("10.77.0.2", 9000))
@@ -275,7 +265,7 @@ async def test_a_foreign_namespace_is_not_changed() -> None:
     namespaces.create(space("car2"))
     try:
         with pytest.raises(GatewayError, match=f"the network namespace {space('car2')} already exists"):
-            async with open_gateway(Ip(), RunlessContext(CARS, run=RUN)):
+            async with machines():
                 pass
         assert (namespaces.NAMES / space("car2")).exists()
     finally:
@@ -285,16 +275,16 @@ async def test_a_foreign_namespace_is_not_changed() -> None:
 
 async def test_a_foreign_interface_is_not_changed() -> None:
     interface = namespaces.port_of(RUN, "car1", (), ()).interface
-    _sh(f"ip link add {interface} type veth peer name r{os.getpid()}")
+    shell(f"ip link add {interface} type veth peer name r{os.getpid()}")
     try:
         with pytest.raises(
             GatewayError, match=f"the network interface {interface} already exists; .*: ip link delete {interface}"
         ):
-            async with open_gateway(Ip(routes={"car1": ("192.168.213.0/24",)}), RunlessContext(CARS, run=RUN)):
+            async with machines(routes={"car1": ("192.168.213.0/24",)}):
                 pass
-        assert interface in _sh("ip link")
+        assert interface in shell("ip link")
     finally:
-        _sh(f"ip link del {interface}")
+        shell(f"ip link del {interface}")
     assert not remains_of_run(CARS)
 
 
@@ -304,7 +294,7 @@ async def test_a_kernel_without_time_is_not_taken_for_a_run_of_the_same_name(mon
 
     monkeypatch.setattr(namespaces, "open_radio", busy)
     with pytest.raises(GatewayError, match=f"the network of {RUN} cannot be created: .*temporarily unavailable"):
-        async with open_gateway(Ip(), RunlessContext(CARS, run=RUN)):
+        async with machines():
             pass
     assert not remains_of_run(CARS)
 
@@ -313,16 +303,15 @@ async def test_packets_of_a_network_go_through_one_run() -> None:
     """The host routes by source and destination: of two runs with equal addresses, one would receive the other's packets."""
 
     other = f"{RUN}other"
-    async with open_gateway(Ip(routes={"car2": ("192.168.213.0/24",)}), RunlessContext(CARS, run=RUN)):
+    async with machines(routes={"car2": ("192.168.213.0/24",)}):
         part_of_it = {"car1": ("192.168.213.64/26",)}
         with pytest.raises(GatewayError) as refused:
-            async with open_gateway(Ip(routes=part_of_it), RunlessContext(CARS, run=other)):
+            async with machines(run=other, routes=part_of_it):
                 pass
         assert f"{RUN} on this machine already routes the traffic from 192.168.213.64/26 to 10.77.0.0/16" in str(refused.value)
         assert not remains_of_run(CARS, other)
-        assert _sh("ip rule").count("192.168.213.") == 1  # unchanged
-        elsewhere = Ip(network="10.78.0.0/16", routes=part_of_it)
-        async with open_gateway(elsewhere, RunlessContext(CARS, run=other)):
+        assert shell("ip rule").count("192.168.213.") == 1  # unchanged
+        async with machines(run=other, network="10.78.0.0/16", routes=part_of_it):
             pass
 
 
@@ -425,10 +414,10 @@ def test_remains_of_a_killed_run_are_removed(cleared_by: str) -> None:
         process.send_signal(signal.SIGKILL)
     assert [each.alive for each in run_networks.networks() if each.run == run] == [False]
     assert len(remains_of_run(CARS[:2], run)) == 3
-    assert "192.168.214.0/24" in _sh("ip rule")
+    assert "192.168.214.0/24" in shell("ip rule")
 
     async def body() -> None:
-        async with open_gateway(Ip(), RunlessContext(CARS[:2], run=run)):
+        async with machines(*CARS[:2], run=run):
             pass
 
     if cleared_by == "net down":
@@ -437,10 +426,4 @@ def test_remains_of_a_killed_run_are_removed(cleared_by: str) -> None:
     else:
         asyncio.run(body())
     assert not remains_of_run(CARS[:2], run)
-    assert "192.168.214.0/24" not in _sh("ip rule")
-
-
-def _sh(commands: str) -> str:
-    result = subprocess.run(["sh", "-ec", commands], check=False, capture_output=True, text=True)
-    assert result.returncode == 0, result.stderr + result.stdout
-    return result.stdout
+    assert "192.168.214.0/24" not in shell("ip rule")

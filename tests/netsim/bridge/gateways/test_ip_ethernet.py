@@ -5,25 +5,26 @@ import ipaddress
 import re
 import socket
 import struct
-import subprocess
 
 import pytest
 
 from tests.support.netsim.gateway_context import OfferedPacket, RunlessContext, open_gateway
-from tests.support.netsim.vehicle_namespaces import RUN, next_datagram, run_command, space, udp
+from tests.support.netsim.vehicle_namespaces import (
+    CARS,
+    IN_NAMESPACES,
+    RUN,
+    machines,
+    next_datagram,
+    run_command,
+    shell,
+    space,
+    udp,
+)
 from vcmvsp.netsim.bridge.gateways.base import BROADCAST
 from vcmvsp.netsim.bridge.gateways.ip import ethernet
 from vcmvsp.netsim.bridge.gateways.ip.gateway import Ip
 
-CARS = ("car1", "car2", "car3")
 ARP, IPV4, IPV6 = 0x0806, 0x0800, 0x86DD  # EtherTypes of IEEE 802
-
-needs_namespaces = [
-    pytest.mark.processes,
-    pytest.mark.sockets,
-    pytest.mark.needs("ip"),
-    pytest.mark.usefixtures("namespaces_allowed"),
-]
 
 
 def kinds(context: RunlessContext, type_: int) -> list[OfferedPacket]:
@@ -72,7 +73,7 @@ def test_the_destination_address_decides_the_receiver() -> None:
 class TestOnMachines:
     """Programs in network namespaces of Linux."""
 
-    pytestmark = needs_namespaces
+    pytestmark = IN_NAMESPACES
 
     @pytest.mark.parametrize(
         ("first", "second", "header", "type_"), [("10.77.0.1", "10.77.0.2", 28, IPV4), ("fd77::1", "fd77::2", 48, IPV6)]
@@ -80,8 +81,7 @@ class TestOnMachines:
     async def test_a_neighbour_is_resolved_by_broadcast_and_then_receives(
         self, first: str, second: str, header: int, type_: int
     ) -> None:
-        context = RunlessContext(CARS, run=RUN)
-        async with open_gateway(Ip(), context):
+        async with machines() as context:
             with udp("car1", first) as sender, udp("car2", second, 9000) as listener:
                 sender.sendto(b"x" * 100, (second, 9000))
                 assert await next_datagram(listener) == (b"x" * 100, first)
@@ -128,8 +128,7 @@ class TestOnMachines:
         assert not [each for each in kinds(context, IPV4) if each.payload[23] == 1]  # no ICMP redirect to the direct way
 
     async def test_link_local_addresses_are_usable_at_once(self) -> None:
-        context = RunlessContext(CARS, run=RUN)
-        async with open_gateway(Ip(), context):
+        async with machines() as context:
             _, output = await run_command("car1", "ip", "-6", "addr", "show", "radio0", "scope", "link")
             assert ethernet.link_local(ethernet.mac_of(0)) in output
             assert "tentative" not in output
@@ -146,8 +145,7 @@ class TestOnMachines:
     @pytest.mark.needs("iperf3")
     async def test_frames_are_complete_as_they_leave_the_kernel(self) -> None:
         """Checksums are filled in and segments fit the interface: no work is left to a network card."""
-        context = RunlessContext(CARS[:2], run=RUN)
-        async with open_gateway(Ip(mtu_bytes=1400), context):
+        async with machines(*CARS[:2], mtu_bytes=1400) as context:
             await run_command("car2", "iperf3", "-s", "-1", "-D")
             code, output = await run_command("car1", "sh", "-c", "sleep 0.5; exec iperf3 -c 10.77.0.2 -n 300k -w 32k")
             assert code == 0, output
@@ -159,8 +157,7 @@ class TestOnMachines:
 
     @pytest.mark.needs("ping")
     async def test_networks_behind_a_vehicle_are_reached_by_its_address(self) -> None:
-        context = RunlessContext(CARS, run=RUN)
-        async with open_gateway(Ip(routes={"car1": ("192.168.215.0/24", "fd05:215::/64")}), context):
+        async with machines(routes={"car1": ("192.168.215.0/24", "fd05:215::/64")}) as context:
             for version, to, via in ((4, "192.168.215.0/24", "10.77.0.1"), (6, "fd05:215::/64", "fd77::1")):
                 _, output = await run_command("car2", "ip", f"-{version}", "route", "show", to)
                 assert f"{to} via {via} dev radio0" in output
@@ -168,25 +165,9 @@ class TestOnMachines:
             sent = [each for each in kinds(context, IPV4) if each.sender == 1]
         assert [each.to for each in sent] == [0], output
 
-    async def test_messages_of_agents_are_no_frames(self) -> None:
-        context = RunlessContext(CARS, run=RUN)
-        gateway = Ip()
-        async with open_gateway(gateway, context):
-            with udp("car2", "10.77.0.2", 9000) as listener, udp("car1", "10.77.0.1") as sender:
-                for payload in (b"", b"\x93agents speak MessagePack", bytes(13), bytes(14), bytes(65535)):
-                    gateway.deliver(0, 1, payload)
-                sender.sendto(b"after it", ("10.77.0.2", 9000))
-                assert await next_datagram(listener) == (b"after it", "10.77.0.1")
-
     async def test_the_interface_has_the_configured_mtu(self) -> None:
-        async with open_gateway(Ip(mtu_bytes=1300), RunlessContext(CARS, run=RUN)):
-            output = await asyncio.to_thread(_sh, f"ip -n {space('car3')} link show radio0")
+        async with machines(mtu_bytes=1300):
+            output = await asyncio.to_thread(shell, f"ip -n {space('car3')} link show radio0")
         assert re.search(r"mtu 1300\b", output)
         assert f"link/ether {ethernet.mac_of(2).hex(':')}" in output
         assert "POINTOPOINT" not in output
-
-
-def _sh(commands: str) -> str:
-    result = subprocess.run(["sh", "-ec", commands], check=False, capture_output=True, text=True)
-    assert result.returncode == 0, result.stderr + result.stdout
-    return result.stdout
