@@ -1,6 +1,7 @@
 """The bridge process alone, driven by the test, and the run's side of it."""
 
 import asyncio
+import contextlib
 import itertools
 import os
 import select
@@ -8,7 +9,7 @@ import signal
 import socket
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -72,8 +73,9 @@ class Probe:
 """
 
 
-def opening(*gateways: messages.GatewaySpec, folder: Path | str = ".", payloads: bool = False) -> messages.Opening:
-    return messages.Opening(run="test", folder=str(folder), vehicles=VEHICLES, gateways=gateways, payloads=payloads)
+def opening(*gateways: messages.GatewaySpec, folder: Path | str = ".", **keys: Any) -> messages.Opening:
+    known: dict[str, Any] = {"run": "test", "vehicles": VEHICLES, "payloads": False, **keys}
+    return messages.Opening(folder=str(folder), gateways=gateways, **known)
 
 
 def udp(first: int, **params: Any) -> messages.GatewaySpec:
@@ -86,12 +88,20 @@ def probe(tmp_path: Path) -> messages.GatewaySpec:
     return messages.GatewaySpec(name="probe", kind="probe.py:Probe", params={"out": str(tmp_path / "out.txt")})
 
 
+Start = Callable[..., BridgeClient]
+
+
 @pytest.fixture
-def started() -> Iterator[list[BridgeClient]]:
-    processes: list[BridgeClient] = []
-    yield processes
-    for each in processes:
-        each.close()
+def start(tmp_path: Path) -> Iterator[Start]:
+    """Starts bridge processes, which are closed at the end."""
+    with contextlib.ExitStack() as processes:
+
+        def started(*gateways: messages.GatewaySpec, **keys: Any) -> BridgeClient:
+            process = BridgeClient.start(opening(*gateways, folder=tmp_path, **keys))
+            processes.callback(process.close)
+            return process
+
+        yield started
 
 
 def due(*rows: tuple[int, int, int], taken: int = 0, settled: tuple[int, ...] = ()) -> messages.Deliveries:
@@ -112,19 +122,15 @@ def hear(process: BridgeClient, kind: type, seconds: float = PATIENCE_S) -> Any:
     raise AssertionError(f"no {kind.__name__}")
 
 
-def test_a_custom_gateway_gets_deliveries_losses_and_levels(
-    probe: messages.GatewaySpec, tmp_path: Path, started: list[BridgeClient]
-) -> None:
+def test_a_custom_gateway_gets_deliveries_losses_and_levels(probe: messages.GatewaySpec, tmp_path: Path, start: Start) -> None:
     def output_lines() -> list[str]:
         file = tmp_path / "out.txt"
         return file.read_text().splitlines() if file.exists() else []
 
-    started.append(process := BridgeClient.start(opening(probe, folder=tmp_path, payloads=True)))
+    process = start(probe, payloads=True)
     assert process.wait_ready() == ("bridge.probe: probe is open",)
     received = process.read()
-    while not any(isinstance(each, messages.NewDatagrams) for each in received) or not any(
-        isinstance(each, messages.LevelsRequest) for each in received
-    ):
+    while not {messages.NewDatagrams, messages.LevelsRequest} <= {type(each) for each in received}:
         select.select([process], [], [], 10.0)
         received += process.read()
     (came,) = [each for each in received if isinstance(each, messages.NewDatagrams)]
@@ -153,11 +159,11 @@ def test_a_custom_gateway_gets_deliveries_losses_and_levels(
 
 
 def test_a_gateway_that_cannot_open_ends_the_bridge_before_later_gateways(
-    probe: messages.GatewaySpec, tmp_path: Path, started: list[BridgeClient]
+    probe: messages.GatewaySpec, tmp_path: Path, start: Start
 ) -> None:
     second = messages.GatewaySpec(name="second", kind="probe.py:Probe", params={"out": str(tmp_path / "second.txt")})
     probe.params["fails"] = "open"
-    started.append(process := BridgeClient.start(opening(probe, second, folder=tmp_path)))
+    process = start(probe, second)
     with pytest.raises(FederateError, match=r"bridge: bridge.probe: RuntimeError: no luck \(probe.py line \d+, in open\)"):
         process.wait_ready()
     assert (tmp_path / "out.txt").read_text() == "closed\n"
@@ -186,21 +192,18 @@ class Deaf:
         return self.reads
 
 
-def test_counts_are_sent_once_when_the_run_reads_again() -> None:
-    async def trial() -> tuple[int, list[messages.Up]]:
-        link: Any = Deaf(opening())
-        process = BridgeProcess(link, asyncio.get_running_loop())
-        process._opening()
-        for k in range(50):
-            process.count(k % 2, "too long")
-            process._report()
-        unreported, link.reads = len(process._outbox), True
-        process._send_outbox()
+async def test_counts_are_sent_once_when_the_run_reads_again() -> None:
+    link: Any = Deaf(opening())
+    process = BridgeProcess(link, asyncio.get_running_loop())
+    process._opening()
+    for k in range(50):
+        process.count(k % 2, "too long")
         process._report()
-        return unreported, [messages.ups.decode(each) for each in link.received]
-
-    unreported, reports = asyncio.run(trial())
-    assert unreported == 1
+    assert len(process._outbox) == 1
+    link.reads = True
+    process._send_outbox()
+    process._report()
+    reports = [messages.ups.decode(each) for each in link.received]
     counts: dict[str, dict[str, int]] = {}
     for each in reports:
         assert isinstance(each, messages.Counts)
@@ -209,61 +212,50 @@ def test_counts_are_sent_once_when_the_run_reads_again() -> None:
     assert len(reports) == 2
 
 
-def test_a_message_too_long_for_the_link_is_an_error(
-    probe: messages.GatewaySpec, tmp_path: Path, started: list[BridgeClient]
-) -> None:
+def test_a_message_too_long_for_the_link_is_an_error(probe: messages.GatewaySpec, tmp_path: Path, start: Start) -> None:
     (tmp_path / "probe.py").write_text(PROBE.replace('return ["probe is open"]', 'return ["x" * 1_000_000]'))
-    started.append(process := BridgeClient.start(opening(probe, folder=tmp_path)))
+    process = start(probe)
     with pytest.raises(FederateError, match=r"bridge: ValueError: a message of 1000\d+ bytes is too long for the link"):
         process.wait_ready()
 
 
-def test_counts_of_many_vehicles_are_split_into_messages() -> None:
-    async def trial() -> list[bytes]:
-        names = tuple(f"vehicle{k}" for k in range(3000))
-        link: Any = Deaf(messages.Opening(run="test", folder=".", vehicles=names, gateways=(), payloads=False))
-        link.reads = True
-        process = BridgeProcess(link, asyncio.get_running_loop())
-        process._opening()
-        for row in range(len(names)):
-            for kind in range(8):
-                process.count(row, f"what there is no room for, of kind {kind}")
-        process._report_counts()
-        return link.received
-
-    reports = asyncio.run(trial())
-    assert max(map(len, reports)) < 100_000
-    assert (
-        sum(len(each.counts) for message in reports if isinstance(each := messages.ups.decode(message), messages.Counts))
-        == 3000
-    )
+async def test_counts_of_many_vehicles_are_split_into_messages() -> None:
+    link: Any = Deaf(opening(vehicles=tuple(f"vehicle{k}" for k in range(3000))))
+    link.reads = True
+    process = BridgeProcess(link, asyncio.get_running_loop())
+    process._opening()
+    for row in range(3000):
+        for kind in range(8):
+            process.count(row, f"what there is no room for, of kind {kind}")
+    process._report_counts()
+    assert max(map(len, link.received)) < 100_000
+    reports: list[Any] = [messages.ups.decode(each) for each in link.received]
+    assert sum(len(each.counts) for each in reports) == 3000
 
 
 @pytest.mark.parametrize("error", ["RuntimeError", "OSError"])
 def test_an_error_of_a_gateway_that_delivers_ends_the_bridge_with_its_name(
-    error: str, probe: messages.GatewaySpec, tmp_path: Path, started: list[BridgeClient]
+    error: str, probe: messages.GatewaySpec, tmp_path: Path, start: Start
 ) -> None:
     """Also an error of the operating system, which the bridge's own link may raise."""
     probe.params["fails"] = "deliver"
     (tmp_path / "probe.py").write_text(PROBE.replace('RuntimeError("no luck")', f'{error}("no luck")'))
-    started.append(process := BridgeClient.start(opening(probe, folder=tmp_path)))
+    process = start(probe)
     process.wait_ready()
     process.send(messages.AgentDatagram(sender=0, receiver=1, at_ns=0, payload=b"said"))
     with pytest.raises(FederateError, match=rf"bridge: bridge.probe: {error}: no luck \(probe.py line \d+, in deliver\)"):
         hear(process, messages.Delivered)
 
 
-def test_an_unknown_kind_of_gateway_is_refused(started: list[BridgeClient]) -> None:
-    started.append(process := BridgeClient.start(opening(messages.GatewaySpec(name="udp", kind="udb", params={}))))
+def test_an_unknown_kind_of_gateway_is_refused(start: Start) -> None:
+    process = start(messages.GatewaySpec(name="udp", kind="udb", params={}))
     with pytest.raises(FederateError, match=r"bridge.udp.kind: unknown door kind 'udb'; did you mean 'udp'\?"):
         process.wait_ready()
 
 
-def test_batches_wait_for_the_one_before_and_the_excess_stays_in_the_socket(
-    started: list[BridgeClient],
-) -> None:
+def test_batches_wait_for_the_one_before_and_the_excess_stays_in_the_socket(start: Start) -> None:
     first = free_ports(300)
-    started.append(process := BridgeClient.start(opening(udp(first))))
+    process = start(udp(first))
     process.wait_ready()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
         for _ in range(MOST + 1000):
@@ -286,7 +278,7 @@ def test_batches_wait_for_the_one_before_and_the_excess_stays_in_the_socket(
     assert numbers == list(range(MOST + 1000))
 
 
-def test_the_process_ends_with_the_run_however_that_ended(started: list[BridgeClient]) -> None:
+def test_the_process_ends_with_the_run_however_that_ended() -> None:
     first = free_ports(300)
     process = BridgeClient.start(opening(udp(first)))
     process.wait_ready()
@@ -299,18 +291,16 @@ def test_the_process_ends_with_the_run_however_that_ended(started: list[BridgeCl
 @pytest.mark.parametrize(
     ("number", "words"), [(signal.SIGKILL, "was killed by SIGKILL"), (signal.SIGTERM, "it received SIGTERM")]
 )
-def test_the_end_of_the_process_is_reported_with_its_signal(
-    number: signal.Signals, words: str, started: list[BridgeClient]
-) -> None:
-    started.append(process := BridgeClient.start(opening(udp(free_ports(300)))))
+def test_the_end_of_the_process_is_reported_with_its_signal(number: signal.Signals, words: str, start: Start) -> None:
+    process = start(udp(free_ports(300)))
     process.wait_ready()
     os.kill(process.pid, number)
     with pytest.raises(FederateError, match=f"bridge: .*{words}"):
         hear(process, messages.NewDatagrams)
 
 
-def test_ctrl_c_does_not_end_the_process(started: list[BridgeClient]) -> None:
-    started.append(process := BridgeClient.start(opening(udp(first := free_ports(300)))))
+def test_ctrl_c_does_not_end_the_process(start: Start) -> None:
+    process = start(udp(first := free_ports(300)))
     process.wait_ready()
     os.kill(process.pid, signal.SIGINT)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
@@ -318,16 +308,16 @@ def test_ctrl_c_does_not_end_the_process(started: list[BridgeClient]) -> None:
     assert hear(process, messages.NewDatagrams).number.tolist() == [0]
 
 
-def test_the_process_can_be_closed_before_its_gateways_are_open(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_process_can_be_closed_before_its_gateways_are_open(monkeypatch: pytest.MonkeyPatch, start: Start) -> None:
     monkeypatch.setattr("vcmvsp.netsim.bridge.process_client.CLOSE_S", PATIENCE_S)  # a process may be slow to begin
-    process = BridgeClient.start(opening(udp(free_ports(300))))
+    process = start(udp(free_ports(300)))
     process.leave()
     process.close()
     assert process._process.returncode == 0
 
 
-def test_a_process_that_does_not_read_is_ended_and_never_blocks_the_run(started: list[BridgeClient]) -> None:
-    process = BridgeClient.start(opening(udp(free_ports(300))))
+def test_a_process_that_does_not_read_is_ended_and_never_blocks_the_run(start: Start) -> None:
+    process = start(udp(free_ports(300)))
     process.wait_ready()
     os.kill(process.pid, signal.SIGSTOP)
     datagram = messages.AgentDatagram(sender=0, receiver=1, at_ns=0, payload=bytes(60_000))
@@ -335,7 +325,6 @@ def test_a_process_that_does_not_read_is_ended_and_never_blocks_the_run(started:
         deque(map(process.send, itertools.repeat(datagram)), 0)
     assert process.has_outbox
     process._process.kill()
-    process.close()
 
 
 STEP_S = 7.0
@@ -372,8 +361,7 @@ def slow_clock(monkeypatch: pytest.MonkeyPatch) -> None:
 def silent() -> tuple[BridgeClient, Silent]:
     link = Silent()
     process = SimpleNamespace(pid=1, link=link, close=lambda _: False)
-    opening = messages.Opening(run="run", folder=".", vehicles=("a",), gateways=(), payloads=False)
-    return BridgeClient(cast("Any", process), opening), link
+    return BridgeClient(cast("Any", process), opening(vehicles=("a",))), link
 
 
 def test_gateways_that_do_not_open_in_time_are_reported(slow_clock: None) -> None:

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, cast
 
 import msgspec
 import numpy as np
@@ -42,6 +42,10 @@ class Beside:
     def send(self, message: Any) -> None:
         self.received.append(message)
 
+    @property
+    def spoken(self) -> list[messages.AgentDatagram]:
+        return [each for each in self.received if isinstance(each, messages.AgentDatagram)]
+
 
 class Clock:
     """A clock ``ahead_ns`` of the machine's that runs at a multiple of its rate."""
@@ -57,20 +61,19 @@ class Clock:
         return logical_ns // self.speed - self.ahead_ns
 
 
-def bridge_of(
-    vehicles: tuple[str, ...],
-    air: Any,
-    clock: Any,
+def made(
+    air: Any = None,
     *,
     gateways: Sequence[messages.GatewaySpec] = (),
     agents: bool = False,
     tell: Callable[[str], None] = print,
-) -> Bridge:
-    return Bridge(
+) -> tuple[Bridge, Any, Clock]:
+    clock: Any = Clock()
+    bridge = Bridge(
         gateways,
         run="test",
         folder=".",
-        vehicles=vehicles,
+        vehicles=RUN.vehicles,
         agents=agents,
         levels_dbm=air,
         clock=clock,
@@ -78,14 +81,8 @@ def bridge_of(
         log=lambda *_: None,
         connect=False,
     )
-
-
-def made(*, agents: bool = False) -> tuple[Bridge, Beside, Clock]:
-    none: Any = None
-    bridge = bridge_of(("a", "b"), none, clock := Clock(), agents=agents)
     bridge.start(RUN)
-    process: Any = Beside()
-    bridge._process = process
+    bridge._process = process = cast("Any", Beside())
     return bridge, process, clock
 
 
@@ -100,6 +97,18 @@ def came(first: int, *rows: tuple[int, int]) -> messages.NewDatagrams:
         to=np.full(n, -1, np.int32),
         size_bytes=np.full(n, 10),
         came_ns=came_ns,
+    )
+
+
+def ints(*values: int) -> Array:
+    return np.array(values, np.int64)
+
+
+def traffic(*rows: tuple[int, int, int, int], settled: tuple[int, ...] = ()) -> Traffic:
+    """Number, receiver, time and frame of each arrival."""
+    number, receiver, arrival_ns, frame = np.array(rows, np.int64).reshape(-1, 4).T
+    return Traffic(
+        reports=(), carries=ints(), number=number, receiver=receiver, arrival_ns=arrival_ns, frame=frame, settled=ints(*settled)
     )
 
 
@@ -158,10 +167,7 @@ def test_lateness_is_measured_on_the_wall_clock_at_any_speed(monkeypatch: pytest
 
 
 def test_levels_are_those_at_the_time_of_the_query() -> None:
-    bridge = bridge_of(("a", "b"), lambda states: states.position[:, None, 0] + states.position[:, 0], Clock())
-    bridge.start(RUN)
-    process: Any = Beside()
-    bridge._process = process
+    bridge, process, _ = made(lambda states: states.position[:, None, 0] + states.position[:, 0])
     process.says = [messages.LevelsRequest()]
     bridge.poll(MS)
     bridge.step(MS, [Event("world/states", 0, at_rest(("a", "b"), [(1.0, 0.0, 0.0), (5.0, 0.0, 0.0)]))])
@@ -181,33 +187,28 @@ def test_messages_of_agents_too_long_for_a_datagram_are_counted() -> None:
     for size in (LARGEST, LARGEST + 1, LARGEST + 2):
         message = Message(sender="a", body=bytes(size), size_bytes=4)
         bridge.step(3 * MS, [heard_by_b(message, 3 * MS)])
-    assert [len(each.payload) for each in process.received if isinstance(each, messages.AgentDatagram)] == [LARGEST]
+    assert [len(each.payload) for each in process.spoken] == [LARGEST]
     assert bridge.lateness["counts"] == {
         "a": {"of the process": 1},
         "b": {"of the process": 2, "sent by agents in more than 65535 bytes": 2},
     }
 
 
+KILLED = "bridge: its process did not end in time and was killed"
+
+
 @pytest.mark.parametrize(
     ("killed", "kind", "expected"),
     [
         (False, "ip", []),
-        (True, "udp", ["bridge: its process did not end in time and was killed"]),
-        (
-            True,
-            "ip",
-            ["bridge: its process did not end in time and was killed: 'vcmvsp net down' removes the networks that it left"],
-        ),
+        (True, "udp", [KILLED]),
+        (True, "ip", [f"{KILLED}: 'vcmvsp net down' removes the networks that it left"]),
     ],
 )
 def test_a_killed_process_is_reported_with_the_command_that_cleans_up(killed: bool, kind: str, expected: list[str]) -> None:
-    none: Any = None
     lines: list[str] = []
-    gateways = [messages.GatewaySpec(name=kind, kind=kind, params={})]
-    bridge = bridge_of(("a", "b"), none, Clock(), gateways=gateways, tell=lines.append)
-    process: Any = Beside()
+    bridge, process, _ = made(gateways=[messages.GatewaySpec(name=kind, kind=kind, params={})], tell=lines.append)
     process.killed, process.close = killed, list
-    bridge._process = process
     bridge.close()
     assert lines == expected
 
@@ -219,23 +220,14 @@ def test_equal_payloads_of_a_program_and_an_agent_are_distinguished() -> None:
     sent(bridge, MS)
     message = Message(sender="a", body=b"same", size_bytes=4)
     reception = heard_by_b(message, 3 * MS)
-    number = np.zeros(1, np.int64)
-    traffic = Traffic(
-        reports=(),
-        carries=number[:0],
-        number=number,
-        receiver=number + 1,
-        arrival_ns=number + 3 * MS,
-        frame=number,
-        settled=number,
-    )
-    bridge.step(3 * MS, [reception, Event("radio/traffic", 3 * MS, traffic)])  # ordered by key
-    assert not [each for each in process.received if isinstance(each, messages.AgentDatagram)]
+    arrival = Event("radio/traffic", 3 * MS, traffic((0, 1, 3 * MS, 0), settled=(0,)))
+    bridge.step(3 * MS, [reception, arrival])  # ordered by key
+    assert not process.spoken
     bridge.step(3 * MS, [reception])
-    (spoken,) = [each for each in process.received if isinstance(each, messages.AgentDatagram)]
+    (spoken,) = process.spoken
     assert (spoken.sender, spoken.receiver, spoken.payload) == (0, 1, b"same")
     bridge.step(4 * MS, [heard_by_b(message, 4 * MS)])
-    assert len([each for each in process.received if isinstance(each, messages.AgentDatagram)]) == 2
+    assert len(process.spoken) == 2
 
 
 def test_datagrams_at_the_end_of_the_run_are_not_sent() -> None:
@@ -285,18 +277,6 @@ def test_a_run_that_catches_up_asks_for_one_instant_only(monkeypatch: pytest.Mon
         assert bridge.step(now_ns, []).next_ns == again_ns  # as when traffic wakes it
     assert bridge.poll(again_ns)
     assert len(sent(bridge, again_ns)) == 1
-
-
-def ints(*values: int) -> Array:
-    return np.array(values, np.int64)
-
-
-def traffic(*rows: tuple[int, int, int, int], settled: tuple[int, ...] = ()) -> Traffic:
-    """Number, receiver, time and frame of each arrival."""
-    number, receiver, arrival_ns, frame = np.array(rows, np.int64).reshape(-1, 4).T
-    return Traffic(
-        reports=(), carries=ints(), number=number, receiver=receiver, arrival_ns=arrival_ns, frame=frame, settled=ints(*settled)
-    )
 
 
 def test_growing_columns_keep_their_content() -> None:

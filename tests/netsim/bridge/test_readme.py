@@ -94,21 +94,16 @@ def test_the_ten_lines_of_the_radios_page(capsys: pytest.CaptureFixture[str], mo
     assert [(report.sender, report.receivers) for report in run.reports] == [("car1", ("car2",)), ("car2", ("car1",))]
 
 
-def test_the_custom_gateway_of_the_page_works(tmp_path: Path) -> None:
+async def test_the_custom_gateway_of_the_page_works(tmp_path: Path) -> None:
     space: dict[str, Any] = {}
     exec(compile(block(PAGE, "class RollCall"), "README.md", "exec", dont_inherit=True), space)
     path = tmp_path / "heard.txt"
-
-    async def trial() -> list[str]:
-        gateway: Gateway = space["RollCall"](out=str(path))
-        context = RunlessContext(("a", "b", "c"))
-        async with open_gateway(gateway, context):
-            await asyncio.sleep(0.01)  # everything due before is delivered by then
-        (line,) = context.lines
-        assert str(path) in line
-        return path.read_text().splitlines()
-
-    assert sorted(asyncio.run(trial())) == [f"{x} heard {y}" for x in "abc" for y in "abc" if x != y]
+    gateway: Gateway = space["RollCall"](out=str(path))
+    async with open_gateway(gateway, RunlessContext(("a", "b", "c"))) as context:
+        await asyncio.sleep(0.01)  # everything due before is delivered by then
+    (line,) = context.lines
+    assert str(path) in line
+    assert sorted(path.read_text().splitlines()) == [f"{x} heard {y}" for x in "abc" for y in "abc" if x != y]
 
 
 def test_every_gateway_has_a_section() -> None:

@@ -15,6 +15,7 @@ from tests.support.cosim.receptions import receptions_in
 from tests.support.netsim.bridge_runs import (
     BROADCAST,
     BridgeRun,
+    PlainFederate,
     background_run,
     receive_all,
     receive_available,
@@ -58,13 +59,8 @@ def test_arrivals_equal_the_radios_reports_datagram_by_datagram() -> None:
         received = {1: [int(each) for each in receive_available(b)], 2: [int(each) for each in receive_available(c)]}
     payloads: dict[int, int] = {}  # by number: sockets are read in turn, each in its order
     for to, own in ((-1, [k for k in range(count) if k % 3]), (2, [k for k in range(count) if not k % 3])):
-        numbers = [
-            n
-            for _, value in run.sent
-            for n, receiver in zip(value.number.tolist(), value.to.tolist(), strict=True)
-            if receiver == to
-        ]
-        payloads |= dict(zip(numbers, own, strict=True))
+        numbers = np.concatenate([value.number[value.to == to] for _, value in run.sent])
+        payloads |= dict(zip(numbers.tolist(), own, strict=True))
     expected: dict[int, list[int]] = {1: [], 2: []}
     for report, number in zip(run.reports, run.carries, strict=True):
         assert report.receivers == (("b", "c") if payloads[number] % 3 else ("c",))
@@ -74,10 +70,8 @@ def test_arrivals_equal_the_radios_reports_datagram_by_datagram() -> None:
     lateness, rows = run.bridge.lateness, run.bridge.table().to_pylist()
     for place in (1, 2):
         assert sorted(received[place]) == sorted(expected[place])
-        left = sorted(
-            (each for each in rows if each["receiver"] == "abc"[place]),
-            key=lambda each: each["wanted_ns"] + round(each["late_s"] * SECOND_NS),
-        )
+        left = [each for each in rows if each["receiver"] == "abc"[place]]
+        left.sort(key=lambda each: each["wanted_ns"] + round(each["late_s"] * SECOND_NS))
         assert received[place] == [payloads[each["number"]] for each in left]
     assert lateness["datagrams"] == count
     assert lateness["delivered"] == len(received[1]) + len(received[2]) == len(rows)
@@ -120,9 +114,8 @@ def test_datagrams_enter_when_they_came_in_order_and_none_before_the_beginning_o
     first, *times = np.concatenate([value.sent_ns for _, value in run.sent]).tolist()
     assert first == 0
     assert times == sorted(times)
-    assert all(
-        sent_ns >= clock.logical_ns(program_ns) - MS for sent_ns, program_ns in zip(times, program_times_ns, strict=True)
-    )  # by two clocks
+    for sent_ns, program_ns in zip(times, program_times_ns, strict=True):
+        assert sent_ns >= clock.logical_ns(program_ns) - MS  # by two clocks
     assert all(value.sent_ns.max() <= now_ns for (_, value), now_ns in zip(run.sent, taken_ns, strict=True))
     assert [(key, time_ns) for key, time_ns, _ in run.logged] == [("bridge/sent", now_ns) for now_ns, _ in run.sent]
     assert [value for *_, value in run.logged] == [value for _, value in run.sent]
@@ -162,13 +155,11 @@ def test_ports_in_use_end_the_run_before_it_begins_and_leave_no_process() -> Non
     assert run.bridge._process._process.returncode is not None
 
 
-class Agents:
+class Agents(PlainFederate):
     """Sends for its vehicles ten times a second, a set number of times, and collects the receptions."""
 
     name, slot, wake_slot = "agents", Slot.AGENT, Slot.AGENT
     reads: tuple[str, ...] = ("radio/receptions",)
-    latest: tuple[str, ...] = ()
-    wakes: tuple[str, ...] = ()
 
     def __init__(self, says: dict[str, Any], times: int = 1000) -> None:
         self.says, self.times, self.acted = says, times, 0
@@ -184,9 +175,6 @@ class Agents:
         events = [Event(f"{name}/send", now_ns, Message(sender=name, body=body, size_bytes=20)) for name, body in says.items()]
         self.acted += 1
         return Step(events, min(self._end_ns, now_ns + 100_000_000))
-
-    def close(self) -> None:
-        pass
 
 
 def test_programs_and_agents_hear_each_other_and_nothing_twice() -> None:
@@ -205,10 +193,7 @@ def test_programs_and_agents_hear_each_other_and_nothing_twice() -> None:
         with background_run(run), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as a:
             for payload in program_payloads:
                 a.sendto(payload, run.port(0, BROADCAST))
-            received_b, received_c = (
-                receive_each_of(b, [*program_payloads, agent_payload]),
-                receive_each_of(c, [*program_payloads, agent_payload]),
-            )
+            received_b, received_c = (receive_each_of(each, [*program_payloads, agent_payload]) for each in (b, c))
             wait_for(lambda: len(by_agents()) >= 2 * 3)
         received_b += receive_available(b)
         received_c += receive_available(c)
@@ -269,13 +254,10 @@ def test_at_another_speed_delays_are_so_much_shorter_on_the_wall_clock(speed: fl
     assert all(row["wanted_ns"] - row["came_ns"] == 100_000_000 for row in run.bridge.table().to_pylist())
 
 
-class Halting:
+class Halting(PlainFederate):
     """Blocks the run once, at 0.5 s, until it is released."""
 
     name, slot, wake_slot = "halting", Slot.AGENT, Slot.AGENT
-    reads: tuple[str, ...] = ()
-    latest: tuple[str, ...] = ()
-    wakes: tuple[str, ...] = ()
 
     def __init__(self) -> None:
         self.halts, self.goes_on = threading.Event(), threading.Event()
@@ -287,9 +269,6 @@ class Halting:
         self.halts.set()
         assert self.goes_on.wait(PATIENCE_S)
         return Step([], None)
-
-    def close(self) -> None:
-        pass
 
 
 def test_datagrams_during_a_pause_get_the_time_of_the_pause() -> None:

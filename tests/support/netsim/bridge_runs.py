@@ -22,13 +22,21 @@ from vcmvsp.netsim.federate import RadioFederate
 BROADCAST, RECEIVE = 0, 99  # per vehicle
 
 
-class VehiclesAtRest:
-    """Publishes at time 0 positions 10 m apart, and steps ten times a second."""
+class PlainFederate:
+    """A federate that reads nothing and holds nothing."""
 
-    name, slot, wake_slot = "world", Slot.WORLD, Slot.APPLY
     reads: tuple[str, ...] = ()
     latest: tuple[str, ...] = ()
     wakes: tuple[str, ...] = ()
+
+    def close(self) -> None:
+        pass
+
+
+class VehiclesAtRest(PlainFederate):
+    """Publishes at time 0 positions 10 m apart, and steps ten times a second."""
+
+    name, slot, wake_slot = "world", Slot.WORLD, Slot.APPLY
 
     def start(self, run: RunInfo) -> int | None:
         self._names, self._end_ns = run.vehicles, run.duration_ns
@@ -38,9 +46,6 @@ class VehiclesAtRest:
         states = at_rest(self._names, [(10.0 * row, 0.0, 0.0) for row in range(len(self._names))])
         events = [Event("world/states", 0, states)] if now_ns == 0 else []
         return Step(events, now_ns + SECOND_NS // 10 if now_ns < self._end_ns else None)
-
-    def close(self) -> None:
-        pass
 
 
 class Air(RadioFederate):

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from tests.support.cosim.receptions import receptions_in
+from tests.support.netsim.bridge_runs import PlainFederate
 from tests.support.netsim.channels import at_rest, make_channel
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.kernel.kernel import Kernel
@@ -40,13 +41,10 @@ class Run(NamedTuple):
         return [each for each in self.routed if not each.update]
 
 
-class World:
+class World(PlainFederate):
     """Publishes the vehicles' positions."""
 
     name, slot, wake_slot = "world", Slot.WORLD, Slot.APPLY
-    reads: tuple[str, ...] = ()
-    latest: tuple[str, ...] = ()
-    wakes: tuple[str, ...] = ()
 
     def __init__(self, position: Sequence[Sequence[float]], events: Sequence[Event]) -> None:
         self._position, self._events = position, events
@@ -58,9 +56,6 @@ class World:
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
         states = at_rest(self._names, [(*place, 0.0)[:3] for place in self._position])
         return Step([Event("world/states", 0, states), *self._events])
-
-    def close(self) -> None:
-        pass
 
 
 def message_at(sender: str, at_ns: int, *, to: str | None = None, size_bytes: int = 100) -> Event:

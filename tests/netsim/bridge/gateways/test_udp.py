@@ -59,23 +59,19 @@ async def test_a_reply_to_the_source_address_reaches_the_sender() -> None:
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "::1"])
-def test_bytes_stay_as_they_are_from_none_to_the_longest(host: str) -> None:
-    async def trial() -> None:
-        first = free_ports(200)
-        with program(first + 199, host) as b, program(first + 99, host) as a:
-            async with open_gateway(
-                Udp(listen=host, receive_host=host, first_port=first, max_bytes=65_535), RunlessContext(("a", "b"))
-            ):
-                for payload in (b"", b"\x00\xff" * 700, bytes(range(256)) * 255):
-                    a.sendto(payload, (host, first + 2))
-                    assert (await next_datagram(b))[0] == payload
-
+async def test_bytes_stay_as_they_are_from_none_to_the_longest(host: str) -> None:
     try:
         with program(0, host):
             pass
     except OSError as error:
         requirements.not_allowed(f"sockets at {host}: {error}")
-    asyncio.run(trial())
+    first = free_ports(200)
+    gateway = Udp(listen=host, receive_host=host, first_port=first, max_bytes=65_535)
+    with program(first + 199, host) as b, program(first + 99, host) as a:
+        async with open_gateway(gateway, RunlessContext(("a", "b"))):
+            for payload in (b"", b"\x00\xff" * 700, bytes(range(256)) * 255):
+                a.sendto(payload, (host, first + 2))
+                assert (await next_datagram(b))[0] == payload
 
 
 async def test_an_oversized_datagram_is_counted_and_not_sent() -> None:
@@ -108,15 +104,13 @@ async def test_where_there_is_no_room_nothing_is_lost_nor_overtaken_until_the_op
             assert times[-1] < read_ns  # times of arrival, not of reading
 
 
-def dropped(context: RunlessContext) -> int:
-    return context.counts.get("a", {}).get("dropped by the operating system", 0)
-
-
 async def test_datagrams_without_room_in_the_system_are_counted() -> None:
+    def dropped() -> int:
+        return context.counts.get("a", {}).get("dropped by the operating system", 0)
+
     first = free_ports(200)
-    context = RunlessContext(("a", "b"))
     with program(0) as a:
-        async with open_gateway(gateway := Udp(first_port=first), context):
+        async with open_gateway(gateway := Udp(first_port=first), RunlessContext(("a", "b"))) as context:
             line = gateway._sockets[0, BROADCAST]
             line.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             context.room = False
@@ -124,8 +118,8 @@ async def test_datagrams_without_room_in_the_system_are_counted() -> None:
                 a.sendto(bytes(1000), ("127.0.0.1", first))
             await asyncio.sleep(0.005)
             context.room = True
-            await until(lambda: dropped(context) + len(context.offered) == 500)  # in some iterations of the loop
-            assert dropped(context) > 0
+            await until(lambda: dropped() + len(context.offered) == 500)  # in some iterations of the loop
+            assert dropped() > 0
 
 
 async def test_missing_receivers_have_no_effect_on_others() -> None:
@@ -177,10 +171,8 @@ async def test_a_taken_port_is_named_and_the_others_are_freed() -> None:
 
 
 async def test_an_address_of_another_machine_is_refused() -> None:
-    gateway = Udp(listen="192.0.2.1")  # addresses reserved for documentation
     with pytest.raises(GatewayError, match=r"192.0.2.1 cannot be opened .*; listen must be an address of this machine"):
-        await gateway.open(RunlessContext(NAMES))
-    await gateway.close()
+        await Udp(listen="192.0.2.1").open(RunlessContext(NAMES))  # addresses reserved for documentation
 
 
 async def test_too_few_sockets_for_all_pairs_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -239,18 +231,12 @@ def test_other_machines_are_let_in_if_that_is_wanted() -> None:
     Udp(listen="127.0.0.2").check(NAMES)
 
 
-def test_default_ports_are_outside_of_the_ephemeral_range() -> None:
-    names = [f"v{k}" for k in range(98)]
-    plan = PortPlan("127.0.0.1", binding.parameters(Udp)["first_port"].default, (), {}, "127.0.0.1")
-    ports = [*plan.sending(names).values(), *(place.port for place in plan.receiving(names).values())]
-    assert 1024 <= min(ports) <= max(ports) < 32_768  # from there to 60999 (ip-sysctl of Linux)
-
-
-def test_blocks_have_room_for_98_vehicles() -> None:
+def test_blocks_have_room_for_98_vehicles_outside_of_the_ephemeral_range() -> None:
     names = [f"v{k}" for k in range(99)]
-    Udp(first_port=40_000).check(names[:98])
+    Udp().check(names[:98])
     with pytest.raises(ValueError, match=r"99 vehicles are too many for UDP ports \(at most 98\)"):
-        Udp(first_port=40_000).check(names)
-    plan = PortPlan("127.0.0.1", 40_000, (), {}, "127.0.0.1")
-    ports = [*plan.sending(names[:98]).values(), *(each.port for each in plan.receiving(names[:98]).values())]
+        Udp().check(names)
+    plan = PortPlan("127.0.0.1", binding.parameters(Udp)["first_port"].default, (), {}, "127.0.0.1")
+    ports = [*plan.sending(names[:98]).values(), *(place.port for place in plan.receiving(names[:98]).values())]
     assert len(set(ports)) == len(ports) == 98 * 99
+    assert 1024 <= min(ports) <= max(ports) < 32_768  # from there to 60999 (ip-sysctl of Linux)

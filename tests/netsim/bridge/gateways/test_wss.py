@@ -89,6 +89,11 @@ class World:
         self._open.append(server)
         return await self.robot(name, str(server.sockets[0].getsockname()[1]))
 
+    async def connected(self, serve: Serve) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        """A connection of car1's program to car2, which serves it."""
+        car1, _ = await self.robot("car1"), await self.listening("car2", serve)
+        return await self.connect(await car1.port_to("car2"))
+
     async def connect(self, port: int) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
         self._open.append(writer)
@@ -133,6 +138,18 @@ async def echo(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> No
             writer.write(data)
             await writer.drain()
     writer.close()
+
+
+async def echoed(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, data: bytes) -> None:
+    writer.write(data)
+    assert await asyncio.wait_for(reader.readexactly(len(data)), PATIENCE_S) == data
+
+
+async def rest_of(reader: asyncio.StreamReader) -> bytes:
+    """What a connection brings until its end; empty if it is reset."""
+    with contextlib.suppress(ConnectionResetError):
+        return await asyncio.wait_for(reader.read(), PATIENCE_S)
+    return b""
 
 
 # --- commands -------------------------------------------------------------------------------------------------------------
@@ -233,22 +250,16 @@ def test_a_message_is_made_of_words(line: bytes) -> None:
 # --- connections ------------------------------------------------------------------------------------------------------------
 
 
-def test_a_megabyte_each_way_arrives_complete_over_a_lossy_link() -> None:
+async def test_a_megabyte_each_way_arrives_complete_over_a_lossy_link() -> None:
     draws = random.Random(1)
     sent = random.Random(2).randbytes(1_000_000)
-
-    async def back() -> tuple[bytes, RunlessContext]:
-        async with served(delay_s=0.0005, hears=lambda *_: draws.random() > 0.05) as world:
-            car1, _ = await world.robot("car1"), await world.listening("car2", echo)
-            reader, writer = await world.connect(await car1.port_to("car2"))
-            writer.write(sent)
-            writer.write_eof()
-            received = await asyncio.wait_for(reader.read(), PATIENCE_S)
-            await until(lambda: not world.gateway._relays)
-            return received, world.context
-
-    received, context = asyncio.run(back())
-    assert received == sent
+    async with served(delay_s=0.0005, hears=lambda *_: draws.random() > 0.05) as world:
+        reader, writer = await world.connected(echo)
+        writer.write(sent)
+        writer.write_eof()
+        assert await rest_of(reader) == sent
+        await until(lambda: not world.gateway._relays)
+    context = world.context
     assert {(each.sender, each.to) for each in context.offered} == {(0, 1), (1, 0)}
     assert max(len(each.payload) for each in context.offered) == 1400
     assert sum(each["chunks of connections sent again"] for each in context.counts.values()) > 30
@@ -314,26 +325,20 @@ def test_the_window_grows_with_arrivals_and_halves_once_per_burst_of_losses() ->
     assert window.chunks == 2.0
 
 
-def test_a_called_robot_can_query_the_caller() -> None:
-    async def replies() -> list[str]:
-        answers: list[str] = []
+async def test_a_called_robot_can_query_the_caller() -> None:
+    answers: list[str] = []
 
-        async def ask(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-            port = writer.get_extra_info("peername")[1]
-            answers.append(f"{await car2.ask(f'REVERSEDNS {{Port {port}}}')}".replace(str(port), "q"))
-            answers.append(f"{await car3.ask(f'REVERSEDNS {{Port {port}}}')}".replace(str(port), "q"))
-            writer.close()
+    async def ask(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        port = writer.get_extra_info("peername")[1]
+        replies = [await robot.ask(f"REVERSEDNS {{Port {port}}}") for robot in (car2, car3)]
+        answers.extend(each.replace(str(port), "q") for each in replies)
+        writer.close()
 
-        async with served() as world:
-            car1, car2, car3 = await world.robot("car1"), await world.listening("car2", ask), await world.robot("car3")
-            reader, _ = await world.connect(await car1.port_to("car2"))
-            assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b""
-            return answers
-
-    assert asyncio.run(replies()) == [
-        "REVERSEDNSREPLY {Port q} {Robot car1}",
-        "REVERSEDNSREPLY {Port q} {Error UnknownOrIllegalPort}",
-    ]
+    async with served() as world:
+        car1, car2, car3 = await world.robot("car1"), await world.listening("car2", ask), await world.robot("car3")
+        reader, _ = await world.connect(await car1.port_to("car2"))
+        assert await rest_of(reader) == b""
+    assert answers == ["REVERSEDNSREPLY {Port q} {Robot car1}", "REVERSEDNSREPLY {Port q} {Error UnknownOrIllegalPort}"]
 
 
 async def test_out_of_range_connections_are_closed_and_new_ones_refused_until_it_is_back() -> None:
@@ -341,23 +346,19 @@ async def test_out_of_range_connections_are_closed_and_new_ones_refused_until_it
         car1, _ = await world.robot("car1"), await world.listening("car2", echo)
         port = await car1.port_to("car2")
         reader, writer = await world.connect(port)
-        writer.write(b"hello")
-        assert await asyncio.wait_for(reader.readexactly(5), PATIENCE_S) == b"hello"
+        await echoed(reader, writer, b"hello")
         world.context.levels[1, 0] = -93.001  # one direction is enough
-        with contextlib.suppress(ConnectionResetError):
-            assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b""
+        assert await rest_of(reader) == b""
         assert await refused(port)
         assert await car1.port_to("car2") == port  # is notified nevertheless
         assert await refused(port)
         world.context.levels[1, 0] = -93.0
         assert await car1.port_to("car2") == port
         reader, writer = await world.connect(port)
-        writer.write(b"again")
-        assert await asyncio.wait_for(reader.readexactly(5), PATIENCE_S) == b"again"
+        await echoed(reader, writer, b"again")
         assert world.context.counts["car1"]["connections closed, out of range"] == 1
         world.levels(float("nan"))
-        with contextlib.suppress(ConnectionResetError):
-            assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b""
+        assert await rest_of(reader) == b""
 
 
 async def test_a_robot_that_leaves_is_called_no_more_and_its_name_is_free() -> None:
@@ -372,11 +373,10 @@ async def test_a_robot_that_leaves_is_called_no_more_and_its_name_is_free() -> N
         car2.leave()
         await until(lambda: 1 not in world.gateway._robots)
         assert await refused(port)
-        writer.write(b"still here")  # open connections remain
-        assert await asyncio.wait_for(reader.readexactly(10), PATIENCE_S) == b"still here"
+        await echoed(reader, writer, b"still here")  # open connections remain
         await world.listening("car2", elsewhere)
         reader, _ = await world.connect(await car1.port_to("car2"))
-        assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b"moved"
+        assert await rest_of(reader) == b"moved"
 
 
 async def test_a_robot_that_does_not_listen_is_not_reached() -> None:
@@ -384,8 +384,7 @@ async def test_a_robot_that_does_not_listen_is_not_reached() -> None:
         with _narrow("127.0.0.1", 0) as held:  # occupies the port
             car1, _ = await world.robot("car1"), await world.robot("car2", str(held.getsockname()[1]))
             reader, _ = await world.connect(await car1.port_to("car2"))
-            with contextlib.suppress(ConnectionResetError):
-                assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b""
+            assert await rest_of(reader) == b""
 
 
 async def test_a_slow_reader_holds_the_sender_back() -> None:
@@ -396,8 +395,7 @@ async def test_a_slow_reader_holds_the_sender_back() -> None:
         await echo(reader, writer)
 
     async with served() as world:
-        car1, _ = await world.robot("car1"), await world.listening("car2", slow)
-        reader, writer = await world.connect(await car1.port_to("car2"))
+        reader, writer = await world.connected(slow)
         writer.write(bytes(12_000_000))
         writer.write_eof()
         before = -1
@@ -409,20 +407,18 @@ async def test_a_slow_reader_holds_the_sender_back() -> None:
         stream = relay._streams[0]
         assert len(stream._under_way) + stream._in_order.qsize() <= WINDOW
         reads.set()
-        assert len(await asyncio.wait_for(reader.read(), PATIENCE_S)) == 12_000_000
+        assert len(await rest_of(reader)) == 12_000_000
 
 
 async def test_payloads_that_are_no_chunk_are_ignored() -> None:
     async with served() as world:
-        car1, _ = await world.robot("car1"), await world.listening("car2", echo)
-        reader, writer = await world.connect(await car1.port_to("car2"))
+        reader, writer = await world.connected(echo)
         await until(lambda: bool(world.gateway._relays))
         header = next(iter(world.gateway._relays)).to_bytes(4, "big")
         for payload in (b"", b"an agent spoke", header + bytes(4), header + b"\xff" * 10):
             world.gateway.deliver(0, 1, payload)
             world.gateway.deliver(2, 1, payload)
-        writer.write(b"hello")
-        assert await asyncio.wait_for(reader.readexactly(5), PATIENCE_S) == b"hello"
+        await echoed(reader, writer, b"hello")
 
 
 # --- many clients ---------------------------------------------------------------------------------------------------------
@@ -461,16 +457,13 @@ async def test_a_client_that_does_not_read_its_answers_is_not_read() -> None:
         assert await (await world.robot("car2")).ask("GETSS {Robot car2}") == "SS {Robot car2} {Strength INF}"
 
 
-def test_ports_in_a_row_and_all_of_them_free_afterwards() -> None:
+async def test_ports_in_a_row_and_all_of_them_free_afterwards() -> None:
     first = free_ports(4, socket.SOCK_STREAM)
-
-    async def tried() -> list[int]:
+    for _ in range(2):
         async with served(first_port=first) as world:
             car1, car2 = await world.robot("car1"), await world.robot("car2")
-            return [await car1.port_to("car2"), await car2.port_to("car1"), await car1.port_to("car2")]
-
-    for _ in range(2):
-        assert asyncio.run(tried()) == [first, first + 1, first]
+            ports = [await car1.port_to("car2"), await car2.port_to("car1"), await car1.port_to("car2")]
+        assert ports == [first, first + 1, first]
 
 
 async def test_a_port_in_use_is_an_error_that_names_it() -> None:
