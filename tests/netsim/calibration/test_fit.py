@@ -46,15 +46,8 @@ def test_known_truth_comes_back_within_its_standard_errors(lost: float) -> None:
         level = mean - shadows(a, b, seed, Shadowing(6.0, 10.0)) + rng.normal(0.0, 2.0, 200)
         found = fit(links(a, b, level, float(np.quantile(mean, lost)) if lost else -math.inf))
         assert (found.lost > 0) == (lost > 0.0)
-        scores.append(
-            [
-                normal_score(found.level_dbm, -40.0),
-                normal_score(found.exponent, 3.0),
-                normal_score(found.shadowing_db, 6.0),
-                normal_score(found.correlation_distance_m, 10.0),
-                normal_score(found.fading_db, 2.0),
-            ]
-        )
+        estimates = found.level_dbm, found.exponent, found.shadowing_db, found.correlation_distance_m, found.fading_db
+        scores.append([normal_score(*each) for each in zip(estimates, (-40.0, 3.0, 6.0, 10.0, 2.0), strict=True)])
     assert np.abs(scores).max() < 4.0
     assert np.abs(np.mean(scores, axis=0)).max() < 4.0 / math.sqrt(len(SEEDS))
 

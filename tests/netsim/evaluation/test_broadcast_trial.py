@@ -43,8 +43,8 @@ def plan(position: Floats, **changes: Any) -> broadcast_trial.TrialTraffic:
     return broadcast_trial.TrialTraffic(waypoints=broadcast_trial.Waypoints.fixed(position), **settings)
 
 
-def without_cpu(counts: dict[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in counts.items() if name != "cpu_s"}
+def facts_of(traffic: broadcast_trial.TrialTraffic) -> RunFacts:
+    return RunFacts(scenario="trial", seed=traffic.seed, end_ns=traffic.end_ns, vehicles=traffic.names)
 
 
 CHANNELS: list[dict[str, Any]] = [
@@ -196,10 +196,10 @@ def test_every_frame_is_received_or_lost_at_every_receiver(channel: dict[str, An
 def test_the_same_seed_gives_the_same_and_another_seed_something_else(channel: dict[str, Any], tmp_path: Path) -> None:
     def once(name: str, seed: int) -> tuple[dict[str, Any], bytes]:
         traffic, path = plan(places(8), seed=seed), tmp_path / name
-        facts = RunFacts(scenario="x", seed=seed, end_ns=traffic.end_ns, vehicles=traffic.names)
-        with RowFile(path, facts, rows=100) as rows:
+        with RowFile(path, facts_of(traffic), rows=100) as rows:
             counts = broadcast_trial.run(make_channel(**channel), traffic, sink=rows.add)
-        return without_cpu(counts), path.read_bytes()
+        del counts["cpu_s"]
+        return counts, path.read_bytes()
 
     assert once("a", 1) == once("b", 1)
     assert once("a", 1)[1] != once("b", 2)[1]
@@ -265,10 +265,6 @@ def test_percentiles_of_too_many_delays_are_right_within_half_a_bin(values: list
 
 
 # --- rows -------------------------------------------------------------------------------------------------------------------
-
-
-def facts_of(traffic: broadcast_trial.TrialTraffic) -> RunFacts:
-    return RunFacts(scenario="trial", seed=traffic.seed, end_ns=traffic.end_ns, vehicles=traffic.names)
 
 
 def test_rows_equal_a_runs_in_order_of_sending(tmp_path: Path) -> None:

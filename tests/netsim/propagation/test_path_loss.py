@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.netsim.channels import along_x
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.interfaces.layers import PathLoss, Paths
@@ -15,7 +16,7 @@ from vcmvsp.netsim.propagation.walls import ItuWalls
 
 
 def loss_db(layer: PathLoss, *distances: float) -> Any:
-    return layer.loss_db(Paths.between(np.zeros(3), np.array([(d, 0.0, 0.0) for d in distances])))
+    return layer.loss_db(along_x(*distances))
 
 
 def test_distance_is_three_dimensional() -> None:
@@ -92,10 +93,6 @@ NS3_TWO_RAY = {
 }
 
 
-def line(*distances: float, tx_z: float = 0.0, rx_z: float = 0.0) -> Paths:
-    return Paths.between(np.array([0.0, 0.0, tx_z]), np.array([(d, 0.0, rx_z) for d in distances]))
-
-
 @pytest.mark.parametrize("kind", [Friis, TwoRayGround, ItuWalls])
 def test_a_frequency_in_gigahertz_is_refused(kind: type) -> None:
     arguments = {"sightline": None} if kind is ItuWalls else {}
@@ -106,7 +103,7 @@ def test_a_frequency_in_gigahertz_is_refused(kind: type) -> None:
 @pytest.mark.parametrize("case", NS3_TWO_RAY)
 def test_two_ray_ground_is_that_of_ns3(case: tuple[float, float, float]) -> None:
     frequency_hz, here, there = case
-    standing = TwoRayGround(frequency_hz).loss_db(line(*DISTANCES, tx_z=here, rx_z=there))
+    standing = TwoRayGround(frequency_hz).loss_db(along_x(*DISTANCES, tx_z=here, rx_z=there))
     assert standing == pytest.approx(NS3_TWO_RAY[case], abs=1e-9)
     if here == there:
         alone = TwoRayGround(frequency_hz, antenna_height_m=here).loss_db(DISTANCES)
@@ -114,5 +111,5 @@ def test_two_ray_ground_is_that_of_ns3(case: tuple[float, float, float]) -> None
 
 
 def test_free_space_is_no_amplifier() -> None:
-    assert Friis().loss_db(line(0.0, 1e-4, 1e-3)).tolist() == [0.0, 0.0, 0.0]
-    assert (TwoRayGround().loss_db(line(0.0, 1e-4, 1e-3, tx_z=-3.0)) >= 0.0).all()
+    assert loss_db(Friis(), 0.0, 1e-4, 1e-3).tolist() == [0.0, 0.0, 0.0]
+    assert (TwoRayGround().loss_db(along_x(0.0, 1e-4, 1e-3, tx_z=-3.0)) >= 0.0).all()

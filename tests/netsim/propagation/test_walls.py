@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.netsim.channels import send
+from tests.support.netsim.channels import along_x, send
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.impairments.delay import NoDelay
 from vcmvsp.netsim.impairments.loss import NoLoss
-from vcmvsp.netsim.interfaces.layers import Bools, Floats, Paths, Radio
+from vcmvsp.netsim.interfaces.layers import Bools, Floats, Radio
 from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.propagation.path_loss import SPEED_OF_LIGHT, LogDistance
 from vcmvsp.netsim.propagation.walls import ITU_MATERIALS, Bodies, FixedWalls, ItuWalls, slab_loss_db, through
@@ -28,10 +28,6 @@ class Across:
         low, high = np.minimum(tx[0], rx[:, :1]), np.maximum(tx[0], rx[:, :1])
         crossed: Bools = (low < walls) & (walls < high)
         return crossed, crossed * self.thickness_m
-
-
-def line(*distances: float) -> Paths:
-    return Paths.between(np.zeros(3), np.array([(d, 0.0, 0.0) for d in distances]))
 
 
 def transmitted(material: str, thickness_m: float, frequency_hz: float, extra_turns: Floats) -> Floats:
@@ -55,7 +51,7 @@ def test_the_slab_is_the_average_of_the_exact_one_over_the_phase(
 
 
 def test_metal_is_dark_and_no_thickness_leaves_the_reflections() -> None:
-    assert ItuWalls(Across("metal", thickness_m=0.001)).loss_db(line(10.0)).tolist() == [300.0]
+    assert ItuWalls(Across("metal", thickness_m=0.001)).loss_db(along_x(10.0)).tolist() == [300.0]
     for material in ("brick", "glass"):
         assert 0.0 < slab_loss_db(material, 1e-9, 2.4e9) < 2.0
 
@@ -64,15 +60,15 @@ def test_walls_add_up_and_are_capped() -> None:
     walls = Across("brick", "concrete", "brick")
     brick, concrete = slab_loss_db("brick", 0.2, 2.4e9), slab_loss_db("concrete", 0.2, 2.4e9)
     expected = [0.0, brick, brick + concrete, 2 * brick + concrete]
-    assert ItuWalls(walls).loss_db(line(1.0, 10.0, 20.0, 30.0)) == pytest.approx(expected, abs=1e-9)
-    assert ItuWalls(walls, cap_db=12.0).loss_db(line(1.0, 30.0)).tolist() == [0.0, 12.0]
-    assert FixedWalls(walls).loss_db(line(1.0, 10.0, 20.0, 30.0)) == pytest.approx([0.0, 6.325, 12.65, 18.975], abs=1e-12)
+    assert ItuWalls(walls).loss_db(along_x(1.0, 10.0, 20.0, 30.0)) == pytest.approx(expected, abs=1e-9)
+    assert ItuWalls(walls, cap_db=12.0).loss_db(along_x(1.0, 30.0)).tolist() == [0.0, 12.0]
+    assert FixedWalls(walls).loss_db(along_x(1.0, 10.0, 20.0, 30.0)) == pytest.approx([0.0, 6.325, 12.65, 18.975], abs=1e-12)
 
 
 def test_fixed_losses_by_material() -> None:
     walls = Across("wood", "stone", "paper")
     layer = FixedWalls(walls, wall_db=1.0, materials_db={"wood": 4.0, "stone": 12.0})
-    assert layer.loss_db(line(10.0, 20.0, 30.0)).tolist() == [4.0, 16.0, 17.0]
+    assert layer.loss_db(along_x(10.0, 20.0, 30.0)).tolist() == [4.0, 16.0, 17.0]
 
 
 def test_a_material_without_a_known_loss_is_refused() -> None:

@@ -213,10 +213,9 @@ def test_updates_keep_to_their_budget(period_s: float) -> None:
     assert len(outcome.frames) == len(updates)  # which no vehicle forwards
     least, most = (seconds / (period_s * share) for share in (1.0 + SPREAD, 1.0 - SPREAD))
     assert count * (least - 2) < len(updates) < count * (most + 2)
-    assert {frame.size_bytes for frame in outcome.frames if frame.sent_ns > seconds / 2 * 1e9} == {
-        HEADER_BYTES + count * ENTRY_BYTES
-    }
-    assert max(frame.size_bytes for frame in outcome.frames) == HEADER_BYTES + count * ENTRY_BYTES
+    size_bytes = HEADER_BYTES + count * ENTRY_BYTES
+    assert {frame.size_bytes for frame in outcome.frames if frame.sent_ns > seconds / 2 * 1e9} == {size_bytes}
+    assert max(frame.size_bytes for frame in outcome.frames) == size_bytes
 
 
 def test_when_a_relay_is_cut_off_another_way_is_found() -> None:

@@ -38,14 +38,10 @@ def test_over_a_chain_of_perfect_links_a_message_takes_hops_times_air_and_delay(
     messages = [message_at("car1", 5 * MS, to="car6"), message_at("car3", 300 * MS, to="car1")]
     hop_ns = max(HOP_NS, round(delay_s * 1e9))
     outcome = run(router, line(6), *messages, delay={"seconds": delay_s})
-    assert [(each.receiver, each.received_ns - each.sent_ns) for each in outcome.routed_receptions] == [
-        ("car6", 5 * hop_ns),
-        ("car1", 2 * hop_ns),
-    ]
-    assert [(each.hops[-1], each.receivers[-1], each.via[-1]) for each in outcome.messages] == [
-        (5, "car6", "car5"),
-        (2, "car1", "car2"),
-    ]
+    took = [(each.receiver, each.received_ns - each.sent_ns) for each in outcome.routed_receptions]
+    assert took == [("car6", 5 * hop_ns), ("car1", 2 * hop_ns)]
+    last = [(each.hops[-1], each.receivers[-1], each.via[-1]) for each in outcome.messages]
+    assert last == [(5, "car6", "car5"), (2, "car1", "car2")]
     assert [frame.sender for frame in outcome.frames] == ["car1", "car2", "car3", "car4", "car5", "car3", "car2"]
 
 
@@ -71,14 +67,11 @@ def test_a_reception_is_of_the_original_message(contends: str) -> None:
     outcome = run(Flooding(), line(4), *messages, mac={"kind": contends})
     assert Counter(each.message.to for each in outcome.receptions) == {None: 3, "car4": 1}
     for each in outcome.receptions:
-        assert each.message == messages[each.message.to is not None].value
-        assert each.sent_ns == messages[each.message.to is not None].time_ns
-    levels = {
-        (frame.sender, name): rssi
-        for frame in outcome.frames
-        for name, rssi in zip(frame.receivers, frame.rssi_dbm.tolist(), strict=True)
-    }
-    assert [each.rssi_dbm for each in outcome.receptions[:3]] == [levels[f"car{i}", f"car{i + 1}"] for i in (1, 2, 3)]
+        sent = messages[each.message.to is not None]
+        assert (each.message, each.sent_ns) == (sent.value, sent.time_ns)
+    for i, each in zip((1, 2, 3), outcome.receptions, strict=False):
+        frame = next(frame for frame in outcome.frames if frame.sender == f"car{i}")
+        assert each.rssi_dbm == frame.rssi_dbm[frame.receivers.index(f"car{i + 1}")]
 
 
 def test_frames_are_as_long_as_message_and_header() -> None:
@@ -104,14 +97,10 @@ def test_where_there_are_several_ways_flooding_is_better_than_the_best_of_them()
 
 
 def test_each_vehicle_hears_a_flooded_message_once() -> None:
-    outcome = run(
-        Flooding(), LADDER, *often(30), *often(30, "car8"), seconds=4.0, delivery={"duplicate": 0.5, "duplicate_delay_s": 0.004}
-    )
-    assert (
-        len(outcome.routed_receptions)
-        == len({(each.receiver, each.sender, each.sent_ns) for each in outcome.routed_receptions})
-        == 2 * 30 * 7
-    )
+    delivery = {"duplicate": 0.5, "duplicate_delay_s": 0.004}
+    outcome = run(Flooding(), LADDER, *often(30), *often(30, "car8"), seconds=4.0, delivery=delivery)
+    different = {(each.receiver, each.sender, each.sent_ns) for each in outcome.routed_receptions}
+    assert len(outcome.routed_receptions) == len(different) == 2 * 30 * 7
     assert not [each for each in outcome.routed_receptions if each.receiver == each.sender]
     assert all(len(message.frames) == len(LADDER) for message in outcome.messages)  # each vehicle sent each once
 
@@ -149,11 +138,8 @@ def test_messages_under_way_at_the_end_are_reported_with_their_progress() -> Non
 @pytest.mark.parametrize("mac", ["ideal", "dcf"])
 def test_arrived_lost_and_unfinished_messages_are_distinguished(mac: str) -> None:
     """An arrived message, a lost one, and one on the air at the end of the run, or between two of its frames."""
-    messages = [
-        message_at("car1", 0, to="car3"),
-        message_at("car1", 500 * MS, to="car3"),
-        message_at("car2", 999 * MS, to="car1"),
-    ]
+    plan = (("car1", 0, "car3"), ("car1", 500 * MS, "car3"), ("car2", 999 * MS, "car1"))
+    messages = [message_at(sender, at_ns, to=to) for sender, at_ns, to in plan]
     deaf = {"from_s": 0.4, "to_s": 0.9, "links": ["car1/car2"], "loss": 1.0}
     outcome = run(Static(chain=names(3)), line(3), *messages, mac={"kind": mac}, script={"kind": "script", "changes": [deaf]})
     assert [each.under_way for each in outcome.messages] == [False, False, True]
@@ -193,9 +179,6 @@ def test_flooding_reaches_at_most_the_graph_of_perfect_links(
 def test_a_first_copy_that_came_the_longer_way_may_end_at_the_limit() -> None:
     """Nine in a row, each in range of the next two: 4 hops are enough for the last, but not always for the first copy."""
     count, position = 40, [(30.0 * i, 0.0) for i in range(9)]
-    shares = [
-        share(run(Flooding(hop_limit=4, jitter_s=jitter_s), position, *often(count), seconds=5.0), "car9", count)
-        for jitter_s in (0.0, 0.01)
-    ]
-    assert shares[0] == 1.0
-    assert 0.0 < shares[1] < 1.0
+    outcomes = [run(Flooding(hop_limit=4, jitter_s=each), position, *often(count), seconds=5.0) for each in (0.0, 0.01)]
+    assert share(outcomes[0], "car9", count) == 1.0
+    assert 0.0 < share(outcomes[1], "car9", count) < 1.0

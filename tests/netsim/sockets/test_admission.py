@@ -55,11 +55,7 @@ def test_without_all_programs_the_run_does_not_begin(tmp_path: Path, monkeypatch
 
 
 def test_a_refused_program_gets_the_reason(tmp_path: Path) -> None:
-    content, lines, reasons = scenario(tmp_path, "a", "b"), list[str](), list[str]()
-
-    def others() -> None:
-        with connect("a", content["sockets"]["listen"]):
-            pass
+    content, reasons = scenario(tmp_path, "a", "b"), list[str]()
 
     def strangers() -> None:
         for vehicle in ("x" * 40, "a"):
@@ -71,18 +67,15 @@ def test_a_refused_program_gets_the_reason(tmp_path: Path) -> None:
             reasons.append(str(end.recv(1000)))
         connect("b", content["sockets"]["listen"]).close()
 
-    threads = [threading.Thread(target=others, daemon=True), threading.Thread(target=strangers, daemon=True)]
+    late = threading.Thread(target=strangers, daemon=True)
 
     def tell(text: str) -> None:
-        lines.append(text)
         if text.startswith("the program of a connected"):
-            threads[1].start()
+            late.start()
 
-    threads[0].start()
-    vcmvsp.run(content, mcap=False, tell=tell)
-    for thread in threads:
-        thread.join(PATIENCE_S)
-    assert "there is no vehicle 'xxx" in reasons[0] or "unknown vehicle 'xxx" in reasons[0]
+    run_programs(content, {"a": lambda end: None}, mcap=False, tell=tell)
+    late.join(PATIENCE_S)
+    assert "unknown vehicle 'xxx" in reasons[0]
     assert "a already has a program" in reasons[1]
     assert "install one vcmvsp version for both" in reasons[2]
 
@@ -115,9 +108,7 @@ def test_three_hundred_strange_connections_have_no_effect(tmp_path: Path) -> Non
     content, draw, open_ = scenario(tmp_path, "a", "b"), random.Random(4), list[socket.socket]()
     undisturbed = run_programs(content, {"a": chat, "b": chat}, mcap=False).metrics
 
-    def tell(text: str) -> None:
-        if not text.startswith("waiting"):
-            return
+    def flood() -> None:
         for number in range(300):
             end = socket.socket(socket.AF_UNIX)
             end.settimeout(0.2)
@@ -128,15 +119,14 @@ def test_three_hundred_strange_connections_have_no_effect(tmp_path: Path) -> Non
             except OSError:
                 pass
 
-    floods = list[threading.Thread]()
+    thread = threading.Thread(target=flood, daemon=True)
 
-    def flooded(text: str) -> None:
-        floods.append(threading.Thread(target=tell, args=[text], daemon=True))
-        floods[-1].start()
+    def tell(text: str) -> None:
+        if text.startswith("waiting"):
+            thread.start()
 
-    result = run_programs(content, {"a": chat, "b": chat}, mcap=False, tell=flooded)
-    for thread in floods:
-        thread.join(PATIENCE_S)
+    result = run_programs(content, {"a": chat, "b": chat}, mcap=False, tell=tell)
+    thread.join(PATIENCE_S)
     for end in open_:
         end.close()
     assert result.metrics == undisturbed
@@ -171,11 +161,8 @@ def test_a_scenario_is_checked_without_its_programs(tmp_path: Path) -> None:
 def test_where_nothing_is_opened_it_is_a_federate_like_others() -> None:
     table = SocketsTable(vehicles=("b", "a"))
     run = RunInfo(scenario="s", seed=1, duration_ns=10**9, vehicles=("a", "b"))
-    inbox = [
-        Event(
-            "a/heard", 5, Reception(message=Message(sender="b", body=b"", size_bytes=0), rssi_dbm=0.0, sent_ns=1, received_ns=5)
-        )
-    ]
+    message = Message(sender="b", body=b"", size_bytes=0)
+    inbox = [Event("a/heard", 5, Reception(message=message, rssi_dbm=0.0, sent_ns=1, received_ns=5))]
     check_federate(lambda: Programs(table, run.vehicles, tell=print, connect=False), run, inbox)
 
 
@@ -227,21 +214,18 @@ def test_ctrl_c_ends_a_run_that_waits_for_a_program(tmp_path: Path, hangs: bool)
             (tmp_path / "hangs").touch()
             end.recv(1 << 16)
 
-    run = subprocess.Popen(
-        [sys.executable, "-m", "vcmvsp.cosim.cli.app", "run", "s.toml", "--out", "out"],
-        cwd=tmp_path,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        while not (tmp_path / "s").exists():
+    def wait_for(file: str) -> None:
+        while not (tmp_path / file).exists():
             assert run.poll() is None
             time.sleep(0.02)
+
+    command = [sys.executable, "-m", "vcmvsp.cosim.cli.app", "run", "s.toml", "--out", "out"]
+    run = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    try:
+        wait_for("s")
         if hangs:
             threading.Thread(target=hang, daemon=True).start()
-            while not (tmp_path / "hangs").exists():
-                assert run.poll() is None
-                time.sleep(0.02)
+            wait_for("hangs")
         time.sleep(0.2)
         run.send_signal(signal.SIGINT)
         _, error_text = run.communicate(timeout=500)

@@ -43,19 +43,17 @@ def pong(log: list[Any], slow_s: float) -> Play:
 
 def test_the_same_traffic_however_long_programs_take_and_at_any_pace(tmp_path: Path) -> None:
     runs = []
-    load = subprocess.Popen([sys.executable, "-c", "while True: pass"])
-    try:
-        for slow_s, realtime in ((0.0, None), (0.01, None), (0.0, 4.0)):
-            if slow_s == 0.0 and realtime:
-                load.kill()
-            log: list[Any] = []
-            content = scenario(tmp_path, "a", "b", radio=LOSSY)
-            other: list[Any] = []
-            result = run_programs(content, {"a": ping(log, slow_s), "b": pong(other, slow_s)}, realtime=realtime, mcap=False)
-            runs.append((result.metrics, log, other))
-    finally:
-        load.kill()
-        load.wait()
+    with subprocess.Popen([sys.executable, "-c", "while True: pass"]) as load:
+        try:
+            for slow_s, realtime in ((0.0, None), (0.01, None), (0.0, 4.0)):
+                if realtime:
+                    load.kill()
+                log, other = list[Any](), list[Any]()
+                plays = {"a": ping(log, slow_s), "b": pong(other, slow_s)}
+                result = run_programs(scenario(tmp_path, "a", "b", radio=LOSSY), plays, realtime=realtime, mcap=False)
+                runs.append((result.metrics, log, other))
+        finally:
+            load.kill()
     assert runs[0] == runs[1] == runs[2]
     times, lost = [entry[0] for entry in runs[0][1]], [entry[1] for entry in runs[0][1]].count("lost")
     assert times == sorted(times)
@@ -119,8 +117,7 @@ def test_a_message_enters_the_channel_at_the_instant_of_its_program(tmp_path: Pa
     received: list[Any] = []
 
     def listen(end: Socket) -> None:
-        for data, sender in end:
-            received.append((len(data), sender))
+        received.extend((len(data), sender) for data, sender in end)
 
     events = list[Any]()
     run_programs(scenario(tmp_path, "a", "b"), {"a": play, "b": listen}, mcap=False, observe=events.append)

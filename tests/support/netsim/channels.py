@@ -67,6 +67,11 @@ class Line:
         return Paths(here, there, np.sqrt(((there - here) ** 2).sum(axis=-1)), seed)
 
 
+def along_x(*distances: float, tx_z: float = 0.0, rx_z: float = 0.0) -> Paths:
+    """Paths from the z axis to these distances along the x axis."""
+    return Paths.between(np.array([0.0, 0.0, tx_z]), np.array([(d, 0.0, rx_z) for d in distances]))
+
+
 def linked_frame(sender: str, *receivers: str, at_s: float = 0.0, seed: int = 1, air_ns: int = 1_000_000) -> Frame:
     start = round(at_s * 1e9)
     return _frame(SenderLinks(seed, sender, receivers), start, start + air_ns)
