@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from vcmvsp.cosim.errors import UsageError
@@ -79,15 +78,10 @@ def fit(
     used = links.only(sample(links, MOST_ROWS))
     design, materials = design_of(used, reference_distance_m, sightline)
     require_told(used, design, materials)
-
-    def survey_of(rows: NDArray[np.intp]) -> Survey:
-        some = used.only(rows)
-        levels: dict[str, Any] = {"level_dbm": some.level_dbm, "lost": some.lost, "design": design[rows]}
-        return Survey.between(some.a, some.b, sensitivity_dbm=sensitivity_dbm, **levels)
-
-    survey = survey_of(np.arange(len(used.lost)))
+    levels: dict[str, Any] = {"level_dbm": used.level_dbm, "lost": used.lost, "design": design}
+    survey = Survey.between(used.a, used.b, sensitivity_dbm=sensitivity_dbm, **levels)
     with threadpool_limits(1):  # small matrices: threads would mostly wait for each other
-        models = _models(survey, scouts=survey_of(sample(used, _SCOUTS)))
+        models = _models(survey, survey.only(sample(used, _SCOUTS)))
         order = _choose(models, survey.nearest_m)
         best, naive = models[order], models[INDEPENDENT]
         aic = {MODELS[each]: model.aic for each, model in models.items()}
@@ -141,19 +135,11 @@ def fit_rays(
     sensitivity_dbm = np.nanmin(links.level_dbm) if log_distance.sensitivity_dbm is None else log_distance.sensitivity_dbm
     used = links.only(sample(links, MOST_ROWS))
     computed_dbm = log_distance.tx_power_dbm - loss_db(used.a, used.b)
-
-    def survey_of(rows: NDArray[np.intp]) -> Survey:
-        some, less = used.only(rows), computed_dbm[rows]
-        levels: dict[str, Any] = {
-            "level_dbm": some.level_dbm - less,
-            "lost": some.lost,
-            "sensitivity_dbm": sensitivity_dbm - less,
-        }
-        return Survey.between(some.a, some.b, design=np.ones((len(rows), 1)), **levels)
-
-    survey = survey_of(np.arange(len(used.lost)))
+    levels: dict[str, Any] = {"level_dbm": used.level_dbm - computed_dbm, "lost": used.lost}
+    levels |= {"sensitivity_dbm": sensitivity_dbm - computed_dbm, "design": np.ones((len(used.lost), 1))}
+    survey = Survey.between(used.a, used.b, **levels)
     with threadpool_limits(1):
-        models = _models(survey, scouts=survey_of(sample(used, _SCOUTS)))
+        models = _models(survey, survey.only(sample(used, _SCOUTS)))
     best, naive = models[_choose(models, survey.nearest_m)], models[INDEPENDENT]
     error, naive_error = math.sqrt(best.coefficients_spread[0, 0]), math.sqrt(naive.coefficients_spread[0, 0])
     offset = ParameterEstimate.of_mean(float(best.coefficients[0]), error, naive_error, float(best.freedom[0]))
@@ -237,17 +223,20 @@ def figure_data(links: MeasuredLinks, calibration: Calibration, sightline: Sight
     """Arguments of `cosim.plots.radio_plots.draw_calibration`: levels without walls, fitted line, correlations."""
     subset = links.only(sample(links, _ROWS))
     design, materials = design_of(subset, calibration.reference_distance_m, sightline)
-    losses = [calibration.walls_db[name].value if name in calibration.walls_db else 0.0 for name in materials]
+    losses_db = {name: loss.value for name, loss in calibration.walls_db.items()}
+    losses = [losses_db.get(name, 0.0) for name in materials]
     open_air = subset.level_dbm - design[:, 2:] @ np.array(losses)
     line = design[:, :2] @ (calibration.level_dbm.value, calibration.exponent.value)
 
     reach = calibration.correlation_distance_m
-    has_reach = reach is not None and math.isfinite(reach.standard_error)
-    far = 4.0 * reach.value if has_reach and reach is not None else 20.0 * max(calibration.spacing_m, 0.1)
+    far = 20.0 * max(calibration.spacing_m, 0.1)
+    if reach is not None and math.isfinite(reach.standard_error):
+        far = 4.0 * reach.value
     middles, correlation = _correlogram(subset, open_air - line, far)
-    curve_m = np.linspace(0.0, far, 200)
-    fading = 0.0 if calibration.fading_db is None else calibration.fading_db.value
-    share = (fading / calibration.deviation_db) ** 2
+    curve_m, curve = np.linspace(0.0, far, 200), np.zeros(0)
+    if reach is not None:
+        fading_db = 0.0 if calibration.fading_db is None else calibration.fading_db.value
+        curve = (1.0 - (fading_db / calibration.deviation_db) ** 2) * np.exp(-curve_m / reach.value)
     along = np.geomspace(max(1e-3, subset.distance_m.min()), subset.distance_m.max(), 200)
     decades = np.log10(np.maximum(along / calibration.reference_distance_m, 1.0))
     return {
@@ -261,7 +250,7 @@ def figure_data(links: MeasuredLinks, calibration: Calibration, sightline: Sight
         "moved_m": middles,
         "correlation": correlation,
         "curve_m": curve_m,
-        "curve": (1.0 - share) * np.exp(-curve_m / reach.value) if reach is not None else np.zeros(0),
+        "curve": curve,
         "correlation_distance_m": None if reach is None else reach.value,
     }
 

@@ -19,12 +19,12 @@ R is the correlation of `netsim.propagation.shadowing.Shadowing`, equal in both 
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import msgspec
 import numpy as np
 
-from vcmvsp.netsim.interfaces.layers import Bools, Floats
+from vcmvsp.netsim.interfaces.layers import Bools, Floats, Ints
 
 # Weak prior of the fading's share of the variance: a normal logit, median 0.12, 95 % within 0.003 and 0.87. Without it, short
 # surveys often have their maximum at zero fading, where the curvature does not show the uncertainty.
@@ -57,6 +57,13 @@ class Survey:
         sensitivity_dbm = np.broadcast_to(sensitivity_dbm, lost.shape)
         distance_m = np.sqrt(((a - b) ** 2).sum(axis=1))
         return cls(level_dbm, lost, sensitivity_dbm, design, distance_m, *_moves_m(a, b))
+
+    def only(self, rows: Ints) -> Self:
+        """The rows with these numbers, (m,)."""
+        columns: Any = self.level_dbm, self.lost, self.sensitivity_dbm, self.design, self.distance_m
+        level_dbm, lost, sensitivity_dbm, design, distance_m = (each[rows] for each in columns)
+        pairs = self.straight_m[np.ix_(rows, rows)], self.swapped_m[np.ix_(rows, rows)]
+        return type(self)(level_dbm, lost, sensitivity_dbm, design, distance_m, *pairs)
 
     @property
     def moved_m(self) -> Floats:

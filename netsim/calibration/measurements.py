@@ -124,8 +124,8 @@ def crossings(links: MeasuredLinks, sightline: Sightline) -> tuple[Floats, list[
         rows = group.ravel() == index
         crossed[rows] = sightline.crossings(point, links.b[rows])[0]
     names = sorted({sightline.materials[index] for index in np.flatnonzero(crossed.any(axis=0))})
-    of = np.array([[name == each for each in names] for name in sightline.materials], np.float64).reshape(-1, len(names))
-    return crossed @ of, names
+    of = np.array(sightline.materials, str)[:, None] == np.array(names, str)
+    return crossed @ of.astype(np.float64), names
 
 
 def design_of(links: MeasuredLinks, reference_distance_m: float, sightline: Sightline | None) -> tuple[Floats, list[str]]:

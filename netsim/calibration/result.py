@@ -74,24 +74,17 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True):
         """
         if round(self.exponent.value, 4) < 0.0:
             raise ValueError(f"the exponent is {self.exponent.value:.2f}: levels rise with distance; no path-loss model fits")
-        shape = None if self.fading_db is None else _nakagami(self.fading_db.value)
-        mean_db = 0.0 if shape is None else _mean_db(shape)
-        table: dict[str, Any] = {
-            "path_loss": {
-                "kind": "log_distance",
-                "exponent": abs(round(self.exponent.value, 4)),
-                "reference_distance_m": self.reference_distance_m,
-                "reference_loss_db": round(self.tx_power_dbm + mean_db - self.level_dbm.value, 3),
-            }
+        fading, mean_db = _fading(self.fading_db)
+        path_loss = {
+            "kind": "log_distance",
+            "exponent": abs(round(self.exponent.value, 4)),
+            "reference_distance_m": self.reference_distance_m,
+            "reference_loss_db": round(self.tx_power_dbm + mean_db - self.level_dbm.value, 3),
         }
-        if self.shadowing_db is not None:
-            table["shadowing"] = _shadowing(self.shadowing_db, self.correlation_distance_m, self.spacing_m)
-        if self.walls_db:
-            losses = {material: round(max(0.0, loss.value), 3) for material, loss in self.walls_db.items()}
-            table["walls"] = {"kind": "fixed", "materials_db": losses}
-        if shape is not None:
-            table["fading"] = {"kind": "nakagami", "m": round(shape, 4)}
-        return table
+        shadowing = _shadowing(self.shadowing_db, self.correlation_distance_m, self.spacing_m)
+        losses = {material: round(max(0.0, loss.value), 3) for material, loss in self.walls_db.items()}
+        walls = {"walls": {"kind": "fixed", "materials_db": losses}} if losses else {}
+        return {"path_loss": path_loss, **shadowing, **walls, **fading}
 
     def toml(self) -> str:
         """The table as TOML, with comments on its validity."""
@@ -110,17 +103,16 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True):
 
     def summary(self) -> str:
         """A line for each number: estimate, 95 % interval, standard error; and the models that were compared."""
+        below = "" if self.sensitivity_dbm is None else f" (below {self.sensitivity_dbm:g} dBm)"
+        models = sorted(self.aic.items(), key=lambda item: item[1])
         lines = [
-            f"{self.used} of {self.rows} rows, {self.lost} lost"
-            + ("" if self.sensitivity_dbm is None else f" (below {self.sensitivity_dbm:g} dBm)"),
+            f"{self.used} of {self.rows} rows, {self.lost} lost{below}",
             _line(f"level at {self.reference_distance_m:g} m", "dBm", self.level_dbm),
             _line("path-loss exponent", "", self.exponent),
-            *(_line(f"wall of {material}", "dB", loss) for material, loss in self.walls_db.items()),
-            _line("shadowing" if self.fading_db is not None else "shadowing and fading", "dB", self.shadowing_db),
-            _line("correlation distance", "m", self.correlation_distance_m),
-            _line("fading", "dB", self.fading_db),
-            "AIC: " + ", ".join(f"{name} {value:.1f}" for name, value in sorted(self.aic.items(), key=lambda item: item[1])),
+            *[_line(f"wall of {material}", "dB", loss) for material, loss in self.walls_db.items()],
+            *_variation_lines(self.shadowing_db, self.correlation_distance_m, self.fading_db),
         ]
+        lines.append("AIC: " + ", ".join(f"{name} {value:.1f}" for name, value in models))
         if self.unexplained:
             lines.append(
                 f"{self.unexplained} lost rows have an expected level far above the sensitivity: check them, or leave them out"
@@ -149,15 +141,11 @@ class RayCalibration(msgspec.Struct, frozen=True, kw_only=True):
 
     def table(self) -> dict[str, Any]:
         """The ``[radio]`` table of a scenario with this radio: see `Calibration.table`."""
-        shape = None if self.fading_db is None else _nakagami(self.fading_db.value)
-        mean_db = 0.0 if shape is None else _mean_db(shape)
+        fading, mean_db = _fading(self.fading_db)
         offset_db = self.path_loss.get("offset_db", 0.0) + mean_db - self.offset_db.value
-        table: dict[str, Any] = {"path_loss": {**self.path_loss, "offset_db": round(offset_db, 3)}}
-        if self.shadowing_db is not None:
-            table["shadowing"] = _shadowing(self.shadowing_db, self.correlation_distance_m, self.log_distance.spacing_m)
-        if shape is not None:
-            table["fading"] = {"kind": "nakagami", "m": round(shape, 4)}
-        return table
+        path_loss = {**self.path_loss, "offset_db": round(offset_db, 3)}
+        shadowing = _shadowing(self.shadowing_db, self.correlation_distance_m, self.log_distance.spacing_m)
+        return {"path_loss": path_loss, **shadowing, **fading}
 
     def toml(self) -> str:
         """The table as TOML, with a comment on its validity."""
@@ -174,18 +162,37 @@ class RayCalibration(msgspec.Struct, frozen=True, kw_only=True):
         lines = [
             f"{log_distance.used} of {log_distance.rows} rows, {log_distance.lost} lost",
             _line("offset from the rays", "dB", self.offset_db),
-            _line("shadowing" if self.fading_db is not None else "shadowing and fading", "dB", self.shadowing_db),
-            _line("correlation distance", "m", self.correlation_distance_m),
-            _line("fading", "dB", self.fading_db),
+            *_variation_lines(self.shadowing_db, self.correlation_distance_m, self.fading_db),
             f"unexplained: {self.deviation_db:.2f} dB by rays, {deviation} by log-distance: {share:.2f} of it",
             f"AIC: rays {self.aic:.1f}, log-distance {min(log_distance.aic.values()):.1f} (lower is better)",
         ]
         return "\n".join(lines)
 
 
-def _shadowing(deviation: ParameterEstimate, reach: ParameterEstimate | None, spacing_m: float) -> dict[str, Any]:
-    distance_m = spacing_m / 3.0 if reach is None else reach.value
-    return {"kind": "gudmundson", "sigma_db": round(deviation.value, 3), "correlation_distance_m": round(distance_m, 4)}
+def _shadowing(deviation: ParameterEstimate | None, reach: ParameterEstimate | None, spacing_m: float) -> dict[str, Any]:
+    """The layer's table under its name; empty: there is no such layer."""
+    if deviation is None:
+        return {}
+    distance_m = round(spacing_m / 3.0 if reach is None else reach.value, 4)
+    sigma_db = round(deviation.value, 3)
+    return {"shadowing": {"kind": "gudmundson", "sigma_db": sigma_db, "correlation_distance_m": distance_m}}
+
+
+def _fading(deviation: ParameterEstimate | None) -> tuple[dict[str, Any], float]:
+    """The layer's table under its name, empty without such a layer, and the mean of its gain in dB."""
+    from scipy.special import digamma
+
+    shape = None if deviation is None else _nakagami(deviation.value)
+    if shape is None:
+        return {}, 0.0
+    return {"fading": {"kind": "nakagami", "m": round(shape, 4)}}, _DB * (float(digamma(shape)) - math.log(shape))
+
+
+def _variation_lines(
+    shadowing: ParameterEstimate | None, reach: ParameterEstimate | None, fading: ParameterEstimate | None
+) -> list[str]:
+    both = "shadowing" if fading is not None else "shadowing and fading"
+    return [_line(both, "dB", shadowing), _line("correlation distance", "m", reach), _line("fading", "dB", fading)]
 
 
 def _line(name: str, unit: str, estimate: ParameterEstimate | None) -> str:
@@ -212,9 +219,3 @@ def _nakagami(deviation_db: float) -> float | None:
     if variance >= float(polygamma(1, least)):
         return least
     return brentq(lambda m: float(polygamma(1, m)) - variance, least, most)
-
-
-def _mean_db(shape: float) -> float:
-    from scipy.special import digamma
-
-    return _DB * (float(digamma(shape)) - math.log(shape))

@@ -58,8 +58,7 @@ class FrameTally:
         if received:
             self.delays.add(received_ns[received_ns >= 0] - report.sent_ns)
         if received < total:
-            for cause, lost in self._causes(report.outcome, total - received).items():
-                self.losses[cause] = self.losses.get(cause, 0) + lost
+            self._add_losses(self._causes(report.outcome, total - received))
 
     def add_many(self, delay_ns: Ints, received: Ints, receivers: int, losses: dict[str, int]) -> None:
         """Count frames: delays and numbers of receptions, (m,) each; in total: receivers, and losses by cause."""
@@ -67,8 +66,7 @@ class FrameTally:
         self.receivers += receivers
         self.receptions += int(received.sum())
         self.delays.add(delay_ns[received > 0], received[received > 0])
-        for cause, lost in losses.items():
-            self.losses[cause] = self.losses.get(cause, 0) + lost
+        self._add_losses(losses)
 
     def summary(self) -> dict[str, Any]:
         """``frames, receptions, delivery_ratio, delay_s`` (mean, p50, p95, p99), ``losses``; None: no value."""
@@ -78,14 +76,19 @@ class FrameTally:
             "receptions": self.receptions,
             "delivery_ratio": self.receptions / self.receivers if self.receivers else None,
             "delay_s": {"mean": mean_s, "p50": p50, "p95": p95, "p99": p99},
-            "losses": {cause: self.losses[cause] for cause in sorted(self.losses)},
+            "losses": dict(sorted(self.losses.items())),
         }
 
     def _causes(self, outcome: tuple[str, ...], lost: int) -> dict[str, int]:
-        causes = {cause: number for cause in self.losses if (number := outcome.count(cause))}  # quicker than to hash every word
-        if sum(causes.values()) == lost:
-            return causes
-        return {cause: number for cause, number in Counter(outcome).items() if cause != RECEIVED}
+        causes = {cause: outcome.count(cause) for cause in self.losses}  # quicker than to hash every word
+        if sum(causes.values()) != lost:
+            causes = Counter(outcome)
+            del causes[RECEIVED]
+        return causes
+
+    def _add_losses(self, losses: dict[str, int]) -> None:
+        for cause, lost in losses.items():
+            self.losses[cause] = self.losses.get(cause, 0) + lost
 
 
 class Delays:

@@ -1,8 +1,7 @@
 """Files of a trial: positions from CSV, and rows of ``radio.parquet`` that are written as frames are decided."""
 
+import contextlib
 import math
-import shutil
-import tempfile
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -16,7 +15,7 @@ from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.tables.schema import RunFacts, radio_table
 from vcmvsp.cosim.types import FrameReport, Name
-from vcmvsp.cosim.util.files import PART, read_cells
+from vcmvsp.cosim.util.files import read_cells, replacing
 from vcmvsp.netsim.evaluation.broadcast_trial import Waypoints
 
 COLUMNS = ("x", "y", "z")
@@ -47,7 +46,9 @@ def read_positions(path: Path) -> Waypoints:
         if len(cells) != len(columns):
             problem = f"must have {len(columns)} columns ({','.join(columns)}), not {len(cells)}"
             raise UsageError(f"{where}: {problem}: {','.join(cells)[:60]}")
-    return _paths(lines) if over_time else Waypoints.fixed(np.array([_point(*each) for each in lines]))
+    if over_time:
+        return _paths(lines)
+    return Waypoints.fixed(np.array([_point(*each) for each in lines]))
 
 
 def _is_header(where: str, cells: list[str], columns: tuple[str, ...]) -> bool:
@@ -107,7 +108,7 @@ ROWS = 1 << 18  # in a row group, exceeded by at most one frame's rows
 class RowFile:
     """A Parquet file with a row per frame and receiver, in the order in which frames were sent.
 
-    The file is written beside ``path`` and renamed on success; on failure it is deleted. Equal reports give equal bytes.
+    The file is there on success only. Equal reports give equal bytes.
     """
 
     def __init__(self, path: Path, facts: RunFacts, rows: int = ROWS) -> None:
@@ -123,29 +124,28 @@ class RowFile:
         if not self._path.parent.is_dir():
             raise UsageError(f"cannot write {self._path}: the folder {self._path.parent} does not exist; create it first")
         schema = radio_table([], self._facts).schema
-        options: dict[str, Any] = {  # as in `cosim.tables.schema.write_table`
-            "use_dictionary": [field.name for field in schema if pa.types.is_dictionary(field.type)],
-            "use_byte_stream_split": [field.name for field in schema if pa.types.is_floating(field.type)],
-        }
+        names = [field.name for field in schema if pa.types.is_dictionary(field.type)]
+        floats = [field.name for field in schema if pa.types.is_floating(field.type)]
+        options: dict[str, Any] = {"use_dictionary": names, "use_byte_stream_split": floats}  # as `cosim.tables.schema` has
         try:
-            self._beside = Path(tempfile.mkdtemp(prefix=".vcmvsp-", suffix=PART, dir=self._path.parent))
-            self._partial = self._beside / self._path.name
-            self._writer = pq.ParquetWriter(self._partial, schema, compression="zstd", **options)
+            with contextlib.ExitStack() as opened:
+                place = opened.enter_context(replacing(self._path))
+                self._writer = opened.enter_context(pq.ParquetWriter(place, schema, compression="zstd", **options))
+                opened.push(self._write_rest)
+                self._open = opened.pop_all()
         except OSError as error:
             raise self._refused(error) from error
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         try:
-            if kind is None:
-                self._write()
-            self._writer.close()
-            if kind is None:
-                self._partial.replace(self._path)
+            self._open.__exit__(kind, error, trace)
         except OSError as problem:
             raise self._refused(problem) from problem
-        finally:
-            shutil.rmtree(self._beside, ignore_errors=True)
+
+    def _write_rest(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            self._write()
 
     def add(self, report: FrameReport) -> None:
         """Add the report of one frame: each frame once, in any order."""

@@ -57,17 +57,10 @@ def ray_paths(channel: Channel, points: Floats) -> pa.Table:
 
 
 def _rows(traced: Traced, a: Floats, b: Floats, first: int) -> list[dict[str, Any]]:
-    rows = [
-        _row(
-            first + int(traced.table.pair[path]),
-            traced.table.gain[path],
-            traced.table.length_m[path],
-            *_steps(traced, path, a, b),
-        )
-        for path in range(len(traced.table.pair))
-    ]
-    roofs = traced.roofs
-    for number, pair in enumerate(roofs.pair.tolist()):
+    rows, table, roofs = [], traced.table, traced.roofs
+    for path, pair in enumerate(table.pair.tolist()):
+        rows.append(_row(first + pair, table.gain[path], table.length_m[path], *_steps(traced, path, a, b)))
+    for number, pair in enumerate(traced.dark.tolist()):
         edges = roofs.edge[roofs.edge_of == number].tolist()
         rows.append(_row(first + pair, roofs.gain[number], roofs.length_m[number], ["diffraction"] * len(edges), edges))
     return rows
@@ -78,15 +71,16 @@ def _steps(traced: Traced, path: int, a: Floats, b: Floats) -> tuple[list[str], 
     table = traced.table
     pair, count = table.pair[path], int(table.steps[path])
     corners = [a[pair], *table.point[path, :count], b[pair]]
-    steps = [
-        (float(leg + 1), "reflection" if table.element[path, leg] >= 0 else "diffraction", corners[leg + 1])
-        for leg in range(count)
-    ]
+    steps = []
+    for leg in range(count):
+        kind = "reflection" if table.element[path, leg] >= 0 else "diffraction"
+        steps.append((float(leg + 1), kind, corners[leg + 1]))
     begin, end = np.searchsorted(table.pass_path, (path, path + 1))
     for leg, share in zip(table.pass_leg[begin:end].tolist(), table.pass_at[begin:end].tolist(), strict=True):
         steps.append((leg + share, "transmission", corners[leg] + share * (corners[leg + 1] - corners[leg])))
     steps.sort(key=lambda step: step[0])
-    return [kind for _, kind, _ in steps], [point.tolist() for *_, point in steps]
+    kinds = [kind for _, kind, _ in steps]
+    return kinds, [point.tolist() for *_, point in steps]
 
 
 def _row(pair: int, gain: complex, length_m: float, kinds: list[str], points: list[list[float]]) -> dict[str, Any]:

@@ -136,11 +136,11 @@ class Antennas(NamedTuple):
         """The antennas of radios; without attitudes all are level."""
         by_radio = [pattern_of(radio) for radio in radios]
         patterns = [pattern for pattern in by_radio if pattern is not None]
-        number = np.where(
-            [pattern is None for pattern in by_radio], -1, np.cumsum([pattern is not None for pattern in by_radio]) - 1
-        )
-        level = np.tile((1.0, 0.0, 0.0, 0.0), (len(radios), 1))
-        return cls(patterns, number.astype(np.int64), level if attitude is None else attitude)
+        has_pattern = np.array([pattern is not None for pattern in by_radio], bool)
+        number = np.where(has_pattern, np.cumsum(has_pattern) - 1, -1)
+        if attitude is None:
+            attitude = np.tile((1.0, 0.0, 0.0, 0.0), (len(radios), 1))
+        return cls(patterns, number, attitude)
 
     def gain(self, vehicle: Ints, direction: Floats) -> Floats:
         """Power gain of the antennas of some vehicles, by row (m,), each in a direction in the world, (m, 3)."""

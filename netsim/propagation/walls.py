@@ -199,7 +199,7 @@ def through(bodies: Bodies, sender: int, antennas: Floats) -> tuple[Floats, Ints
     return np.where(crossed, bodies.loss_db, 0.0).sum(axis=1), crossed.sum(axis=1)
 
 
-def _crossed(bodies: Bodies, tx: Floats, rx: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+def _crossed(bodies: Bodies, tx: Floats, rx: Floats) -> Bools:
     """Which lines from ``tx`` to ``rx`` (n, 3) pass through which bodies, (n, m).
 
     Seen from above, a body is a disc, and the line is inside it between two fractions of its length. The line passes through

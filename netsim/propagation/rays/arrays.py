@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from vcmvsp.netsim.interfaces.layers import Floats, Ints
 
+Complex = NDArray[np.complex128]
 Flags = NDArray[np.uint8]
 
 

@@ -215,4 +215,8 @@ def faddeeva_numbers() -> list[float]:
     angles = [math.pi * k / (2 * ORDER) for k in range(1 - 2 * ORDER, 2 * ORDER)]
     places = [(angle, STRETCH * math.tan(0.5 * angle)) for angle in angles]
     values = [(angle, math.exp(-t * t) * (STRETCH * STRETCH + t * t)) for angle, t in places]
-    return [math.fsum(value * math.cos(n * angle) for angle, value in values) / (4 * ORDER) for n in range(ORDER, 0, -1)]
+
+    def number(n: int) -> float:
+        return math.fsum(value * math.cos(n * angle) for angle, value in values) / (4 * ORDER)
+
+    return [number(n) for n in range(ORDER, 0, -1)]

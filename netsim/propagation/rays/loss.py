@@ -16,10 +16,11 @@ from vcmvsp.cosim.types import Decibels, NonNegative, Positive
 from vcmvsp.netsim.interfaces.layers import Draw, Floats, Frame, Ints, Paths
 from vcmvsp.netsim.propagation.path_loss import SPEED_OF_LIGHT, Frequency
 from vcmvsp.netsim.propagation.rays import phases
+from vcmvsp.netsim.propagation.rays.arrays import Complex
 from vcmvsp.netsim.propagation.rays.coefficients import MATERIALS, Echoes
 from vcmvsp.netsim.propagation.rays.phases import Sums, Waves
-from vcmvsp.netsim.propagation.rays.roofs import gains_over_roofs, over_roofs
-from vcmvsp.netsim.propagation.rays.tracer import Complex, PathTable, Tracer
+from vcmvsp.netsim.propagation.rays.roofs import RoofPaths, over_roofs
+from vcmvsp.netsim.propagation.rays.tracer import PathTable, Tracer
 from vcmvsp.netsim.propagation.rays.world import RayWorld, Solids, Wave, holding, world_of
 
 Order = Annotated[int, msgspec.Meta(ge=0, le=4)]
@@ -69,10 +70,10 @@ class Block(NamedTuple):
     def directions(self) -> tuple[Floats, Floats]:
         """Unit vectors of the paths in their order: away from a, and away from b, (m, 3) each."""
         table, roofs = self.found.table, self.found.roofs
-        edge, rows = np.append(roofs.edge, np.zeros((1, 3)), axis=0), np.arange(len(roofs.pair))
+        edge, rows = np.append(roofs.edge, np.zeros((1, 3)), axis=0), np.arange(len(roofs.gain))
         begin, end = np.searchsorted(roofs.edge_of, rows), np.searchsorted(roofs.edge_of, rows, side="right")
         steps = np.concatenate([table.steps, end - begin])[:, None]
-        pair, last = np.concatenate([table.pair, roofs.pair]), np.maximum(table.steps - 1, 0)
+        pair, last = np.concatenate([table.pair, self.found.dark]), np.maximum(table.steps - 1, 0)
         first_point = np.concatenate([table.point[:, 0], edge[begin]])
         last_point = np.concatenate([table.point[np.arange(len(last)), last], edge[end - 1]])
         leaving = np.where(steps > 0, first_point, self.b[pair]) - self.a[pair]
@@ -85,21 +86,12 @@ def _units(vectors: Floats) -> Floats:
     return np.asarray(vectors / np.maximum(np.sqrt((vectors * vectors).sum(axis=1)), 1e-9)[:, None])
 
 
-class OverRoofs(NamedTuple):
-    """Paths over roofs, for pairs that nothing else reaches."""
-
-    pair: Ints  # (k,)
-    gain: Complex  # (k,)
-    length_m: Floats  # (k,)
-    edge_of: Ints  # (m,) row among the k
-    edge: Floats  # (m, 3) m
-
-
 class Traced(NamedTuple):
     """All paths of some pairs of points."""
 
     table: PathTable
-    roofs: OverRoofs
+    dark: Ints  # (k,) pairs that these reach with less than `ARRIVES`
+    roofs: RoofPaths  # of the k
 
 
 @dataclass(frozen=True)
@@ -193,10 +185,7 @@ class Rays:
         table = self._tracer.paths(a, b)
         power = np.bincount(table.pair, power_of(table.gain), len(a))
         (dark,) = np.nonzero(power < ARRIVES)
-        over = over_roofs(self.world, a[dark], b[dark], self.wave.length_m)
-        straight = np.sqrt(((b - a)[dark] ** 2).sum(axis=1))
-        beyond = gains_over_roofs(over, straight, self.wave.length_m)
-        return Traced(table, OverRoofs(dark, beyond, over.length_m, over.pair, over.edge))
+        return Traced(table, dark, over_roofs(self.world, a[dark], b[dark], self.wave.length_m))
 
     def _links(self, a: Floats, b: Floats) -> LinkPaths:
         """The paths of many links, each computed from the end that comes first, so that both directions are equal."""
@@ -205,7 +194,7 @@ class Rays:
         blocks = []
         for first in range(0, len(a), _BLOCK):
             found = self.traced(here[first : first + _BLOCK], there[first : first + _BLOCK])
-            pair = np.concatenate([found.table.pair, found.roofs.pair])
+            pair = np.concatenate([found.table.pair, found.dark])
             order = np.argsort(pair, kind="stable")
             gain = np.concatenate([found.table.gain, found.roofs.gain])[order]
             length = np.concatenate([found.table.length_m, found.roofs.length_m])[order]
@@ -214,9 +203,9 @@ class Rays:
             of_link = np.bincount(pair, minlength=count).astype(np.int64)
             block = Block(found, here[first : first + count], there[first : first + count], order)
             blocks.append(LinkPaths(of_link, power, gain, length, (block,)))
-        columns = [np.concatenate(column) for column in zip(NO_LINKS[:-1], *(block[:-1] for block in blocks), strict=True)]
-        every = [block for each in blocks for block in each.blocks]
-        return LinkPaths(columns[0], columns[1], columns[2], columns[3], every)
+        parts = [each[:-1] for each in (NO_LINKS, *blocks)]
+        columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+        return LinkPaths._make([*columns, [block for each in blocks for block in each.blocks]])
 
     def holder(self, points: Floats) -> list[str]:
         """For each point the solid that it is inside, in words; empty: none."""

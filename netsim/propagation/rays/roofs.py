@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vcmvsp.netsim.interfaces.layers import Bools, Floats, Ints
+from vcmvsp.netsim.propagation.rays.arrays import Complex
 from vcmvsp.netsim.propagation.rays.world import RayWorld
 
 _PAIRS_AT_ONCE = 1 << 14  # pairs x bodies: what fits into a cache
@@ -15,14 +16,14 @@ _NEGLIGIBLE = -0.78  # nu below which an edge loses nothing (ITU-R P.526-15, 4.1
 class RoofPaths(NamedTuple):
     """The way over the roofs of n pairs: a string over one to three edges."""
 
-    loss_db: Floats  # (n,) beyond free space over the straight line
+    gain: Complex  # (n,) of free space over the straight line, and of the edges; with the phase of the string
     length_m: Floats  # (n,) of the string
-    pair: Ints  # (m,) of each edge, never decreasing
+    edge_of: Ints  # (m,) pair of each edge, never decreasing
     edge: Floats  # (m, 3) m, in order from a to b
 
 
 def over_roofs(world: RayWorld, a: Floats, b: Floats, wavelength_m: float) -> RoofPaths:
-    """Loss of up to three knife edges in the upright plane through a (n, 3) m and b (n, 3) m.
+    """Paths over up to three knife edges in the upright plane through a (n, 3) m and b (n, 3) m.
 
     J. Deygout, Multiple knife-edge diffraction of microwaves, IEEE Transactions on Antennas and Propagation 14, 1966: the edge
     with the greatest nu counts as if it were alone; then, likewise, that of each side between it and the end. nu and the loss J
@@ -50,7 +51,12 @@ def over_roofs(world: RayWorld, a: Floats, b: Floats, wavelength_m: float) -> Ro
         loss_db = loss_db + np.where(main.loss_db > 0.0, side.loss_db, 0.0)
         chosen.insert(0 if before else 2, side)
     counts = np.stack([edge.loss_db > 0.0 for edge in chosen], axis=1) & (main.loss_db > 0.0)[:, None]
-    return _strings(a, b, loss_db, chosen, counts)
+    edge_of, _ = np.nonzero(counts)
+    points, length_m = _strings(a, b, chosen, counts)
+    distance_m = np.sqrt(((b - a) ** 2).sum(axis=1))
+    size = wavelength_m / (4.0 * math.pi * np.maximum(distance_m, wavelength_m)) * 10.0 ** (-loss_db / 20.0)
+    turns = length_m / wavelength_m
+    return RoofPaths(size * np.exp(-2j * math.pi * (turns - np.floor(turns))), length_m, edge_of, points[counts])
 
 
 class _Edge(NamedTuple):
@@ -115,20 +121,12 @@ def _highest(
     return chosen
 
 
-def _strings(a: Floats, b: Floats, loss_db: Floats, chosen: list[_Edge], counts: Bools) -> RoofPaths:
+def _strings(a: Floats, b: Floats, chosen: list[_Edge], counts: Bools) -> tuple[Floats, Floats]:
+    """Points of the three chosen edges, (n, 3, 3) m, and lengths of the strings over those that count, (n,) m."""
     points = np.stack([np.column_stack([a[:, :2] + e.share[:, None] * (b - a)[:, :2], e.height]) for e in chosen], axis=1)
     at, length = a, np.zeros(len(a))
     for k in range(3):
         to = np.where(counts[:, k, None], points[:, k], at)
         length = length + np.sqrt(((to - at) ** 2).sum(axis=1))
         at = to
-    length = length + np.sqrt(((b - at) ** 2).sum(axis=1))
-    pair, _ = np.nonzero(counts)
-    return RoofPaths(loss_db, length, pair, points[counts])
-
-
-def gains_over_roofs(paths: RoofPaths, distance_m: Floats, wavelength_m: float) -> np.ndarray:
-    """Complex gains: free space over the straight line, the loss of the edges, the phase of the string, (n,)."""
-    size = wavelength_m / (4.0 * math.pi * np.maximum(distance_m, wavelength_m)) * 10.0 ** (-paths.loss_db / 20.0)
-    turns = paths.length_m / wavelength_m
-    return np.asarray(size * np.exp(-2j * math.pi * (turns - np.floor(turns))))
+    return points, length + np.sqrt(((b - at) ** 2).sum(axis=1))

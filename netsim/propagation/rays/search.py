@@ -372,7 +372,8 @@ def first_cell(w: Terrain, s: Work, ax: float, ay: float, bx: float, by: float) 
         return -1
     s.cell[COLUMN], s.cell[ROW] = column_of(w, ax + begin * dx), row_of(w, ay + begin * dy)
     s.cell[LAST_COLUMN], s.cell[LAST_ROW] = column_of(w, ax + finish * dx), row_of(w, ay + finish * dy)
-    s.cell[EASTWARDS], s.cell[NORTHWARDS] = 1 if dx > 0.0 else -1, 1 if dy > 0.0 else -1
+    s.cell[EASTWARDS] = 1 if dx > 0.0 else -1
+    s.cell[NORTHWARDS] = 1 if dy > 0.0 else -1
     s.share[NEXT_X] = next_share(w.west, w.cell_m, s.cell[COLUMN], ax, dx)
     s.share[NEXT_Y] = next_share(w.south, w.cell_m, s.cell[ROW], ay, dy)
     s.share[EACH_X], s.share[EACH_Y] = w.cell_m / max(abs(dx), 1e-300), w.cell_m / max(abs(dy), 1e-300)

@@ -1,15 +1,15 @@
 """From pairs of points to the paths between them."""
 
+import itertools
 from collections.abc import Iterable
 from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vcmvsp.cosim.compiled.machine_code import Core, available
 from vcmvsp.netsim.interfaces.layers import Floats, Ints
 from vcmvsp.netsim.propagation.rays import coefficients, field, search
-from vcmvsp.netsim.propagation.rays.arrays import Work
+from vcmvsp.netsim.propagation.rays.arrays import Complex, Work
 from vcmvsp.netsim.propagation.rays.search import (
     BEAMS,
     CORNERS,
@@ -26,12 +26,12 @@ from vcmvsp.netsim.propagation.rays.world import RayWorld
 
 CELL_M, STOREY_M = 8.0, 4.0  # size of the cells whose view is kept
 CORE = (coefficients, field, search)
-Complex = NDArray[np.complex128]
 COMPILE_S = 10.0  # CPU time of interpreted search for which compiling pays
 _CANDIDATE_S, _TARGET_S, _BEAM_S = 1.5e-5, 3e-5, 1e-6  # CPU time of one, interpreted
 _PATHS, _BEAMS = 1 << 10, 1 << 14  # room at first
 _MOST_PAIRS = 1 << 32  # of facets and what they may see, a byte each
 _CORNERS = 8  # of regions and targets
+_NUMBERS: dict[Any, type[np.float64]] = {Floats: np.float64}  # of the arrays of `Work`; others have integers
 
 Cell = tuple[int, int, int]
 
@@ -189,7 +189,7 @@ def _doubled(s: Work, names: Iterable[str]) -> Work:
 def _box_of(cell: Cell) -> Floats:
     """Corners of a cell, (8, 3) m."""
     low = np.array(cell) * (CELL_M, CELL_M, STOREY_M)
-    steps = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+    steps = np.array(list(itertools.product((0, 1), repeat=3)))
     return np.asarray(low + steps * (CELL_M, CELL_M, STOREY_M))
 
 
@@ -201,43 +201,31 @@ def starts_and_items(parts: list[Ints]) -> tuple[Ints, Ints]:
 
 def _new_work(world: RayWorld, reflections: int, *, diffraction: bool, transmission: bool) -> Work:
     """A work with nothing to do yet."""
-    facets, edges, bodies = len(world.terrain.plane_at), len(world.terrain.angle), len(world.terrain.bottom)
-    depth, most = max(reflections, 2) + 2, max(reflections, 2)
-    sizes: dict[str, int] = {
-        "counts": 10,
-        "facet_mark": facets,
-        **dict.fromkeys(("edge_mark", "edge_at", "edge_apart"), edges),
-        "group_mark": len(world.terrain.group_radius),
-        **dict.fromkeys(("beam_edge", "beam_at", "beam_apart"), max(_BEAMS, edges)),
-        "facet_leg": facets,
-        "body_leg": bodies,
-        "cell": 6,
-        "share": 5,
-        **{f"{name}_{axis}": size for name, size in (("end", 2), ("image", depth), ("point", depth)) for axis in "xyz"},
-        **{f"{name}_{axis}": _CORNERS for name in ("region", "target", "beam") for axis in "xyz"},
-        "chosen": depth,
-        "place": depth,
-        "element": depth,
-        "wave": 3,
-        **dict.fromkeys(("seen", "hider"), facets + edges),
-        **dict.fromkeys(("path_real", "path_imag", "path_length"), _PATHS),
-        **dict.fromkeys(("path_pair", "path_count", "pass_path", "pass_leg", "pass_facet", "pass_at"), _PATHS),
-        **dict.fromkeys(("path_element", "path_x", "path_y", "path_z"), _PATHS * most),
-    }
-    row = facets + edges
+    facets, edges = len(world.terrain.plane_at), len(world.terrain.angle)
+    row, most = facets + edges, max(reflections, 2)
+    depth = most + 2
+    lengths = (
+        (10, "counts"),
+        (6, "cell"),
+        (5, "share"),
+        (3, "wave"),
+        (2, "end_x end_y end_z"),
+        (depth, "chosen place element image_x image_y image_z point_x point_y point_z"),
+        (_CORNERS, "region_x region_y region_z target_x target_y target_z beam_x beam_y beam_z"),
+        (facets, "facet_mark facet_leg"),
+        (edges, "edge_mark edge_at edge_apart"),
+        (len(world.terrain.group_radius), "group_mark"),
+        (len(world.terrain.bottom), "body_leg"),
+        (row, "seen hider"),
+        (max(_BEAMS, edges), "beam_edge beam_at beam_apart"),
+        (_PATHS, "path_pair path_count path_real path_imag path_length pass_path pass_leg pass_facet pass_at"),
+        (_PATHS * most, "path_element path_x path_y path_z"),
+    )
+    sizes = {name: size for size, names in lengths for name in names.split()}
+    kinds = get_type_hints(Work).items()
+    fields: dict[str, Any] = {name: np.zeros(sizes.get(name, 0), _NUMBERS.get(kind, np.int64)) for name, kind in kinds}
     is_small = facets * row <= _MOST_PAIRS
     sees = np.zeros(facets * row, np.uint8) if is_small else np.full(row, search.SEEN, np.uint8)  # zeros take no memory yet
-    fields: dict[str, Any] = {
-        name: np.zeros(sizes.get(name, 0), np.float64 if kind == Floats else np.int64)
-        for name, kind in get_type_hints(Work).items()
-    }
-    return Work(
-        **{
-            **fields,
-            "reflections": reflections,
-            "diffraction": int(diffraction),
-            "transmission": int(transmission),
-            "sees_row": row * is_small,
-            "sees": sees,
-        },
-    )
+    fields.update(sees=sees, sees_row=row * is_small, reflections=reflections)
+    fields.update(diffraction=int(diffraction), transmission=int(transmission))
+    return Work(**fields)

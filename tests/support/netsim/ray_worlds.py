@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.netsim.interfaces.layers import Floats
+from vcmvsp.netsim.propagation.rays.arrays import Complex
 from vcmvsp.netsim.propagation.rays.loss import Rays, Traced
-from vcmvsp.netsim.propagation.rays.tracer import Complex
 from vcmvsp.physics.raycast.surfaces import SolidSurfaces
 from vcmvsp.physics.world.solids import AnySolid
 
