@@ -16,7 +16,7 @@ from vcmvsp.cosim.config.builtin_kinds import KINDS
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.config.registry import NO_CODE, only
 from vcmvsp.cosim.errors import UsageError
-from vcmvsp.cosim.metrics.motion import motion
+from vcmvsp.cosim.metrics.motion import Motion, motion
 from vcmvsp.cosim.recording.recorded_run import tables_of
 from vcmvsp.cosim.scenario import loader as scenario
 from vcmvsp.cosim.scenario.schema import Scenario
@@ -206,12 +206,16 @@ def _round_step(step_m: float) -> float:
     return next(power * digit for digit in (1.0, 2.0, 5.0, 10.0) if power * digit >= step_m * (1.0 - 1e-9))
 
 
-def places_at(folder: Path, at_ns: float) -> dict[str, Vec3]:
-    """The vehicles' positions in a run at a time, m, world."""
+def _motion_of(folder: Path) -> Motion:
     try:
-        moved = motion(tables_of(folder, radio=()).states)
+        return motion(tables_of(folder, radio=()).states)
     except (OSError, ValueError) as error:  # a damaged table
         raise UsageError(f"{folder} cannot be read: {error}") from error
+
+
+def places_at(folder: Path, at_ns: float) -> dict[str, Vec3]:
+    """The vehicles' positions in a run at a time, m, world."""
+    moved = _motion_of(folder)
     instant = int(np.searchsorted(moved.time_ns, at_ns, side="right")) - 1
     if instant < 0 or not at_ns <= moved.time_ns[-1]:
         raise UsageError(f"{at_ns / SECOND_NS:g} s: the run in {folder} lasted from 0 to {moved.time_ns[-1] / SECOND_NS:g} s")
@@ -222,10 +226,7 @@ def write_antennas(folder: Path, target: Path) -> int:
     """Write the antennas' recorded places of a run as CSV, ``t,name,x,y,z`` (s, m); returns the number of lines."""
     parsed, source = scenario.load(folder / "scenario.toml")
     channel, _, _ = radio.channel_of(without_own_layers(parsed)[0], source, solids=())
-    try:
-        moved = motion(tables_of(folder, radio=()).states)
-    except (OSError, ValueError) as error:  # a damaged table
-        raise UsageError(f"{folder} cannot be read: {error}") from error
+    moved = _motion_of(folder)
     above = channel.budgets.antennas_above(moved.names)
     lines = ["t,name,x,y,z"]
     for row, time_ns in enumerate(moved.time_ns.tolist()):
@@ -243,18 +244,19 @@ def write_antennas(folder: Path, target: Path) -> int:
 def to_table(coverage_map: Map) -> dict[str, Any]:
     """The map for JSON: rows from south to north, each from west to east."""
     names = ("scenario", "vehicle", "preset", "seed", "size_bytes", "height_m", "floor_dbm", "noise_dbm")
-    arrays = ("x", "y", "level_dbm", "success")
-    return {
-        "schema": SCHEMA,
-        **{name: getattr(coverage_map, name) for name in names},
-        "vehicles": {name: list(place) for name, place in coverage_map.places.items()},
-        "at_vehicles": {
-            name: {"level_dbm": level, "success": success} for name, (level, success) in coverage_map.others.items()
-        },
-        **({"not_executed": list(coverage_map.not_executed)} if coverage_map.not_executed else {}),
+    table: dict[str, Any] = {"schema": SCHEMA, **{name: getattr(coverage_map, name) for name in names}}
+    table["vehicles"] = {name: list(place) for name, place in coverage_map.places.items()}
+    others = coverage_map.others.items()
+    table["at_vehicles"] = {name: {"level_dbm": level, "success": success} for name, (level, success) in others}
+    if coverage_map.not_executed:
+        table["not_executed"] = list(coverage_map.not_executed)
+    return table | {
         "heard_share": covered_share(coverage_map),
         "mean_success": float(coverage_map.success.mean()),
-        **{f"{name}_m" if name in ("x", "y") else name: getattr(coverage_map, name).tolist() for name in arrays},
+        "x_m": coverage_map.x.tolist(),
+        "y_m": coverage_map.y.tolist(),
+        "level_dbm": coverage_map.level_dbm.tolist(),
+        "success": coverage_map.success.tolist(),
     }
 
 

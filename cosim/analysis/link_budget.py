@@ -100,7 +100,8 @@ def _find(log: Log, frames: LinkFrames, pair: Pair, which: str) -> int:
     if not matches.size:
         whole = Log(log.folder)
         others = [each for each in whole.pairs() if each != pair and (whole.frames(each)["frame"] == int(which)).any()]
-        where = f"{others[0][0]} sent it to {', '.join(to for _, to in others)}" if others else "no such frame"
+        receivers = ", ".join(receiver for _, receiver in others)
+        where = f"{others[0][0]} sent it to {receivers}" if others else "no such frame"
         has = f"{link} has {len(frames)} frames, from {numbers.min()} to {numbers.max()}"
         raise UsageError(f"--frame {which}: not a frame of this link: {where}; {has}")
     return int(matches[0])
@@ -119,12 +120,13 @@ def _radio(log: Log, pair: Pair) -> dict[str, Any] | None:
     if "radio.phy" in own or not all(name in radios for name in pair):
         return None
     phy, sender, receiver = channel.phy, radios[pair[0]], radios[pair[1]]
-    hearing, least_dbm = channel.hearing, channel.budgets.least_dbm
-    sensitivity = least_dbm if receiver.sensitivity_dbm is None else receiver.sensitivity_dbm
+    power_dbm = phy.tx_power_dbm if sender.tx_power_dbm is None else sender.tx_power_dbm
+    sensitivity = channel.budgets.least_dbm if receiver.sensitivity_dbm is None else receiver.sensitivity_dbm
+    preamble_dbm = channel.hearing.noise_dbm + channel.hearing.preamble_db
     return {
-        "power_dbm": phy.tx_power_dbm if sender.tx_power_dbm is None else sender.tx_power_dbm,
+        "power_dbm": power_dbm,
         "gains_dbi": (sender.antenna_gain_dbi, receiver.antenna_gain_dbi),
-        "floor_dbm": max(sensitivity, preamble_dbm := hearing.noise_dbm + hearing.preamble_db),
+        "floor_dbm": max(sensitivity, preamble_dbm),
         "floor": "the sensitivity" if sensitivity >= preamble_dbm else "the preamble's threshold",
         "errors": getattr(phy, "errors", None),
     }
@@ -136,13 +138,18 @@ def _budget(row: Mapping[str, Any], radio: Mapping[str, Any] | None) -> Budget:
     rest = row["rssi_dbm"] - losses
     noise_dbm = row["rssi_dbm"] - row["snr_db"]
     sinr_db = None if math.isnan(row["sinr_db"]) else row["sinr_db"]
+    interference_dbm = None
     more_db = 0.0 if sinr_db is None else row["snr_db"] - sinr_db  # ratio of noise and interference to noise
+    if more_db > _NEGLIGIBLE_DB:
+        interference_dbm = noise_dbm + 10.0 * math.log10(10.0 ** (more_db / 10.0) - 1.0)
     budget = {"power_dbm": rest, "tx_gain_dbi": None, "rx_gain_dbi": None}
+    floor = floor_dbm = margin_db = None
     if radio is not None:
         tx_gain, rx_gain = radio["gains_dbi"]
         budget = {"power_dbm": radio["power_dbm"], "tx_gain_dbi": tx_gain, "rx_gain_dbi": rx_gain}
+        floor, floor_dbm = radio["floor"], radio["floor_dbm"]
+        margin_db = row["rssi_dbm"] - floor_dbm
     changes_db = rest - sum(value for value in budget.values() if value is not None)
-    floor_dbm = None if radio is None else radio["floor_dbm"]
     return {
         **budget,
         "path_loss_db": -row["path_loss_db"],
@@ -152,12 +159,12 @@ def _budget(row: Mapping[str, Any], radio: Mapping[str, Any] | None) -> Budget:
         "changes_db": changes_db,
         "rssi_dbm": row["rssi_dbm"],
         "noise_dbm": noise_dbm,
-        "interference_dbm": noise_dbm + 10.0 * math.log10(10.0 ** (more_db / 10.0) - 1.0) if more_db > _NEGLIGIBLE_DB else None,
+        "interference_dbm": interference_dbm,
         "snr_db": row["snr_db"],
         "sinr_db": sinr_db,
-        "floor": None if radio is None else radio["floor"],
+        "floor": floor,
         "floor_dbm": floor_dbm,
-        "margin_db": None if floor_dbm is None else row["rssi_dbm"] - floor_dbm,
+        "margin_db": margin_db,
     }
 
 

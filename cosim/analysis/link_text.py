@@ -1,6 +1,7 @@
 """Text output of `cosim.analysis.links` for a terminal."""
 
 from collections.abc import Container, Mapping, Sequence
+from itertools import starmap
 from typing import Any
 
 from vcmvsp.cosim.util.text import aligned
@@ -16,7 +17,10 @@ def overview_text(rows: Sequence[Row], vehicles: Sequence[str]) -> str:
     if len(rows) > 1 and len(vehicles) <= _MATRIX:
         ratio = {(row["sender"], row["receiver"]): _percent(row["delivery_ratio"]) for row in rows}
         lines = [["from \\ to", *vehicles]]
-        lines += [[a, *(ratio.get((a, b), "-") for b in vehicles)] for a in vehicles if any((a, b) in ratio for b in vehicles)]
+        senders = {sender for sender, _ in ratio}
+        for name in filter(senders.__contains__, vehicles):
+            shares = [ratio.get((name, other), "-") for other in vehicles]
+            lines.append([name, *shares])
         parts.append("delivered, %\n" + _table(lines, range(1, 1 + len(vehicles))))
     head = ["link", "frames", "delivered %", "distance m", "level dBm", "longest gap s", "lost to"]
     lines = [head]
@@ -53,8 +57,8 @@ def link_text(link: Row) -> str:
         of = link[f"{name}_db"]
         lines.append([name, f"{_figure(of['mean'], 1)} dB on average, standard deviation {_figure(of['sd'], 1)} dB"])
     for name in ("delay", "queue", "access"):
-        values = ((key, "-" if value is None else f"{1e3 * value:.3f}") for key, value in link[f"{name}_s"].items())
-        lines.append([name, ", ".join(f"{key} {value}" for key, value in values) + " ms"])
+        values = [f"{key} {_milliseconds(value)}" for key, value in link[f"{name}_s"].items()]
+        lines.append([name, ", ".join(values) + " ms"])
     gap_s, from_s = receptions["longest_gap_s"], receptions["gap_from_s"]
     lines.append(["longest gap", "-" if gap_s is None else f"{gap_s:.3f} s, from {from_s:.3f} s on"])
     lines.append(["received", f"first at {_figure(receptions['first_s'], 3)} s, last at {_figure(receptions['last_s'], 3)} s"])
@@ -87,7 +91,7 @@ def frame_text(frame: Row) -> str:
     if budget["floor_dbm"] is not None:
         beside = f"the level is {abs(budget['margin_db']):.2f} dB {'above' if budget['margin_db'] >= 0.0 else 'below'} it"
         items.append((budget["floor"].removeprefix("the "), budget["floor_dbm"], "dBm", beside))
-    lines = [[name, _figure(value, 2), unit if value is not None else "", note] for name, value, unit, note in items]
+    lines = list(starmap(_item, items))
     head = f"frame {frame['frame']}, {frame['sender']} -> {frame['receiver']}, {frame['size_bytes']} bytes"
     text = f"{head}, sent at {frame['sent_s']:.3f} s\n\n{_table(lines, (1,))}\n{frame['why']}\n"
     return text + (_paths_text(frame["paths"]) if "paths" in frame else "")
@@ -112,6 +116,14 @@ def _table(rows: Sequence[Sequence[str]], right: Container[int]) -> str:
 
 def _percent(share: float | None) -> str:
     return "-" if share is None else f"{100.0 * share:.1f}"
+
+
+def _item(name: str, value: float | None, unit: str, note: str) -> list[str]:
+    return [name, _figure(value, 2), "" if value is None else unit, note]
+
+
+def _milliseconds(value_s: float | None) -> str:
+    return "-" if value_s is None else f"{1e3 * value_s:.3f}"
 
 
 def _figure(value: float | None, digits: int) -> str:

@@ -4,11 +4,11 @@ Counts obey ``frames = received + sum of losses + under_way``: a frame in transi
 lost. Levels and ratios are taken over frames that were on the air. Unmeasurable values are None.
 """
 
+import fnmatch
 import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Any
@@ -70,10 +70,10 @@ class Log:
         sender, slash, receiver = link.partition("/")
         if not slash or not sender or not receiver or "/" in receiver:
             raise UsageError(f"--link {link}: must be SENDER/RECEIVER, e.g. car1/car2, or car1/* for all that car1 sends")
-        for name in (sender, receiver):
-            if not any(fnmatchcase(each, name) for each in self.vehicles):
+        senders, receivers = fnmatch.filter(self.vehicles, sender), fnmatch.filter(self.vehicles, receiver)
+        for name, matches in ((sender, senders), (receiver, receivers)):
+            if not matches:
                 raise UsageError(f"--link {link}: {binding.unknown('vehicle', name, self.vehicles)}")
-        senders, receivers = ([name for name in self.vehicles if fnmatchcase(name, part)] for part in (sender, receiver))
         pairs = [(a, b) for a in senders for b in receivers if a != b]
         if not pairs:
             alone = f"{self.folder}: a run with one vehicle, {self.vehicles[0]}, has no links"
@@ -172,7 +172,9 @@ def overview(log: Log, link: str = "*/*") -> list[dict[str, Any]]:
     for pair in log.pairs(link):
         frames = log.frames(pair)
         sent, gaps = frames.select(frames["air_time_ns"] > 0), _receptions(frames.arrived["received_ns"])
-        medians = {name: float(np.median(sent[name])) if len(sent) else None for name in ("rssi_dbm", "distance_m")}
+        medians: dict[str, float | None] = dict.fromkeys(("rssi_dbm", "distance_m"))
+        if len(sent):
+            medians = {name: float(np.median(sent[name])) for name in medians}
         rows.append({**_counts(pair, frames), **medians, "longest_gap_s": gaps["longest_gap_s"]})
     return sorted(rows, key=lambda row: math.inf if row["delivery_ratio"] is None else row["delivery_ratio"])
 
@@ -211,6 +213,7 @@ def _counts(pair: Pair, frames: LinkFrames) -> dict[str, Any]:
     decided = frames.decided
     outcomes = decided.counts("outcome")
     received = outcomes.pop(RECEIVED, 0)
+    losses = {cause: {"frames": count, "share": count / len(decided)} for cause, count in outcomes.items()}
     return {
         "sender": pair[0],
         "receiver": pair[1],
@@ -218,7 +221,7 @@ def _counts(pair: Pair, frames: LinkFrames) -> dict[str, Any]:
         "received": received,
         "under_way": len(frames) - len(decided),
         "delivery_ratio": received / len(decided) if len(decided) else None,
-        "losses": {cause: {"frames": count, "share": count / len(decided)} for cause, count in outcomes.items()},
+        "losses": losses,
     }
 
 

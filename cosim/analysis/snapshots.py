@@ -323,7 +323,9 @@ class Share(NamedTuple):
         n, share, z2 = self.of, self.value, Z * Z
         middle = (share + 0.5 * z2 / n) / (1.0 + z2 / n)
         reach = Z / (1.0 + z2 / n) * math.sqrt(share * (1.0 - share) / n + 0.25 * z2 / (n * n))
-        return (middle - reach if self.part > 0 else 0.0), (middle + reach if self.part < self.of else 1.0)
+        low = middle - reach if self.part > 0 else 0.0
+        high = middle + reach if self.part < self.of else 1.0
+        return low, high
 
     def plus(self, *answers: bool) -> "Share":
         """The share with further answers."""

@@ -266,12 +266,14 @@ def _boxes(axes: Axes, sightings: Sightings) -> None:
         axes.plot(*corners[:2].T, color=TARGET, linewidth=3.0)
         left, right = 0.14 * sightings.width, 0.86 * sightings.width  # between them the text stays inside
         middle = float(np.clip(each.centre_px[0], left, right))
-        place, low = (middle, corners[:, 1].min() - 4.0), corners[:, 1].min() > 0.12 * sightings.height
+        height, side = corners[:, 1].min() - 4.0, "bottom"
+        if corners[:, 1].min() <= 0.12 * sightings.height:  # no room above it
+            height, side = corners[:, 1].max() + 4.0, "top"
         axes.annotate(
             label_of(each),
-            place if low else (place[0], corners[:, 1].max() + 4.0),
+            (middle, height),
             ha="center",
-            va="bottom" if low else "top",
+            va=side,
             color=TARGET,
             path_effects=[withStroke(linewidth=2.0, foreground=EDGE)],
             annotation_clip=True,

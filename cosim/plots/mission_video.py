@@ -129,7 +129,9 @@ class _Above:
 class _Beside:
     def __init__(self, log: MissionLog) -> None:
         self._log = log
-        pictures_of = {name: [each for each in log.sightings.get(name, ()) if each[1].jpeg] for name in log.vehicles}
+        pictures_of = {}
+        for name in log.vehicles:
+            pictures_of[name] = [each for each in log.sightings.get(name, ()) if each[1].jpeg]
         chosen = sorted(pictures_of, key=lambda name: not pictures_of[name])[:MOST_PICTURES]
         self._pictures_of = {name: pictures for name, pictures in pictures_of.items() if name in chosen}
         count = len(self._pictures_of)

@@ -1,6 +1,7 @@
 """Figures of a run from its tables: `trajectory` seen from above and `formation_error` over time."""
 
 from collections.abc import Collection, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 import pyarrow as pa
@@ -204,7 +205,7 @@ def _draw_ages(axes: Axes, moved: Motion, radio: Table, follows: Sequence[Placem
 
 
 def _draw_losses(axes: Axes, moved: Motion, radio: pa.Table, follows: Sequence[Placement], followers: list[str]) -> None:
-    lost = [np.concatenate([_lost_s(radio, name, leader) for leader in _leaders(name, follows)]) for name in followers]
+    lost = [np.concatenate([*map(partial(_lost_s, radio, name), _leaders(name, follows))]) for name in followers]
     colors = [color_of(moved.column(name)) for name in followers]
     if followers:
         axes.eventplot(lost, colors=colors, lineoffsets=list(range(len(lost))), linelengths=0.75, linewidths=0.7)
@@ -237,8 +238,9 @@ def _lost_s(radio: pa.Table, receiver: str, sender: str) -> Array:
 
 def _legend(axes: Axes) -> None:
     handles, labels = axes.get_legend_handles_labels()
-    vehicles = [place for place, label in enumerate(labels) if label not in EXPLAINED]
-    places = [*vehicles[:LISTED], *(place for place, label in enumerate(labels) if label in EXPLAINED)]
-    axes.legend([handles[place] for place in places], [labels[place] for place in places], ncols=5, **ABOVE)
+    entries = list(zip(handles, labels, strict=True))
+    vehicles = [entry for entry in entries if entry[1] not in EXPLAINED]
+    others = [entry for entry in entries if entry[1] in EXPLAINED]
+    axes.legend(*zip(*vehicles[:LISTED], *others, strict=True), ncols=5, **ABOVE)
     if len(vehicles) > LISTED:
         axes.set_title(f"and {len(vehicles) - LISTED} more", loc="right", fontsize="small")

@@ -132,17 +132,18 @@ def _line(axes: Axes, table: Table, quantities: tuple[str, str], rows: list[int]
 
 def _bars(axes: Axes, table: Table, quantities: tuple[str, str], rows: list[int], spread: float, look: dict[str, Any]) -> None:
     key, metric = quantities
-    values = _distinct(table.columns[key]) if key else [""]
-    places = [values.index(table.columns[key][row]) + spread if key else spread for row in rows]
+    values = table.columns[key] if key else [""] * len(table.columns["n"])
+    place_of = {value: place for place, value in enumerate(_distinct(values))}
+    places = [place_of[values[row]] + spread for row in rows]
     _, mean, low, high = _values(table, "", metric, rows)
     error = np.nan_to_num(np.array([mean - low, high - mean]))
     axes.errorbar(places, mean, error, **{**look, "linestyle": ""}, capsize=3, markersize=5, zorder=3)
 
 
 def _values(table: Table, key: str, metric: str, rows: list[int]) -> tuple[Array, Array, Array, Array]:
-    parts = (table.columns[f"{metric}.{part}"] for part in ("mean", "low", "high"))
-    mean, low, high = (np.array([part[row] for row in rows], float) for part in parts)
-    x = np.array([table.columns[key][row] if key else 0.0 for row in rows], float)
+    parts = [table.columns[f"{metric}.{part}"] for part in ("mean", "low", "high")]
+    mean, low, high = np.array(parts, float)[:, rows]
+    x = np.array(table.columns[key], float)[rows] if key else np.zeros(len(rows))
     return x, mean, low, high
 
 
@@ -236,11 +237,11 @@ def _sorted(summary: pa.Table, keys: Sequence[str]) -> Table:
     """Sort the rows by all numbers and keep the order of names; drop keys with a single value."""
     columns = summary.to_pydict()
     varied = [key for key in keys if len(_distinct(columns[key])) > 1]
-    numeric = tuple(key for key in varied if all(_is_number(value) for value in columns[key]))
+    numeric = tuple(key for key in varied if all(map(_is_number, columns[key])))
     order = sorted(range(summary.num_rows), key=lambda row: [columns[key][row] for key in numeric])
     names = {key: _distinct(columns[key]) for key in varied if key not in numeric}
     order.sort(key=lambda row: [names[key].index(columns[key][row]) for key in names])
-    return Table({name: [values[row] for row in order] for name, values in columns.items()}, numeric, tuple(names))
+    return Table(summary.take(pa.array(order, pa.int64())).to_pydict(), numeric, tuple(names))
 
 
 def _groups(table: Table, others: Sequence[str]) -> dict[str, list[int]]:
@@ -263,8 +264,10 @@ def _is_number(value: object) -> bool:
 def _labels(values: Sequence[Any]) -> list[str]:
     """Labels of different values: tables by their kinds, numbers with six digits where those suffice."""
     kinds = [kind for value in values if isinstance(kind := _kind(value), str)]
-    short = [_short(value) for value in values]
-    return next((names for names in (kinds, short) if len(set(names)) == len(values)), [str(value) for value in values])
+    for names in (kinds, list(map(_short, values))):
+        if len(set(names)) == len(values):
+            return names
+    return list(map(str, values))
 
 
 def _kind(value: object) -> object:

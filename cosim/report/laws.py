@@ -80,8 +80,9 @@ class MeasuredRun:
     def steady(self) -> list[Placement]:
         """Slots of the followers if constant over the run; else empty."""
         follows = self.recording.follows
-        changes = len({each.vehicle for each in follows}) < len(follows)
-        return [] if changes else [each for each in follows if each.follows.leader is not None]
+        if len({each.vehicle for each in follows}) < len(follows):
+            return []
+        return [each for each in follows if each.follows.leader is not None]
 
 
 def laws(run: MeasuredRun) -> Iterator[Expected]:
@@ -267,20 +268,21 @@ def motion_laws(run: MeasuredRun) -> Iterator[Expected]:
 
 
 def _straight(run: MeasuredRun, followers: list[Placement]) -> Iterator[Expected]:
-    leaders, team = {str(each.follows.leader) for each in followers}, [each.vehicle for each in followers]
+    leaders = {str(each.follows.leader) for each in followers}
+    team = [each.vehicle for each in followers]
     first = leaders.pop()
-    agents, leader = [run.agent(name) for name in team], run.agent(first)
+    agents, leader = list(map(run.agent, team)), run.agent(first)
     gains = {float(agent["k1"]) for agent in agents}
     periods = {float(agent["period_s"]) for agent in (leader, *agents)}
     delay, loss = run.radio["delay"], run.radio["loss"]
+    are_free = (_moves_freely(run, name, _ROOM * float(leader["speed"])) for name in (first, *team))
     simple = (
         not leaders
         and len(gains) == len(periods) == 1
         and _drives(leader, "straight")
         and "sending" not in leader
-        and all((agent.get("estimator"), agent.get("feed")) == ("hold", "parent") for agent in agents)
-        and not any("avoidance" in agent or agent["latency_s"] for agent in agents)
-        and all(_moves_freely(run, name, _ROOM * float(leader["speed"])) for name in (first, *team))
+        and all(map(_holds_reports, agents))
+        and all(are_free)
         and (delay["kind"], delay.get("jitter_s")) == ("fixed", 0.0)
         and loss["kind"] == "bernoulli"
         and loss["probability"] < 1.0
@@ -321,6 +323,12 @@ def _circle(run: MeasuredRun, placed: Placement) -> Iterator[Expected]:
     apart = f"distance of {name} to {at.leader}, mean"
     yield Expected(apart, distance, measured[0], "sqrt(L² + L'² - 2 L L' sin th)", holds, "m")
     yield Expected(f"speed of {name}, mean", own_speed, measured[1], "w sqrt((R + L')² - L²)", "as above", "m/s")
+
+
+def _holds_reports(agent: Mapping[str, Any]) -> bool:
+    """Whether a follower only holds its leader's reports, and acts on them at once."""
+    law = agent.get("estimator"), agent.get("feed")
+    return law == ("hold", "parent") and "avoidance" not in agent and not agent["latency_s"]
 
 
 def _moves_freely(run: MeasuredRun, vehicle: str, speed: float) -> bool:

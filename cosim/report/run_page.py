@@ -6,11 +6,12 @@ Equal runs have equal pages except the last section, which describes the machine
 import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from itertools import starmap
 from pathlib import Path
 from typing import Any
 
 from vcmvsp.cosim.errors import words_of
-from vcmvsp.cosim.report.page import Code, Facts, Figure, Part, Rows, Section, Words, page
+from vcmvsp.cosim.report.page import Code, Facts, Figure, Part, Rows, Section, Words, counted, page
 from vcmvsp.cosim.report.run_folder import FILES, RunContent, content_of
 from vcmvsp.cosim.report.tables import expectation_table, fault_table, link_table, loss_table, number_tables, vehicle_table
 from vcmvsp.cosim.util.files import write_whole
@@ -71,15 +72,17 @@ def run_page(content: RunContent, drawings: Mapping[str, str]) -> str:
         Section("What is missing", _missing(content)),
         Section("Figures", figures),
         Section("Expected and measured", expectation_table(content)),
-        *(Section(title, parts) for title, parts in number_tables(content.metrics)),
+        *starmap(Section, number_tables(content.metrics)),
         Section("Vehicles", vehicle_table(content)),
-        Section("Links", [] if content.links is None else link_table(content.links)),
-        Section("What was lost, and why", [] if content.links is None else loss_table(content.links, content.folder)),
-        Section("Agents and incidents", list(_incidents(content))),
-        Section("Again", list(_again(content))),
-        Section("Scenario", [Code(content.scenario_toml, folded="with everything filled in")] if content.scenario_toml else []),
-        Section(MACHINE, list(_machine(content.about))),
     ]
+    if content.links is not None:
+        sections.append(Section("Links", link_table(content.links)))
+        sections.append(Section("What was lost, and why", loss_table(content.links, content.folder)))
+    sections.append(Section("Agents and incidents", list(_incidents(content))))
+    sections.append(Section("Again", list(_again(content))))
+    if content.scenario_toml:
+        sections.append(Section("Scenario", [Code(content.scenario_toml, folded="with everything filled in")]))
+    sections.append(Section(MACHINE, list(_machine(content.about))))
     return page(_title(content), " ".join(_sentences(content)), [each for each in sections if each.parts])
 
 
@@ -198,8 +201,9 @@ def _summary(content: RunContent) -> str:
     if lasted is not None and duration_s is not None and lasted < duration_s:
         times = f", {lasted:g} of {duration_s:g} s simulated"
     real = sum("driver" in each for each in content.scenario.get("vehicle", []))
-    words = f"{vehicles} vehicle{'' if vehicles == 1 else 's'}" + (f", {real} of them real" if real else "")
-    return f"{words}{times}." if vehicles else f"A run that was cut{times}."
+    words = counted(vehicles, "vehicle") if vehicles else "A run that was cut"
+    of_them = f", {real} of them real" if real else ""
+    return f"{words}{of_them}{times}."
 
 
 def radio_sentences(radio: Mapping[str, Any]) -> Iterator[str]:
@@ -209,15 +213,16 @@ def radio_sentences(radio: Mapping[str, Any]) -> Iterator[str]:
     elif radio["delivery_ratio"] is None:
         yield f"{radio['frames']} frames were sent, and all were still under way when the run ended."
     else:
+        sentence = f"{radio['frames']} frames were sent, and {100.0 * radio['delivery_ratio']:.1f} % arrived"
         losses = sorted(radio["losses"].items(), key=lambda each: -each[1])
-        lost = ", ".join([*(f"{count} {cause}" for cause, count in losses[:3]), *(["..."] if len(losses) > 3 else [])])
-        age = radio["age_s"]["mean"]
-        yield (
-            f"{radio['frames']} frames were sent, and {100.0 * radio['delivery_ratio']:.1f} % arrived"
-            + (f" (lost: {lost})" if lost else "")
-            + (f", {under_way} were still under way" if (under_way := radio.get("under_way")) else "")
-            + (f"; what was known of others was {age:.3g} s old on average." if age is not None else ".")
-        )
+        causes = [f"{count} {cause}" for cause, count in losses[:3]] + ["..."] * (len(losses) > 3)
+        if causes:
+            sentence += f" (lost: {', '.join(causes)})"
+        if under_way := radio.get("under_way"):
+            sentence += f", {under_way} were still under way"
+        if (age := radio["age_s"]["mean"]) is not None:
+            sentence += f"; what was known of others was {age:.3g} s old on average"
+        yield f"{sentence}."
 
 
 def _formation(formation: Mapping[str, Any]) -> Iterator[str]:
@@ -240,7 +245,7 @@ def _mission(mission: Mapping[str, Any]) -> Iterator[str]:
 def _safety(metrics: Mapping[str, Any]) -> Iterator[str]:
     collisions, least = metrics["safety"]["collisions"], metrics["safety"]["min_clearance_m"]
     if collisions:
-        yield f"Bodies touched {collisions} time{'' if collisions == 1 else 's'}."
+        yield f"Bodies touched {counted(collisions, 'time')}."
     elif least is not None:
         yield f"Nothing touched anything; the least clearance was {least:.3g} m."
     faulty = [name for name, each in metrics["agents"].items() if any(each.values())]
@@ -249,4 +254,4 @@ def _safety(metrics: Mapping[str, Any]) -> Iterator[str]:
     stopped = {name: sum(each["stops"].values()) for name, each in metrics.get("hardware", {}).items()}
     for name, times in stopped.items():
         if times:
-            yield f"{name}, which is real, was stopped {times} time{'' if times == 1 else 's'}."
+            yield f"{name}, which is real, was stopped {counted(times, 'time')}."

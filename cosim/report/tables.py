@@ -67,11 +67,16 @@ def flat(table: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[tupl
 
 def _by_vehicle(group: str, of: Mapping[str, Mapping[str, Any]]) -> Rows:
     rows = {vehicle: dict(flat(each)) for vehicle, each in of.items()}
-    paths = list(dict.fromkeys(path for each in rows.values() for path in each))
-    columns = [path for path in paths if any(each.get(path) is not None for each in rows.values())]
-    units = [unit_of((group, *path)) for path in columns]
-    head = [".".join(path) + (f" [{unit}]" if unit else "") for path, unit in zip(columns, units, strict=True)]
-    return Rows(["vehicle", *head], [[vehicle, *(each.get(path) for path in columns)] for vehicle, each in rows.items()])
+    paths = dict.fromkeys(path for each in rows.values() for path in each)
+    measured = {path for each in rows.values() for path, value in each.items() if value is not None}
+    columns = [path for path in paths if path in measured]
+    head = [_heading(group, path) for path in columns]
+    return Rows(["vehicle", *head], [[vehicle, *map(each.get, columns)] for vehicle, each in rows.items()])
+
+
+def _heading(group: str, path: tuple[str, ...]) -> str:
+    unit = unit_of((group, *path))
+    return ".".join(path) + (f" [{unit}]" if unit else "")
 
 
 def _explained(group: str, of: Mapping[str, Mapping[str, Any]]) -> Sequence[Part]:
@@ -124,11 +129,13 @@ def _ways(content: RunContent) -> dict[str, list[Any]]:
 def _air(content: RunContent) -> dict[str, list[Any]]:
     if content.links is None or content.recording is None:
         return {}
-    links, cells_of = content.links, {}
+    links = content.links
+    cells_of: dict[str, list[Any]] = {}
     decided = links.sent - links.under_way
     for i, name in enumerate(links.names):
-        shares = [(links.received[part].sum(), decided[part].sum()) for part in (np.s_[i, :], np.s_[:, i])]
-        cells_of[name] = [int(links.frames[i]), *(round(100.0 * float(got / of), 1) if of else None for got, of in shares)]
+        cells_of[name] = [int(links.frames[i])]
+        for received, of in ((links.received[i], decided[i]), (links.received[:, i], decided[:, i])):
+            cells_of[name].append(_percent(float(received.sum() / of.sum())) if of.any() else None)
     return cells_of
 
 

@@ -295,12 +295,12 @@ def _check(plan: Plan, base: Base, point: tuple[Any, ...]) -> Mapping[str, bytes
 
 def _metrics(plan: Plan, base: Base) -> list[str]:
     """The requested metrics, checked, or the default ones."""
-    first, last = (tuple(values[place] for values in plan.vary.values()) for place in (0, -1))
-    names = _names(plan, base, first)
+    names = _names(plan, base, 0)
     if not plan.metrics:
-        return list(FORMATION if any(name.startswith("formation.per_follower.") for name in names) else NO_FORMATION)
+        has_followers = any(name.startswith("formation.per_follower.") for name in names)
+        return list(FORMATION if has_followers else NO_FORMATION)
     if names and not _exist(plan.metrics, names):
-        names |= _names(plan, base, last)  # may have more vehicles than the first
+        names |= _names(plan, base, -1)  # may have more vehicles than the first
     for name in plan.metrics:
         if names and not _exist([name], names):
             near = difflib.get_close_matches(name, names, n=1)
@@ -315,9 +315,9 @@ def _exist(metrics: Sequence[str], names: set[str]) -> bool:
     return all(name in names or name.startswith("radio.losses.") for name in metrics)
 
 
-def _names(plan: Plan, base: Base, point: tuple[Any, ...]) -> set[str]:
-    """Names of the numeric metrics, from a shortened run; empty if it fails."""
-    settings = plan.settings(point)
+def _names(plan: Plan, base: Base, place: int) -> set[str]:
+    """Names of the numeric metrics, from a shortened run with the values at this place; empty if it fails."""
+    settings = plan.settings(tuple(values[place] for values in plan.vary.values()))
     try:
         parsed, _ = loader.load(base.asked, settings=settings)
         short = {**settings, "duration_s": min(parsed.duration_s, parsed.record.period_s)}
@@ -327,4 +327,6 @@ def _names(plan: Plan, base: Base, point: tuple[Any, ...]) -> set[str]:
             return set()
         result = error.result  # of an own metric that fails on so short a run
     names = {name for name, value in flat(result.metrics).items() if not isinstance(value, str) and name not in plan.vary}
-    return names | ({name for name in METRICS if name.startswith("routing.")} if parsed.routing else set())
+    if parsed.routing:
+        names |= {name for name in METRICS if name.startswith("routing.")}
+    return names

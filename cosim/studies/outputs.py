@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
+import pyarrow.compute as pc
 
-from vcmvsp.cosim.report.page import Code, Facts, Figure, Part, Rows, Section, Words, cell, page
+from vcmvsp.cosim.report.page import Code, Facts, Figure, Part, Rows, Section, Words, cell, counted, page
 from vcmvsp.cosim.report.run_page import FILE
 from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.studies.plan import Plan
@@ -110,21 +111,24 @@ def _page(table: pa.Table, summary: pa.Table, plan: Plan, drawings: Mapping[str,
     sections = [
         Section("What was varied", [Facts(_varied(plan))]),
         Section("Figures", [Figure(svg, captions[name]) for name, svg in drawings.items()]),
-        Section("Summary", [Words(_EXPLAINED), _table(summary, plan)]) if summary.num_rows else None,
-        _failed(failures, list(plan.vary)) if failures else None,
-        Section("Again", _again(plan, unfinished=bool(failures) or table.num_rows < plan.size)) if repeatable else None,
-        Section("Scenario", [Code(plan.scenario_toml, folded="its file, without what was varied or set")]),
-        Section("Versions", [Facts(list(plan.versions.items()))]),
     ]
+    if summary.num_rows:
+        sections.append(Section("Summary", [Words(_EXPLAINED), _table(summary, plan)]))
+    if failures:
+        sections.append(_failed(failures, list(plan.vary)))
+    if repeatable:
+        sections.append(Section("Again", _again(plan, unfinished=bool(failures) or table.num_rows < plan.size)))
+    sections.append(Section("Scenario", [Code(plan.scenario_toml, folded="its file, without what was varied or set")]))
+    sections.append(Section("Versions", [Facts(list(plan.versions.items()))]))
     lead = " ".join(_lead(table, summary, plan, len(failures)))
-    return page(f"Study of {plan.scenario}", lead, [each for each in sections if each is not None and each.parts])
+    return page(f"Study of {plan.scenario}", lead, [each for each in sections if each.parts])
 
 
 def _lead(table: pa.Table, summary: pa.Table, plan: Plan, failed: int) -> Iterator[str]:
     """Lines on the runs and the range of each metric's means."""
     points, seeds = plan.size // len(plan.seeds), len(plan.seeds)
     failures = f"; {failed} failed" if failed else ""
-    yield f"{_count(plan.size, 'run')}: {_count(points, 'point')} with {_count(seeds, 'seed')} each{failures}."
+    yield f"{counted(plan.size, 'run')}: {counted(points, 'point')} with {counted(seeds, 'seed')} each{failures}."
     if table.num_rows < plan.size:
         yield f"Of these only {table.num_rows} are done yet: the study was cut, or goes on."
     columns = summary.to_pydict()
@@ -133,11 +137,15 @@ def _lead(table: pa.Table, summary: pa.Table, plan: Plan, failed: int) -> Iterat
         if len(means) < 2:
             continue
         (low, at_low), (high, at_high) = min(means), max(means)
-        lowest, highest = (", ".join(f"{key} {cell(columns[key][row])}" for key in plan.vary) for row in (at_low, at_high))
         if low == high:
             yield f"{metric} is {cell(low)} everywhere."
         else:
+            lowest, highest = _point(columns, plan, at_low), _point(columns, plan, at_high)
             yield f"{metric} is {cell(low)} on average at {lowest}, and {cell(high)} at {highest}."
+
+
+def _point(columns: Mapping[str, list[Any]], plan: Plan, row: int) -> str:
+    return ", ".join(f"{key} {cell(columns[key][row])}" for key in plan.vary)
 
 
 def _again(plan: Plan, *, unfinished: bool) -> list[Part]:
@@ -157,7 +165,7 @@ _EXPLAINED = (
 
 
 def _varied(plan: Plan) -> list[tuple[str, str]]:
-    facts = [(key, ", ".join(toml_of(value) for value in values)) for key, values in plan.vary.items()]
+    facts = [(key, ", ".join(map(toml_of, values))) for key, values in plan.vary.items()]
     first, last = plan.seeds[0], plan.seeds[-1]
     facts.append(("seeds", str(first) if first == last else f"{first} to {last}"))
     return [*facts, *((f"{key} (all runs)", toml_of(value)) for key, value in plan.set.items())]
@@ -174,13 +182,14 @@ def _table(summary: pa.Table, plan: Plan) -> Rows:
     for metric in plan.metrics:
         headings += [(f"{metric}.mean", metric), (f"{metric}.low", "low"), (f"{metric}.high", "high")]
         headings += [(f"{metric}.n", "its n")] if metric in partly else []
-    rows = [[_plain(columns[name][row]) for name, _ in headings] for row in range(summary.num_rows)]
-    return Rows([title for _, title in headings], rows)
+    names, titles = zip(*headings, strict=True)
+    rows = _plain_rows([columns[name] for name in names])
+    return Rows(titles, rows)
 
 
 def _failures(table: pa.Table, keys: Sequence[str]) -> list[list[Any]]:
-    columns = {name: table.column(name).to_pylist() for name in (*keys, "seed", "error")}
-    return [[_plain(columns[name][row]) for name in columns] for row, error in enumerate(columns["error"]) if error is not None]
+    failed = table.filter(pc.is_valid(table.column("error")))
+    return _plain_rows([failed.column(name).to_pylist() for name in (*keys, "seed", "error")])
 
 
 def _failed(failures: list[list[Any]], keys: Sequence[str]) -> Section:
@@ -190,9 +199,9 @@ def _failed(failures: list[list[Any]], keys: Sequence[str]) -> Section:
     return Section("Failed runs", parts)
 
 
+def _plain_rows(columns: Sequence[Sequence[Any]]) -> list[list[Any]]:
+    return [list(map(_plain, row)) for row in zip(*columns, strict=True)]
+
+
 def _plain(value: object) -> object:
     return toml_of(value) if isinstance(value, list | Mapping) else value
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"

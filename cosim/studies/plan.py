@@ -233,12 +233,14 @@ def make(
     if count * math.prod(map(len, full.values())) > MOST:
         raise UsageError(f"more than {MOST} runs: use fewer values or --seeds")
     binding.convert(first + count - 1, Seed, key="--seed plus --seeds")
+    name = parsed.name if isinstance(base.asked, Mapping) else str(base.asked)
+    metrics = [metrics] if isinstance(metrics, str) else list(metrics or usual_metrics)
     return Plan(
-        scenario=parsed.name if isinstance(base.asked, Mapping) else str(base.asked),
+        scenario=name,
         scenario_toml=base.text,
         vary=full,
         seeds=list(range(first, first + count)),
-        metrics=[metrics] if isinstance(metrics, str) else list(metrics or usual_metrics),
+        metrics=metrics,
         set={key: binding.plain(value) for key, value in settings.items()},
     )
 
@@ -276,10 +278,9 @@ def _vary(vary: Mapping[str, Any]) -> dict[str, list[Any]]:
     full: dict[str, list[Any]] = {}
     for key, values in vary.items():
         try:
-            listed = values_of(values) if isinstance(values, str) else [_plain(value) for value in values]
+            full[key] = values_of(values) if isinstance(values, str) else list(map(_plain, values))
         except (TypeError, ValueError) as error:
             raise UsageError(f"the values of {key}: {error}") from error
-        full[key] = listed
     return full
 
 
@@ -314,8 +315,9 @@ def _ours(versions: Mapping[str, str]) -> dict[str, str]:
 def _in_both(now: Mapping[str, str], then: Mapping[str, str]) -> tuple[dict[str, str], dict[str, str]]:
     """The common files of both plans, now and then; files of added values are ignored."""
     names = [name for name in then if name in now]
-    common = {name: then[name] if {*then[name].split()} <= {*now[name].split()} else now[name] for name in names}
-    return common, {name: then[name] for name in names}
+    before = {name: then[name] for name in names}
+    changed = {name: now[name] for name in names if not {*then[name].split()} <= {*now[name].split()}}
+    return {**before, **changed}, before
 
 
 def _difference(now: object, then: object, key: str = "") -> str | None:
@@ -329,5 +331,8 @@ def _difference(now: object, then: object, key: str = "") -> str | None:
         return next((each for i, (a, b) in pairs if (each := _difference(a, b, f"{key}[{i}]")) is not None), None)
     if now == then:
         return None
-    now_shown, then_shown = ("nothing" if value is None else binding.show(value) for value in (now, then))
-    return f"{key}: {now_shown} now, {then_shown} then"
+    return f"{key}: {_shown(now)} now, {_shown(then)} then"
+
+
+def _shown(value: object) -> str:
+    return "nothing" if value is None else binding.show(value)

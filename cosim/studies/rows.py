@@ -129,7 +129,9 @@ def answers_of(table: pa.Table, keys: Sequence[str], *, failed: bool = False) ->
 
 def _natural(name: str) -> list[Any]:
     """Sort key of a name: ``car2`` before ``car10``."""
-    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", name)]
+    parts: list[Any] = re.split(r"(\d+)", name)
+    parts[1::2] = map(int, parts[1::2])
+    return parts
 
 
 def _varied(values: Sequence[Any], all_values: Sequence[Any]) -> "pa.Array[Any]":

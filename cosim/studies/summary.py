@@ -93,19 +93,20 @@ def to_csv(summary: pa.Table) -> str:
 
 def rows(summary: pa.Table, keys: Sequence[str], metrics: Sequence[str]) -> list[dict[str, Any]]:
     """The summary for JSON: for each point its keys, ``n``, ``failed``, and a mapping for each metric."""
-    return [
-        {
-            **{key: row[key] for key in (*keys, "n", "failed")},
-            **{metric: {part: row[f"{metric}.{part}"] for part in ("n", *Band._fields)} for metric in metrics},
-        }
-        for row in summary.to_pylist()
-    ]
+    points = []
+    for row in summary.to_pylist():
+        point = {key: row[key] for key in (*keys, "n", "failed")}
+        for metric in metrics:
+            point[metric] = {part: row[f"{metric}.{part}"] for part in ("n", *Band._fields)}
+        points.append(point)
+    return points
 
 
 def _points(table: pa.Table, keys: Sequence[str]) -> list[list[int]]:
     rows_of: dict[str, list[int]] = {}
-    listed = zip(*(table.column(key).to_pylist() for key in keys), strict=True) if keys else [()] * table.num_rows
-    for index, values in enumerate(listed):
+    columns = [table.column(key).to_pylist() for key in keys]
+    for index in range(table.num_rows):
+        values = [column[index] for column in columns]
         rows_of.setdefault(json.dumps(values, sort_keys=True, default=str), []).append(index)
     return list(rows_of.values())
 
@@ -114,7 +115,7 @@ def _values(table: pa.Table, metric: str) -> Array:
     """A metric of every run, NaN where missing; all NaN if the column is missing because no run succeeded."""
     if metric not in table.column_names:
         return np.full(table.num_rows, np.nan)
-    return np.array([math.nan if value is None else float(value) for value in table.column(metric).to_pylist()])
+    return np.array(table.column(metric).to_pylist(), float)
 
 
 def _cell(value: object) -> object:

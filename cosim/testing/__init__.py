@@ -20,6 +20,7 @@ import numpy as np
 from vcmvsp.cosim.agent import Agent, AgentSpec, Observation
 from vcmvsp.cosim.errors import AgentError
 from vcmvsp.cosim.federate import Event, Federate, RunInfo, Step, matches
+from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.received import ReceivedMessages, receptions_at
 from vcmvsp.cosim.types import RECEPTIONS, Array, Message, Reception, VehicleState
 from vcmvsp.cosim.util.codec import Decoder, encode
@@ -125,9 +126,9 @@ def _observation(vehicle: str, others: Sequence[str], tick: int) -> Observation:
     return Observation(
         vehicle=vehicle,
         time_ns=now,
-        state=VehicleState(position=(x, y, 0.0), attitude=(float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2)))),
+        state=VehicleState(position=(x, y, 0.0), attitude=quaternion_from_yaw(yaw)),
         readings={},
-        heard=ReceivedMessages.of(() if tick < 5 else [_nonsense(other, now, tick) for other in others], now),
+        heard=ReceivedMessages.of([_nonsense(other, now, tick) for other in others if tick >= 5], now),
     )
 
 

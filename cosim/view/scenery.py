@@ -84,15 +84,18 @@ def _site(scenario: Scenario) -> str:
     path_loss = scenario.first_radio.get("path_loss")
     if scenario.radios or not isinstance(path_loss, Mapping) or path_loss.get("kind") != "rays":
         return ""
-    heights = [(each.name, each.radio.get("antenna_height_m")) for each in scenario.vehicle]
-    radios = {name: {} if height is None else {"antenna_height_m": height} for name, height in heights}
+    vehicles = []
+    for each in scenario.vehicle:
+        height_m = each.radio.get("antenna_height_m")
+        radio = {} if height_m is None else {"antenna_height_m": height_m}
+        vehicles.append({"name": each.name, "kind": "kinematic", "radio": radio})
     content = {
         "name": scenario.name,
         "duration_s": scenario.duration_s,
         "seed": scenario.seed,
         "world": scenario.world,
         "radio": scenario.radio,
-        "vehicle": [{"name": name, "kind": "kinematic", "radio": radio} for name, radio in radios.items()],
+        "vehicle": vehicles,
     }
     return msgspec.json.encode(binding.plain(content)).decode()
 

@@ -42,12 +42,14 @@ NO_TOKEN = "Open the printed URL, including its token.\n"  # noqa: S105  a sente
 MOST_PAGES = 32  # maximum number of connected pages
 ANYWHERE = ("0.0.0.0", "::")  # noqa: S104  a word of the user's
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
-ALLOWED = {
-    *("CommandTriggerMessage", "ViewerCameraMessage"),
-    *(f"Gui{what}Message" for what in ("ButtonHold", "FormDirty", "FormSubmit", "Update")),
-    *(f"Scene{what}Message" for what in ("NodeClick", "NodeDrag", "Pointer")),
-    *(f"TransformControls{what}Message" for what in ("DragEnd", "DragStart", "Update")),
+_ACTS = {
+    "Command": ("Trigger",),
+    "Viewer": ("Camera",),
+    "Gui": ("ButtonHold", "FormDirty", "FormSubmit", "Update"),
+    "Scene": ("NodeClick", "NodeDrag", "Pointer"),
+    "TransformControls": ("DragEnd", "DragStart", "Update"),
 }
+ALLOWED = {f"{part}{act}Message" for part, acts in _ACTS.items() for act in acts}
 """Messages that a page may send: the part of viser's that the control station uses. No uploads, no public tunnel."""
 HEADERS = {
     "Cache-Control": "no-store",
@@ -75,13 +77,15 @@ def new_token() -> str:
     return secrets.token_urlsafe(24)
 
 
+def client_name(host: str) -> str:
+    """Host in a URL for clients of a server that listens at ``host``."""
+    name = "localhost" if host in ANYWHERE else host
+    return f"[{name}]" if ":" in name else name  # IPv6
+
+
 def url_of(host: str, port: int, token: str) -> str:
     """URL of the page, for a browser."""
-    if host in ANYWHERE:
-        host = "localhost"
-    elif ":" in host:  # IPv6
-        host = f"[{host}]"
-    return f"http://{host}:{port}/?token={token}"
+    return f"http://{client_name(host)}:{port}/?token={token}"
 
 
 def is_fit(message: object) -> bool:
@@ -314,8 +318,7 @@ def _try_gate(host: str, port: int) -> None:
         "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==",
     }
     near = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)  # noqa: S104
-    name = f"[{near}]" if ":" in near else near
-    for headers in ({}, {**upgrade, "Origin": f"http://{name}:{port}"}):
+    for headers in ({}, {**upgrade, "Origin": f"http://{client_name(near)}:{port}"}):
         connection = http.client.HTTPConnection(near, port, timeout=CHECK_S)
         try:
             connection.request("GET", "/", headers=headers)

@@ -89,5 +89,5 @@ def as_json(name: str, figure: Figure) -> str:
 def table(figure: Figure) -> str:
     """The rows as an aligned text table, each marked ``ok`` or ``MISSED``."""
     lines: list[tuple[str, ...]] = [("case", "expected", "measured", "tolerance", "")]
-    lines += [(*row.cells, "ok" if row.ok else "MISSED") for row in figure.rows]
+    lines += [(*row.cells, ("MISSED", "ok")[row.ok]) for row in figure.rows]
     return "".join(f"{line}\n" for line in aligned(lines, range(1, 4)))

@@ -75,8 +75,8 @@ def quadrotor() -> Sequence[Row]:
     for axis, expected in (("vx", 2.4), ("vy", 3.2), ("vz", 1.0)):
         rows.append(absolute(f"beyond its limits of 4 and 1 m/s: {axis}, m/s", expected, fast[axis][-1], 0.01))
     ends = [_fly("vx=2,vy=1,vz=0.5,w=0.5", 4.0, hz) for hz in (120.0, 240.0)]
-    apart = math.dist(*([each[axis][-1] for axis in "xyz"] for each in ends))
-    rows.append(at_most("4 s at 120 and at 240 Hz: apart, m", 0.02, apart))
+    places = np.array([(each["x"][-1], each["y"][-1], each["z"][-1]) for each in ends])
+    rows.append(at_most("4 s at 120 and at 240 Hz: apart, m", 0.02, math.dist(*places)))
     return rows
 
 

@@ -92,10 +92,11 @@ def _delayed_follower(gain: float, latency_s: float, duration_s: float, *, perio
 def _recursion(gain: float, late: float, count: int) -> Array:
     """``z[i + 1] = z[i] - k T ((1 - f) z[i - d] + f z[i - d - 1])``, ``late`` = d + f; the first command is that of tick 1."""
     whole, part = divmod(late, 1.0)
-    z = [START_M]
+    z, reported = [START_M], [0.0] * (int(whole) + 2)  # nothing is reported at tick 0
     for i in range(count - 1):
-        old, older = (z[j] if j >= 1 else 0.0 for j in (i - int(whole), i - int(whole) - 1))
+        older, old = reported[i : i + 2]
         z.append(z[i] - gain * T * ((1.0 - part) * old + part * older))
+        reported.append(z[-1])
     return np.array(z)
 
 

@@ -31,10 +31,9 @@ READINGS: Mapping[type, str] = {Scan: "scans", Image: "images"}
 
 def motions_of(world: "worlds.World") -> dict[str, Any]:
     """Arguments of `Feed` for obstacles and targets that move by themselves."""
-    return {
-        "moving": {each.name: each.pose for each in world.moving},
-        "targets": {each.name: each.place for each in world.targets},
-    }
+    moving = {each.name: each.pose for each in world.moving}
+    targets = {each.name: each.place for each in world.targets}
+    return {"moving": moving, "targets": targets}
 
 
 Poses = Mapping[str, Callable[[float], Pose]]
@@ -232,13 +231,14 @@ class Feed:
         for collection, key in state.fresh:
             news.setdefault(collection, {})[key] = state.newest[collection][key]
         moving = {name: pose(time_s) for name, pose in self._moving.items()}
+        targets = {name: place(time_s) for name, place in self._targets.items()}
         frames = news.pop("frames", {})
         counts = self._counts() if frames else {}
         return PageUpdate(
             time_ns=self._now_ns,
             states=news.pop("states", {}).get(""),
             obstacles=moving | news.pop("pushed", {}),
-            targets={name: place(time_s) for name, place in self._targets.items()},
+            targets=targets,
             links=tuple(map(LinkStatus.of, frames.values())),
             halted=tuple(name for name in self._rows if name in state.halted),
             lines=tuple(state.lines),

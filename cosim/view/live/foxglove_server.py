@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Self
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.recording.mcap_writer import Schema
 from vcmvsp.cosim.view import FOXGLOVE_PORT, HOST
-from vcmvsp.cosim.view.web_server import ANYWHERE, LOOPBACK
+from vcmvsp.cosim.view.web_server import LOOPBACK, client_name
 
 if TYPE_CHECKING:
     from foxglove import Channel
@@ -65,7 +65,7 @@ class FoxgloveServer:
                 f"the Foxglove server cannot listen on {host}:{port}: {error}; choose another --foxglove port"
             ) from error
         self.port = self._server.port
-        self.url = f"ws://{_client_name(host)}:{self.port}"
+        self.url = f"ws://{client_name(host)}:{self.port}"
         opened(self.url)
 
     def __enter__(self) -> Self:
@@ -110,8 +110,3 @@ def caution(host: str) -> str:
     return (
         "" if host in LOOPBACK else f"{host}: anyone on the network can read the stream: it has neither token nor encryption\n"
     )
-
-
-def _client_name(host: str) -> str:
-    name = "localhost" if host in ANYWHERE else host
-    return f"[{name}]" if ":" in name else name

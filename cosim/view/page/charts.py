@@ -188,7 +188,8 @@ class Charts:
             return
         self._rows, self._new = rows, False
         time_s, options = np.array(history.time_s), self._options
-        names, strokes = [self._names[row] for row in rows], [css_of(row, dark=self._dark) for row in rows]
+        names = [self._names[row] for row in rows]
+        strokes = [css_of(row, dark=self._dark) for row in rows]
         left_out = f", {len(rows)} of {len(self._names)} vehicles" if len(rows) < len(self._names) else ""
         nothing = np.full((len(time_s), len(self._names)), np.nan)
         for choice, chart in self._places:
@@ -224,7 +225,9 @@ def limits_of(values: Array, *, log: bool) -> tuple[float, float]:
     if low * high > 0.0 and nearest > 0.5 * furthest and high - low > 0.01 * furthest:
         step = round_above(high - low)
         return math.floor(low / step) * step, math.ceil(high / step) * step
-    return -round_above(-low) if low < 0.0 else 0.0, round_above(high) if high > 0.0 or low == 0.0 else 0.0
+    bottom = -round_above(-low) if low < 0.0 else 0.0
+    top = round_above(high) if high > 0.0 or low == 0.0 else 0.0
+    return bottom, top
 
 
 def round_above(number: float) -> float:

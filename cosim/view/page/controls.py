@@ -8,6 +8,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
+import msgspec
 import numpy as np
 import viser
 
@@ -44,9 +45,10 @@ def write(part: viser.GuiInputHandle[T], value: T) -> None:
 
 def is_finite(order: Order) -> bool:
     """Whether all numbers of an order are finite."""
-    values: list[Any] = [getattr(order, field) for field in order.__struct_fields__]
-    flat = [part for value in values for part in (value if isinstance(value, tuple) else (value,))]
-    return all(math.isfinite(part) for part in flat if isinstance(part, float))
+    parts: list[Any] = []
+    for value in msgspec.structs.astuple(order):
+        parts += value if isinstance(value, tuple) else (value,)
+    return all(math.isfinite(part) for part in parts if isinstance(part, float))
 
 
 def controls(server: viser.ViserServer, scenery: Scenery, give: Give, clock: Callable[[], float]) -> list[Draw]:

@@ -48,7 +48,7 @@ class Every:
 
 def colors_of(count: int) -> Array:
     """Colours of the vehicles, as in the figures: (count, 3) uint8."""
-    palette = np.array([[round(255 * part) for part in rgb(code)] for code in OKABE_ITO], np.uint8)
+    palette = np.rint(255.0 * np.array([rgb(code) for code in OKABE_ITO])).astype(np.uint8)
     return palette[np.arange(count) % len(palette)]
 
 
@@ -74,12 +74,6 @@ def rotated(attitude: Array, vectors: Array) -> Array:
     w, axis = attitude[:, :1], attitude[:, 1:]
     twice = 2.0 * np.cross(axis, vectors)
     return np.asarray(vectors + w * twice + np.cross(axis, twice))
-
-
-def turned(yaw: Array) -> Array:
-    """Quaternions (w, x, y, z) of rotations about the z axis: (n,) rad -> (n, 4)."""
-    zero = np.zeros_like(yaw)
-    return np.stack([np.cos(0.5 * yaw), zero, zero, np.sin(0.5 * yaw)], axis=1)
 
 
 def box(low: tuple[float, float, float] = (-0.5, -0.5, -0.5), high: tuple[float, float, float] = (0.5, 0.5, 0.5)) -> Mesh:

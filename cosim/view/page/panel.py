@@ -60,8 +60,10 @@ def team_page(state: PageState, by: str) -> str:
 
 
 def _status(state: PageState, name: str) -> str:
+    if name in state.now.halted:
+        return "stopped"
     note = state.now.notes.get(name, {})
-    return "stopped" if name in state.now.halted else ", ".join(str(note[key]) for key in STATUS if note.get(key))
+    return ", ".join(str(note[key]) for key in STATUS if note.get(key))
 
 
 def _number(value: float) -> str:
@@ -79,9 +81,8 @@ def run_page(state: PageState) -> str:
     elif pace.paused:
         status = "paused"
     else:
-        status = ("recording" if not scenery.live else "running") + (
-            f" at {pace.speed:g}x" if pace.speed else " as fast as it can"
-        )
+        status = "running" if scenery.live else "recording"
+        status += f" at {pace.speed:g}x" if pace.speed else " as fast as it can"
         status += f", reaches {pace.achieved:.2g}x" if pace.achieved is not None else ""
     rows = [
         ("scenario", f"{_text(scenery.scenario)}, seed {scenery.seed}"),
@@ -163,8 +164,12 @@ def _health(state: PageState, row: int) -> Rows:
 
 def _notes(state: PageState, name: str) -> Rows:
     notes = [(key, value) for key, value in state.now.notes.get(name, {}).items() if key not in COMMANDING]
-    rows = [(_text(key), f"{value:.4g}" if isinstance(value, float) else _text(value)) for key, value in notes[:NOTES]]
+    rows = [(_text(key), _noted(value)) for key, value in notes[:NOTES]]
     return rows + ([("...", f"and {len(notes) - NOTES} more")] if len(notes) > NOTES else [])
+
+
+def _noted(value: float | str | bool) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else _text(value)
 
 
 def _links(state: PageState, row: int) -> Rows:

@@ -43,7 +43,8 @@ class PageState:
         self.position = np.full((count, 3), np.nan)
         self.velocity = np.zeros((count, 3))
         self.attitude = np.tile((1.0, 0.0, 0.0, 0.0), (count, 1))
-        self._rows_of: tuple[tuple[str, ...], list[int], list[int]] = ((), [], [])
+        self._state_names: tuple[str, ...] = ()  # of the last states, with the index of each one, and its place among them
+        self._rows = self._columns = np.zeros(0, int)
         self._forget(0)
 
     def take(self, update: PageUpdate) -> None:
@@ -108,13 +109,13 @@ class PageState:
         states = update.states
         if states is None:
             return
-        if self._rows_of[0] != states.names:
+        if self._state_names != states.names:
+            self._state_names = states.names
             pairs = [(self.row[name], column) for column, name in enumerate(states.names) if name in self.row]
-            self._rows_of = (states.names, [row for row, _ in pairs], [column for _, column in pairs])
-        _, rows, columns = self._rows_of
-        self.position[rows] = states.position[columns]
-        self.velocity[rows] = states.velocity[columns]
-        self.attitude[rows] = states.attitude[columns]
+            self._rows, self._columns = np.array(pairs, int).reshape(-1, 2).T
+        self.position[self._rows] = states.position[self._columns]
+        self.velocity[self._rows] = states.velocity[self._columns]
+        self.attitude[self._rows] = states.attitude[self._columns]
 
     def _take_links(self, update: PageUpdate) -> None:
         for link in update.links:

@@ -30,7 +30,6 @@ from vcmvsp.cosim.view.page.drawing import (
     robot,
     rotated,
     rssi_colors,
-    turned,
     wheel,
 )
 from vcmvsp.cosim.view.page.state import PageState
@@ -300,7 +299,7 @@ class Ghosts:
         scale[places.row] = self._reach[places.row, None] * (1.0, 1.0, 0.0) + (0.0, 0.0, 1.0)
         lines[places.row] = np.stack([followers, places.place], axis=1)
         leaders[places.row] = np.stack([followers, state.position[places.leader]], axis=1)
-        self._marks.put(position, turned(np.zeros(count)), scale)
+        self._marks.put(position, np.tile(UPRIGHT, (count, 1)), scale)
         self._lines.put(lines)
         self._leaders.put(leaders)
 
@@ -328,7 +327,7 @@ class Fixes:
                 if not self._flies[row]:  # on the floor, for any measured height
                     position[row, 2] = state.position[row, 2] + OVER_M
                 scale[row] = (max(fix.sigma_m, LEAST_M), max(fix.sigma_m, LEAST_M), 1.0)
-        self._discs.put(position, turned(np.zeros(count)), scale)
+        self._discs.put(position, np.tile(UPRIGHT, (count, 1)), scale)
 
 
 def _pairs(points: Array) -> Array:

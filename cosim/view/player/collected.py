@@ -4,6 +4,7 @@ from array import array
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
+from operator import attrgetter
 from typing import Any
 
 import msgspec
@@ -20,6 +21,7 @@ NOTE = "note"  # of each vehicle
 LINES = 200  # log lines shown at once
 ROWS_BETWEEN = 1 << 17  # rows of frame and receiver between two stored sums: counting so many takes a third of a millisecond
 _LEVEL = {number: word for word, number in LEVELS.items()}
+_time_ns = attrgetter("time_ns")  # of a line
 
 
 class _Frame(msgspec.Struct):
@@ -94,10 +96,6 @@ class Collected:
         before = self._halted[-1][1] if self._halted else ()
         stand = {*before, *message.vehicles} if message.halted else {*before} - {*message.vehicles}
         self._halted.append((time_ns, tuple(name for name in self.vehicles if name in stand)))
-
-
-def _time_ns(line: LogLine) -> int:
-    return line.time_ns
 
 
 class Notes:

@@ -46,7 +46,8 @@ def image_of(message: RawImage, calibration: CameraCalibration | None) -> Image:
 
 def _numbers_of(message: Noted) -> dict[str, Any]:
     """Values of a note, with null (a number that JSON cannot express) as NaN."""
-    return {name: math.nan if value is None else value for name, value in message.values.items()}
+    unknown = {name: math.nan for name, value in message.values.items() if value is None}
+    return {**message.values, **unknown}
 
 
 def _fix_of(message: PoseInFrame) -> Fix:

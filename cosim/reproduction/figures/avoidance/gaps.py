@@ -43,9 +43,11 @@ UNLIKE = ((0.75, NARROW_M), (0.0, ENOUGH_M), (-0.75, NARROW_M), (-1.5, 0.7))
 BEYOND_M, SLOT_M = 1.6, (-0.7, 0.0)  # from the wall to the leader; slot behind the leader, m
 BEHIND, ROUND = ((-1.5, 1.0), (-1.5, -1.0)), (4.9, 0.4)  # leaders behind the robot; from them to the slot beyond the wall, m
 TURNED_DEG = 60.0  # direction of the border; doors are within 45
+Doors = Sequence[tuple[float, float]]  # centre and width, m
+Case = tuple[Doors, tuple[float, float], tuple[float, float]]  # of `team`
 
 
-def wall_pieces(doors: Sequence[tuple[float, float]], end: float) -> list[tuple[float, float]]:
+def wall_pieces(doors: Doors, end: float) -> list[tuple[float, float]]:
     """Wall segments between doors (centre, width), m."""
     edges = [-end, *(edge for middle, width in sorted(doors) for edge in (middle - 0.5 * width, middle + 0.5 * width)), end]
     return list(zip(edges[::2], edges[1::2], strict=True))
@@ -160,8 +162,8 @@ def gauge(
         distance, tilt = doors[0].distance, doors[0].tilt
         for low, high in wall_pieces([(door.middle, door.width) for door in doors], SIDE_M):
             boxes.append(wall_box(x + distance, y, low, high, tilt, THIN_M, HEIGHT_M))
-    places, doors = [place for place, _ in looks], tuple(door for _, door in looks)
-    agent = {"kind": f"{HERE}:Gauge", "places": places, "doors": [list(door) for door in doors], "lookahead_m": far}
+    places, doors = zip(*looks, strict=True)
+    agent = {"kind": f"{HERE}:Gauge", "places": list(places), "doors": [list(door) for door in doors], "lookahead_m": far}
     vehicle = {
         "name": "gauge",
         "kind": "point",
@@ -202,18 +204,19 @@ def four_doors() -> Job:
     """Fig 40: two doors that are too narrow and two that are not, in every order, from random distances."""
     draws = np.random.Generator(np.random.PCG64(40))
     orders = sorted(set(itertools.permutations((NARROW_M, NARROW_M, ENOUGH_M, ENOUGH_M))))
-    middles = np.array([[sum(each[:k]) + 0.5 * each[k] + k * PIER_M for k in range(4)] for each in orders])
-    middles -= 0.5 * (2.0 * (NARROW_M + ENOUGH_M) + 3.0 * PIER_M)
     looks = []
     for distance in draws.uniform(*RANGE_M, DISTANCES).tolist():
         which = int(draws.integers(len(orders)))
-        place = (-distance, APART_M * which)
-        looks += [(place, WallDoor(distance, 0.0, float(middles[which, k]), orders[which][k])) for k in range(4)]
-    walls = {
-        (0.0, APART_M * which): [WallDoor(0.0, 0.0, float(middles[which, k]), each[k]) for k in range(4)]
-        for which, each in enumerate(orders)
-    }
+        looks += [((-distance, APART_M * which), door) for door in _doors(distance, orders[which])]
+    walls = {(0.0, APART_M * which): _doors(0.0, each) for which, each in enumerate(orders)}
     return gauge(walls, looks, FAR_M)
+
+
+def _doors(distance: float, widths: Sequence[float]) -> list[WallDoor]:
+    """Four doors of these widths, m, beside each other in a wall ahead."""
+    first = -0.5 * (2.0 * (NARROW_M + ENOUGH_M) + 3.0 * PIER_M)
+    middles = [sum(widths[:k]) + 0.5 * widths[k] + k * PIER_M + first for k in range(4)]
+    return [WallDoor(distance, 0.0, *door) for door in zip(middles, widths, strict=True)]
 
 
 class GapRun(NamedTuple):
@@ -236,7 +239,7 @@ class GapRun(NamedTuple):
         return math.degrees(math.atan2(*self.place[away[0], ::-1])) if away.size else math.nan
 
 
-def team(doors: Sequence[tuple[float, float]], leader: tuple[float, float], slot: tuple[float, float]) -> dict[str, Any]:
+def team(doors: Doors, leader: tuple[float, float], slot: tuple[float, float]) -> dict[str, Any]:
     """A follower at the origin, facing east, before a wall with doors (centre and width, m), and a stationary leader."""
     avoidance = {
         "kind": "gap",
@@ -272,14 +275,13 @@ def passed(result: Result) -> GapRun:
 def fig_41(runner: Runner) -> Figure:
     """Figure 41: the door that a follower takes, and apparent door widths."""
     beyond = WALL_M + BEYOND_M
-    cases = {
-        **{f"leader behind the {name} door": (ALIKE, (beyond, ALIKE[i][0]), SLOT_M) for i, name in enumerate(SIDES)},
-        **{f"leader behind narrow door {i}": (UNLIKE, (beyond, UNLIKE[2 * i - 2][0]), SLOT_M) for i in (1, 2)},
-        **{
-            f"leader behind the robot, {('left', 'right')[i]}": (ALIKE, each, (ROUND[0], ROUND[1] * (1 - 2 * i)))
-            for i, each in enumerate(BEHIND)
-        },
-    }
+    cases: dict[str, Case] = {}
+    for name, (middle, _) in zip(SIDES, ALIKE, strict=True):
+        cases[f"leader behind the {name} door"] = (ALIKE, (beyond, middle), SLOT_M)
+    for number, (middle, _) in enumerate(UNLIKE[:3:2], 1):
+        cases[f"leader behind narrow door {number}"] = (UNLIKE, (beyond, middle), SLOT_M)
+    for name, side, leader in zip(SIDES[::2], (1.0, -1.0), BEHIND, strict=True):
+        cases[f"leader behind the robot, {name}"] = (ALIKE, leader, (ROUND[0], side * ROUND[1]))
     answers = runner([*(Job(team(*case), passed) for case in cases.values()), four_doors(), *random_doors()])
     passages: dict[str, GapRun] = dict(zip(cases, answers[: len(cases)], strict=True))
     four, parts = answers[len(cases)], answers[len(cases) + 1 :]
@@ -323,7 +325,7 @@ def _panels(passages: Mapping[str, GapRun], four: GaugeReading, parts: Sequence[
         Curve(distance[which], four.width[which], f"{width:g} m wide", color, "markers")
         for which, width, color in ((narrow, NARROW_M, 2), (~narrow, ENOUGH_M, 1))
     ]
-    true = np.concatenate([[door.width for door in each.doors] for each in parts])
+    true = np.array([door.width for each in parts for door in each.doors])
     off = Curve(true, 100.0 * np.concatenate([_off(each) for each in parts]), "", 1, "markers")
     return [
         _map("Three doors of 0.7 m", ALIKE, ways[:3]),
@@ -334,7 +336,7 @@ def _panels(passages: Mapping[str, GapRun], four: GaugeReading, parts: Sequence[
     ]
 
 
-def _map(title: str, doors: Sequence[tuple[float, float]], ways: Sequence[tuple[str, GapRun]]) -> Panel:
+def _map(title: str, doors: Doors, ways: Sequence[tuple[str, GapRun]]) -> Panel:
     curves = [Curve(np.array([WALL_M, WALL_M]), np.array(end), "wall") for end in wall_pieces(doors, END_M)]
     for color, (_, each) in enumerate(ways, 1):
         moves = np.hypot(*(each.place - each.place[-1]).T) > 0.01

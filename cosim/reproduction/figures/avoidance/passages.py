@@ -10,6 +10,7 @@ The scanners look over the robots and see walls only. Where they see robots, too
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -139,12 +140,12 @@ def passage_policies(runner: Runner) -> Figure:
     jobs = [job(world, policy, seed) for world, policy in cases for seed in SEEDS]
     jobs += [job(world, "all-clear", seed, **hard[name]) for world, name in more for seed in SEEDS]
     answers = iter(runner(jobs))
-    trials = {case: [next(answers) for _ in SEEDS] for case in cases}
+    trials = {case: list(islice(answers, len(SEEDS))) for case in cases}
     rows = [row for (world, policy), runs in trials.items() for row in _rows(world, policy, runs)]
-    late = [_mean(formed_s(each, "corridor") for each in trials["corridor", policy]) for policy in POLICIES]
+    late = [_mean_formed_s(trials["corridor", policy], "corridor") for policy in POLICIES]
     rows.append(at_most("corridor: formed again with B later than with A by, s", 5.0, late[2] - late[0]))
     for world, name in more:
-        runs = [next(answers) for _ in SEEDS]
+        runs = list(islice(answers, len(SEEDS)))
         case = f"{world}, B, {name}"
         rows += [
             absolute(f"{case}: changes of shape, mean of {len(runs)} runs", 2.0, _count(runs, "shape_changes"), 0.0),
@@ -201,7 +202,7 @@ def _rows(world: str, policy: str, runs: Sequence[TeamRun]) -> list[Row]:
     else:
         rows.append(at_least(f"{case}: least clearance, m", clearance_m - 0.02, nearest))
     if not math.isnan(expected_s):
-        rows.append(relative(f"{case}: formed again after, s", expected_s, _mean(formed_s(each, world) for each in runs), 0.05))
+        rows.append(relative(f"{case}: formed again after, s", expected_s, _mean_formed_s(runs, world), 0.05))
     return [*rows, absolute(f"{case}: largest |z| at the end, m", 0.0, _final_error(runs), NEAR)]
 
 
@@ -217,6 +218,10 @@ def _map(world: str, policy: str, trial: TeamRun) -> Panel:
     counts = trial.metrics["formation"]
     title = f"{world}, {LETTERS[policy]}: {counts['mode_toggles']} changes of mode, {counts['avoid_s']:.1f} s"
     return Panel(title, "x east [m]", "y north [m]", [*around, *teams, *tracks], equal=True)
+
+
+def _mean_formed_s(runs: Sequence[TeamRun], world: str) -> float:
+    return _mean(formed_s(each, world) for each in runs)
 
 
 def _count(runs: Sequence[TeamRun], name: str) -> float:

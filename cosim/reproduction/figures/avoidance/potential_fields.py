@@ -12,6 +12,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -80,16 +81,10 @@ class FieldRun:
 def fig_28(runner: Runner) -> Figure:
     """Figure 28: one vehicle flies straight past the pillar, from three offsets; a stronger field; four resolutions."""
     offsets, expected = (0.1, 0.2, 0.4), (0.795, 0.796, 0.799)
-    printed, strong, resolved = _split(
-        runner(
-            [
-                *(_single_robot(y0) for y0 in offsets),
-                _single_robot(0.2, gain=0.3),
-                *(_single_robot(0.2, goal=(4.0, 0.2), beams=each) for each in BEAMS),
-            ]
-        ),
-        (len(offsets), 1, len(BEAMS)),
-    )
+    jobs = [_single_robot(y0) for y0 in offsets]
+    jobs.append(_single_robot(0.2, gain=0.3))
+    jobs += [_single_robot(0.2, goal=(4.0, 0.2), beams=each) for each in BEAMS]
+    printed, strong, resolved = _split(runner(jobs), (len(offsets), 1, len(BEAMS)))
     rows = []
     for y0, clearance, each in zip(offsets, expected, printed, strict=True):
         rows += [
@@ -119,15 +114,9 @@ def fig_29(runner: Runner) -> Figure:
     """Figure 29: a triangle flies to a goal behind the pillar, as printed and with a sideways push; close spacings."""
     goal = (10.0, 0.3)
     cases = ((0.0, 51.6, 0.639, 1.11), (1.0, 47.8, 0.699, 0.87))
-    pasts, thin, wide = _split(
-        runner(
-            [
-                *(_triangle(tang, goal) for tang, *_ in cases),
-                *(_free(spacing, radius) for radius in (THIN_M, WIDE_M) for spacing in SPACINGS),
-            ]
-        ),
-        (len(cases), len(SPACINGS), len(SPACINGS)),
-    )
+    jobs = [_triangle(tang, goal) for tang, *_ in cases]
+    jobs += [_free(spacing, radius) for radius in (THIN_M, WIDE_M) for spacing in SPACINGS]
+    pasts, thin, wide = _split(runner(jobs), (len(cases), len(SPACINGS), len(SPACINGS)))
     rows, panels = [], []
     names = ("leader", "follower 1", "follower 2")
     for (tang, arrived, clearance, peak), each in zip(cases, pasts, strict=True):
@@ -144,10 +133,9 @@ def fig_29(runner: Runner) -> Figure:
         Curve(each.time_s, each.error.max(axis=1), f"tang {tang:g}", i)
         for i, ((tang, *_), each) in enumerate(zip(cases, pasts, strict=True), 1)
     ]
-    rms = {
-        radius: np.array([np.sqrt((each.error[each.time_s >= 20.0] ** 2).mean()) for each in flights])
-        for radius, flights in ((THIN_M, thin), (WIDE_M, wide))
-    }
+    rms = {}
+    for radius, flights in ((THIN_M, thin), (WIDE_M, wide)):
+        rms[radius] = np.array([np.sqrt((each.error[each.time_s >= 20.0] ** 2).mean()) for each in flights])
     for (spacing, expected), measured in zip(SPACINGS.items(), rms[THIN_M], strict=True):
         if expected is not None:
             rows.append(absolute(f"spacing {spacing:g} m, nothing in the way: RMS error, m", expected, measured, CM2))
@@ -258,4 +246,4 @@ def _above(title: str, curves: Sequence[Curve], x_limits: tuple[float, float] | 
 
 def _split(values: Sequence[Any], counts: Sequence[int]) -> list[list[Any]]:
     remaining = iter(values)
-    return [[next(remaining) for _ in range(count)] for count in counts]
+    return [list(islice(remaining, count)) for count in counts]

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from functools import partial
+from itertools import starmap
 from typing import Any
 
 import numpy as np
@@ -41,9 +42,10 @@ COLUMN = {"hold": (0.110, 0.152), "dr": (0.062, 0.258)}  # RMS of |z| of the fir
 def chain(runner: Runner) -> Figure:
     """Gain of a hop for a surging leader, at T = 10 ms; and the links of a column of seven on a random path at 0.1 s."""
     peaks = {d: _peak("dr", d) for d in DELAYS_S}
-    swings = [(w, DELAY_S) for w in OMEGAS] + [(peaks[d][0], d) for d in DELAYS_S]
+    swings = [(w, DELAY_S) for w in OMEGAS]
+    swings += [(peaks[d][0], d) for d in DELAYS_S]
     columns = {**WAYS, "leader": LED}
-    answers = runner([*(_surge(*each) for each in swings), *(column(each) for each in columns.values())])
+    answers = runner([*starmap(_surge, swings), *map(column, columns.values())])
     gains, links = np.array(answers[: len(swings)]), dict(zip(columns, answers[len(swings) :], strict=True))
     rows = _gain_rows(gains, peaks) + _column_rows(links)
     omega = np.geomspace(0.2, 5.0, 200)

@@ -79,8 +79,9 @@ def loss(
         for p in probabilities
         for estimator in loss_integration.ESTIMATORS
     ]
-    curved = [team(path, radio(p), followers if p else 2, (estimator,)) for path, p, estimator in cases]
-    runs = runner([*curved, *(_straight(p, straight * (1 + (p >= RARE)) if p else 2) for p in probabilities)])
+    jobs = [team(path, radio(p), _enough(p, followers), (estimator,)) for path, p, estimator in cases]
+    jobs += [_straight(p, _enough(p, straight * (1 + (p >= RARE)))) for p in probabilities]
+    runs = runner(jobs)
     measured = {case: root_mean_square(each.rms) for case, each in zip(cases, runs, strict=False)}
     p, panels, rows = np.array(probabilities), [], []
     for path in loss_integration.PATHS:
@@ -102,10 +103,9 @@ def loss(
         panels.append(Panel(TITLES[path], "probability of loss", "RMS |z| [m]", curves, log_y=True))
     lags = np.array([root_mean_square(each) for each in runs[len(cases) :]])
     closed = np.array([closed_forms.lag_behind(V, K1, T, T, each)[1] for each in probabilities])
-    rows += [
-        relative(f"straight, hold, p = {each:g}: RMS |z|, closed form, m", must, is_, 0.05 if each >= 0.9 else 0.03)
-        for each, must, is_ in zip(probabilities, closed, lags, strict=True)
-    ]
+    for each, must, is_ in zip(probabilities, closed, lags, strict=True):
+        share = 0.05 if each >= 0.9 else 0.03
+        rows.append(relative(f"straight, hold, p = {each:g}: RMS |z|, closed form, m", must, is_, share))
     line = [Curve(p, lags, "hold", 1, "markers"), Curve(p, closed, "", 1)]
     panels.append(Panel("Leader on a straight line, closed form", "probability of loss", "RMS |z| [m]", line, log_y=True))
     return Figure("Formation error by loss (points: runs; lines: integration, other losses)", panels, rows, columns=3)
@@ -160,6 +160,11 @@ def _read(result: Result, scenario: Mapping[str, Any], estimators: tuple[str, ..
 def root_mean_square(each: Array) -> float:
     """Root mean square of several root mean squares over equal times."""
     return float(np.sqrt((each**2).mean()))
+
+
+def _enough(p: float, count: int) -> int:
+    """Number of followers: without losses all on one side have the same error."""
+    return count if p else 2
 
 
 def _straight(p: float, count: int) -> Job:
@@ -223,17 +228,13 @@ def loss_delay(runner: Runner, followers: int = CELL_FOLLOWERS) -> Figure:
     exact = {cell: integrated("slalom", each) for cell, each in zip(cells, runs, strict=True)}
     rows: list[Row] = []
     for (p, d), must in NAMED.items():
-        rows += [
-            relative(
-                f"slalom, {name}, p = {p:g}, delay {d:g} s: RMS |z|, m",
-                expected,
-                measured[p, d][name],
-                0.2 if p >= 0.9 else 0.1,
-            )
-            for name, expected in zip(both, must, strict=True)
-        ]
-    grids = {name: np.array([measured[cell][name] for cell in cells]).reshape(len(MAP_S), len(MAP_P)) for name in both}
+        share = 0.2 if p >= 0.9 else 0.1
+        for name, expected in zip(both, must, strict=True):
+            case = f"slalom, {name}, p = {p:g}, delay {d:g} s: RMS |z|, m"
+            rows.append(relative(case, expected, measured[p, d][name], share))
+    grids = {}
     for name in both:
+        grids[name] = np.array([measured[cell][name] for cell in cells]).reshape(len(MAP_S), len(MAP_P))
         off = max(abs(measured[cell][name] / exact[cell][name] - 1.0) for cell in cells)
         rows.append(absolute(f"map of {name}: largest share off an integration with the same losses", 0.0, off, 0.001))
     ratio = grids["dr"] / grids["hold"]

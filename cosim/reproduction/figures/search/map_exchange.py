@@ -13,6 +13,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -65,6 +66,8 @@ def search(count: int, exchange: str, loss: float, seed: int, limit_s: float) ->
     """The scenario of a search."""
     width = EDGE_M / count
     lanes = math.ceil(width / (2.0 * REACH_M * (1.0 - OVERLAP)))
+    targets = [{"name": f"target{i}", "place": place} for i, place in enumerate(places(seed), start=1)]
+    starts = [(width * (i + 0.5 / lanes), 0.5 * REACH_M, HEIGHT_M) for i in range(count)]
     return {
         "name": "search",
         "duration_s": limit_s,
@@ -73,7 +76,7 @@ def search(count: int, exchange: str, loss: float, seed: int, limit_s: float) ->
         "world": {
             "kind": "empty",
             "bounds": (0.0, 0.0, EDGE_M, EDGE_M),
-            "targets": [{"name": f"target{i}", "place": place} for i, place in enumerate(places(seed), start=1)],
+            "targets": targets,
         },
         "radio": {**IDEAL, "loss": {"kind": "bernoulli", "probability": loss}},
         "record": {"period_s": 1.0},
@@ -100,10 +103,7 @@ def search(count: int, exchange: str, loss: float, seed: int, limit_s: float) ->
             "most": 12,
             "alive_s": NEVER_S,
         },
-        "vehicle": [
-            {"name": f"uav{i + 1}", "position": (width * (i + 0.5 / lanes), 0.5 * REACH_M, HEIGHT_M), "agent": {}}
-            for i in range(count)
-        ],
+        "vehicle": [{"name": f"uav{i}", "position": start, "agent": {}} for i, start in enumerate(starts, start=1)],
     }
 
 
@@ -123,6 +123,9 @@ class SearchRun:
     seconds: float = 0.0  # up to that time, or the limit
     maps: list[dict[str, ProbabilityMap]] = field(default_factory=list)  # by vehicle, at the requested seconds
     tracks: dict[str, Array] = field(default_factory=dict)  # by vehicle, (n, 3): s, x and y, m
+
+
+Searches = Mapping[tuple[int, str, float], list[SearchRun]]  # by number of vehicles, exchange and loss
 
 
 class Watcher:
@@ -156,7 +159,7 @@ class Watcher:
         if math.isfinite(search.done_s):
             sure = [int((each.probability > SURE).sum()) for each in self._maps.values()]
             search.false_cells = float(np.mean(sure)) - len({*self._targets})
-        search.tracks = {name: np.array(track) for name, track in self._tracks.items()} if self._keep_s else {}
+        search.tracks = {name: np.array(track) for name, track in self._tracks.items()}
         return search
 
     def _holds(self, belief: ProbabilityMap) -> bool:
@@ -198,20 +201,15 @@ def search_exchange(runner: Runner, seeds: int = SEEDS, losses: Sequence[float] 
     tries = dict.fromkeys(cases, seeds) | {(count, "none", 0.0): min(seeds, ALONE) for count in COUNTS}
     jobs = [partial(searched, *case, seed, LIMITS_S[case[0]]) for case, most in tries.items() for seed in range(most)]
     answers = iter(runner(jobs))
-    searches: dict[tuple[int, str, float], list[SearchRun]] = {
-        case: [next(answers) for _ in range(most)] for case, most in tries.items()
-    }
+    searches: Searches = {case: list(islice(answers, most)) for case, most in tries.items()}
     rows: list[Row] = sequential_rows()
     for count in COUNTS:
         rows += _rows(count, searches, losses)
-    panels = [
-        *(_times(count, searches, losses) for count in COUNTS),
-        *(_bytes(count, searches, losses) for count in COUNTS),
-    ]
+    panels = [draw(count, searches, losses) for draw in (_times, _bytes) for count in COUNTS]
     return Figure("Search for two targets: until all know both (medians; infinite ones not drawn)", panels, rows)
 
 
-def _rows(count: int, searches: Mapping[tuple[int, str, float], list[SearchRun]], losses: Sequence[float]) -> list[Row]:
+def _rows(count: int, searches: Searches, losses: Sequence[float]) -> list[Row]:
     rows, reference, best = [], REFERENCE[count], _median(searches[count, "ledger", losses[0]])
     for kind in KINDS:
         for loss in losses:
@@ -273,7 +271,12 @@ def _unfinished(runs: Sequence[SearchRun]) -> float:
     return float(np.mean([math.isinf(each.done_s) for each in runs]))
 
 
-def _times(count: int, searches: Mapping[tuple[int, str, float], list[SearchRun]], losses: Sequence[float]) -> Panel:
+def _rate(runs: Sequence[SearchRun], count: int) -> float:
+    """Sent by each of ``count`` vehicles, kB/s."""
+    return float(np.mean([each.bytes_sent / each.seconds / count / 1000.0 for each in runs]))
+
+
+def _times(count: int, searches: Searches, losses: Sequence[float]) -> Panel:
     curves = []
     for color, kind in enumerate(KINDS, 1):
         at = [LOSSES.index(loss) for loss in losses]
@@ -283,25 +286,16 @@ def _times(count: int, searches: Mapping[tuple[int, str, float], list[SearchRun]
             Curve(x[np.isfinite(medians)], medians[np.isfinite(medians)], kind, color, "both"),
             Curve(x[np.isfinite(must)], must[np.isfinite(must)], "independent" if color == 1 else "", color, "hollow"),
         ]
-        each = [
-            (loss, search_run.done_s)
-            for loss in losses
-            for search_run in searches[count, kind, loss]
-            if math.isfinite(search_run.done_s)
-        ]
-        curves.append(
-            Curve(np.array([a + 0.008 * (color - 2) for a, _ in each]), np.array([b for _, b in each]), "", color, "dots")
-        )
+        done_s = [(loss, each.done_s) for loss in losses for each in searches[count, kind, loss]]
+        single_x, single_y = np.array(done_s)[np.isfinite(done_s).all(axis=1)].T
+        curves.append(Curve(single_x + 0.008 * (color - 2), single_y, "", color, "dots"))
     return Panel(f"{count} vehicles", "probability of loss", "until all know both [s]", curves, log_y=True)
 
 
-def _bytes(count: int, searches: Mapping[tuple[int, str, float], list[SearchRun]], losses: Sequence[float]) -> Panel:
+def _bytes(count: int, searches: Searches, losses: Sequence[float]) -> Panel:
     curves = []
     for color, kind in enumerate(KINDS, 1):
-        rates = [
-            float(np.mean([each.bytes_sent / each.seconds / count / 1000.0 for each in searches[count, kind, loss]]))
-            for loss in losses
-        ]
+        rates = [_rate(searches[count, kind, loss], count) for loss in losses]
         curves.append(Curve(np.array(losses), np.array(rates), kind, color, "both"))
     title = f"{count} vehicles: messages"
     return Panel(title, "probability of loss", "sent by a vehicle [kB/s]", curves)
@@ -316,9 +310,10 @@ def fig_45(runner: Runner) -> Figure:
     rows, panels = [], []
     for name in search.tracks:
         last = search.maps[-1][name].probability
+        sure = sum(last[cell] > SURE for cell in cells)
         rows += [
-            absolute(f"{name}: targets that its map is sure of", 2.0, sum(last[cell] > SURE for cell in cells), 0.0),
-            at_most(f"{name}: false cells", 2.0, float((last > SURE).sum() - sum(last[cell] > SURE for cell in cells))),
+            absolute(f"{name}: targets that its map is sure of", 2.0, sure, 0.0),
+            at_most(f"{name}: false cells", 2.0, float((last > SURE).sum() - sure)),
             absolute(f"{name}: share of the cells that are decided", 1.0, _decided(last), 0.2),
         ]
         panels += [_map(name, at_s, each[name], search, targets) for at_s, each in zip(SHOWN_S, search.maps, strict=True)]

@@ -7,13 +7,14 @@ import math
 import tempfile
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import islice, starmap
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from vcmvsp.cosim.analysis.snapshots import Rates, Snapshots
-from vcmvsp.cosim.assembly.parts.recognition import Detector
+from vcmvsp.cosim.assembly.parts.recognition import Detection, Detector
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Panel, Photo
 from vcmvsp.cosim.reproduction.figures.search.synthetic_pictures import (
     SIZE_M,
@@ -28,6 +29,7 @@ from vcmvsp.cosim.reproduction.figures.search.synthetic_pictures import (
 )
 from vcmvsp.cosim.reproduction.row import Row, absolute
 from vcmvsp.cosim.reproduction.runner import Runner
+from vcmvsp.cosim.types import Sighting
 
 HEIGHTS = (10.0, 15.0, 20.0, 30.0, 40.0)  # m
 FRAMES = 60  # at each height
@@ -46,7 +48,7 @@ def recognition(runner: Runner, frames: int = FRAMES) -> Figure:
     jobs: list[Callable[[], Any]] = [partial(tallied, height, part) for height in HEIGHTS for part in parts]
     jobs += [partial(photographed, height, frames // len(TOWNS), TOWNS) for height in HEIGHTS]
     answers = iter(runner(jobs))
-    by_height = [_joined([next(answers) for _ in parts]) for _ in HEIGHTS]
+    by_height = [_joined(list(islice(answers, PARTS))) for _ in HEIGHTS]
     rows: list[Row] = []
     for height, (*_, each) in zip(HEIGHTS, by_height, strict=True):
         rows += [
@@ -70,11 +72,13 @@ def recognition(runner: Runner, frames: int = FRAMES) -> Figure:
         for name, must, tally in zip(STAGES, REFERENCE, of_stages, strict=True)
     ]
     rows.append(absolute("stage and rings: recall", 1.0, of_stages[1].recall.value, 1.0 - RECALL))
+    precisions = [each.precision.value for each in cameras]
+    recalls = [each.unoccluded.value for each in cameras]
     panels = [
-        _shares("Precision", by_height, cameras, PRECISION),
-        _shares("Recall", by_height, cameras, RECALL),
+        _shares("Precision", by_height, precisions, PRECISION),
+        _shares("Recall", by_height, recalls, RECALL),
         _errors([each[-1] for each in by_height]),
-        *(_example(*each) for each in SHOWN),
+        *starmap(_example, SHOWN),
         _photo(),
     ]
     return Figure("Recognition in three stages, one target and five likenesses of it in each picture", panels, rows, columns=3)
@@ -92,22 +96,20 @@ def _sides(each: Tally) -> float:
     return float(np.median(each.places)) if each.places else math.nan
 
 
-def _shares(title: str, by_height: list[list[Tally]], cameras: list[Rates], required: float) -> Panel:
-    x, name = np.array(HEIGHTS), title.lower()
-    curves = [
-        Curve(x, np.array([getattr(each[stage], name).value for each in by_height]), STAGES[stage], 1 + stage, "both")
-        for stage in range(3)
-    ]
-    shares = [each.precision if name == "precision" else each.unoccluded for each in cameras]
-    curves.append(Curve(x, np.array([each.value for each in shares]), "camera over a town", 0, "hollow"))
+def _shares(title: str, by_height: list[list[Tally]], cameras: list[float], required: float) -> Panel:
+    x, name, curves = np.array(HEIGHTS), title.lower(), []
+    for color, (stage, tallies) in enumerate(zip(STAGES, zip(*by_height, strict=True), strict=True), 1):
+        curves.append(Curve(x, np.array([getattr(each, name).value for each in tallies]), stage, color, "both"))
+    curves.append(Curve(x, np.array(cameras), "camera over a town", 0, "hollow"))
     return Panel(title, "height [m]", name, curves, levels={"asked for": required}, y_limits=(0.0, 1.05))
 
 
 def _errors(tallies: list[Tally]) -> Panel:
     x = np.array(HEIGHTS)
+    angles, places = np.array([(_degrees(each) / ANGLE_DEG, _sides(each) / PLACE) for each in tallies]).T
     curves = [
-        Curve(x, np.array([_degrees(each) / ANGLE_DEG for each in tallies]), f"angle, in {ANGLE_DEG:g} deg", 1, "both"),
-        Curve(x, np.array([_sides(each) / PLACE for each in tallies]), f"place, in {PLACE:g} sides", 2, "both"),
+        Curve(x, angles, f"angle, in {ANGLE_DEG:g} deg", 1, "both"),
+        Curve(x, places, f"place, in {PLACE:g} sides", 2, "both"),
     ]
     return Panel("Median errors", "height [m]", "error", curves, levels={"asked for": 1.0}, y_limits=(0.0, 1.5))
 
@@ -117,20 +119,19 @@ def _example(height_m: float, number: int) -> Panel:
     detector = Detector([target()])
     detections = detector.detect(frame.image, height_m, frame.seen.focal_px)
     alike = [box(u, v, 1.5 * frame.side_px, 0.0, "likeness", 6) for _, u, v in frame.likenesses]
-    right = [
-        box(detection.centre_px[0], detection.centre_px[1], 1.3 * detection.side_px, detection.angle, "recognised", 0)
-        for detection in detections
-    ]
-    missed = [] if detections else [box(truth.u, truth.v, 1.6 * frame.side_px, 0.0, "missed", 2) for truth in frame.seen.truths]
+    marks = _recognised(detections)
+    if not detections:
+        marks = [box(truth.u, truth.v, 1.6 * frame.side_px, 0.0, "missed", 2) for truth in frame.seen.truths]
     title = f"From {height_m:g} m: a side has {frame.side_px:g} px"
-    return Panel(title, "u [px]", "v [px]", [*alike, *right, *missed], photo=Photo(frame.image))
+    return Panel(title, "u [px]", "v [px]", [*alike, *marks], photo=Photo(frame.image))
 
 
 def _photo() -> Panel:
     with tempfile.TemporaryDirectory() as folder:
         snapshots = Snapshots(town(Path(folder), 20.0, TOWNS[-1])).take(*PHOTO)
-    boxes = [
-        box(sighting.centre_px[0], sighting.centre_px[1], 1.3 * sighting.side_px, sighting.angle, "recognised", 0)
-        for sighting in snapshots.sightings
-    ]
+    boxes = _recognised(snapshots.sightings)
     return Panel("A camera over a town, from 20 m", "u [px]", "v [px]", boxes, photo=Photo(snapshots.pixels))
+
+
+def _recognised(places: Sequence[Detection | Sighting]) -> list[Curve]:
+    return [box(*each.centre_px, 1.3 * each.side_px, each.angle, "recognised", 0) for each in places]

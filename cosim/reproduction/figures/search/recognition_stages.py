@@ -109,29 +109,32 @@ class PlaceScores(NamedTuple):
 def fig_47(runner: Runner, frames: int = FRAMES) -> Figure:
     """Figure 47: effect of rotation on the stages; scores of targets and of their likenesses; estimated angles."""
     judgements = [judgement for each in _by_height(runner, _judged, frames) for judgement in each]
-    moved = runner(
-        [*(partial(_single_target, at) for at in TURNS_DEG), *(partial(_single_target, 30.0, off) for off in SHIFTS_PX)]
-    )
+    jobs = [partial(_single_target, at) for at in TURNS_DEG]
+    jobs += [partial(_single_target, 30.0, off) for off in SHIFTS_PX]
+    moved = runner(jobs)
     turned, shifted = moved[: len(TURNS_DEG)], moved[len(TURNS_DEG) :]
-    rings, match = (
-        {kind: np.array([getattr(each.scores[kind], name) for each in judgements]) for kind in KINDS}
-        for name in ("rings", "match")
-    )
+    rings: dict[str, Array] = {}
+    match: dict[str, Array] = {}
+    for kind in KINDS:
+        rings[kind] = np.array([each.scores[kind].rings for each in judgements])
+        match[kind] = np.array([each.scores[kind].match for each in judgements])
     errors = np.degrees([abs(wrap(each.scores["target"].angle - each.angle)) for each in judgements])
-    least = "least correlation"
     rows: list[Row] = [
         absolute("target, stage 2: least score", 1.0, rings["target"].min(), 1.0 - TARGET_RINGS),
         absolute("target, stage 3: least score", 1.0, match["target"].min(), 1.0 - TARGET_MATCH),
-        *(at_most(f"{kind}, stage 3: largest score", ALIKE_MATCH, match[kind].max()) for kind in KINDS[1:]),
+    ]
+    rows += [at_most(f"{kind}, stage 3: largest score", ALIKE_MATCH, match[kind].max()) for kind in KINDS[1:]]
+    rows += [
         absolute("mirrored, stage 2: median score", MIRRORED_RINGS, float(np.median(rings["mirrored"])), 0.01),
         at_most("all other likenesses, stage 2: largest score", RINGS, max(rings[kind].max() for kind in KINDS[2:])),
         absolute("angle that stage 2 estimates: median error, deg", 0.0, float(np.median(errors)), 1.0),
-        *(absolute(f"turned by {at} deg, not turned back: correlation", must, turned[TURNS_DEG.index(at)].upright, 0.08)
-          for at, must in UPRIGHT.items()),
-        at_most("turned by 15 deg, not turned back: correlation", MATCH, turned[TURNS_DEG.index(15)].upright),
-        absolute(f"turned by any angle, turned back: {least}", 1.0, min(each.match for each in turned), 1.0 - TARGET_MATCH),
-        absolute(f"told up to 7 px off: {least}", 1.0, min(each.match for each in shifted), 1.0 - TARGET_MATCH),
-    ]  # fmt: skip
+    ]
+    upright = {at: each.upright for at, each in zip(TURNS_DEG, turned, strict=True)}
+    for at, must in UPRIGHT.items():
+        rows.append(absolute(f"turned by {at} deg, not turned back: correlation", must, upright[at], 0.08))
+    rows.append(at_most("turned by 15 deg, not turned back: correlation", MATCH, upright[15]))
+    for name, scores in (("turned by any angle, turned back", turned), ("told up to 7 px off", shifted)):
+        rows.append(absolute(f"{name}: least correlation", 1.0, min(each.match for each in scores), 1.0 - TARGET_MATCH))
     by_turn = {"rings": "stage 2", "match": "stage 3, turned back", "upright": "stage 3, not turned back"}
     by_shift = {"rings": "stage 2", "match": "stage 3", "fixed": "correlation at the told place"}
     panels = [
@@ -169,7 +172,8 @@ def _single_target(degrees: float, off_px: float = 0.0) -> inspection.Scores:
 def _likenesses() -> Panel:
     pictures = [ground.glyph(), *ground.likenesses(ground.glyph(), np.random.default_rng(1))]
     edge = np.full((pictures[0].shape[0], 12, 3), 255, np.uint8)
-    upper, lower = (np.hstack([part for each in pictures[i : i + 3] for part in (each, edge)]) for i in (0, 3))
+    framed = [np.hstack([each, edge]) for each in pictures]
+    upper, lower = np.hstack(framed[:3]), np.hstack(framed[3:])
     between = np.full((24, upper.shape[1], 3), 255, np.uint8)
     pixels = np.vstack([upper, between, lower])
     first = box(63.5, 63.5, 132.0, 0.0, "", 0)  # a legend would hide a target
@@ -179,11 +183,9 @@ def _likenesses() -> Panel:
 def _moved(
     title: str, by: str, amounts: Sequence[int], scores: Sequence[inspection.Scores], labels: Mapping[str, str]
 ) -> Panel:
-    x = np.array(amounts, float)
-    curves = [
-        Curve(x, np.array([getattr(each, name) for each in scores]), label, 1 + i)
-        for i, (name, label) in enumerate(labels.items())
-    ]
+    x, curves = np.array(amounts, float), []
+    for color, (name, label) in enumerate(labels.items(), 1):
+        curves.append(Curve(x, np.array([getattr(each, name) for each in scores]), label, color))
     return Panel(title, by, "score", curves, levels={"threshold of stage 3": MATCH})
 
 

@@ -4,7 +4,6 @@ The complete mission: bodies in Bullet, recognition in rendered pictures, maps o
 town. Both targets are found and tracked, each by one vehicle, without a contact.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -43,7 +42,8 @@ class MissionRun:
     @property
     def found_s(self) -> dict[str, float]:
         """Time by target; NaN: never found."""
-        return {name: math.nan if at_s is None else at_s for name, at_s in self.mission["found_s"].items()}
+        found_s = self.mission["found_s"]
+        return dict(zip(found_s, np.array([*found_s.values()], float).tolist(), strict=True))
 
 
 def scouted(result: Result) -> MissionRun:
@@ -60,7 +60,7 @@ def fig_51(runner: Runner, seeds: tuple[int, ...] = SEEDS) -> Figure:
     tracks, distances = [], []
     for seed, mission in zip(seeds, runs, strict=True):
         world, _ = worlds.world_of(SCENARIO, {"seed": seed})
-        targets = {each.name: np.array([each.place(at_s) for at_s in mission.time_s]) for each in world.targets}
+        targets = {each.name: np.array([*map(each.place, mission.time_s)]) for each in world.targets}
         assert world.bounds is not None  # noqa: S101  towns have them
         west, south, east, north = world.bounds
         once_s = (east - west) * (north - south) / (len(NAMES) * SPEED * SEEN_M)
