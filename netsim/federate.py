@@ -31,11 +31,6 @@ class Network(NamedTuple):
     is_first: bool
 
 
-def own_seed(seed: int, networks: Collection[str]) -> int:
-    """The seed of a channel: of the only radio, that of the run."""
-    return int(keys64(seed, [f"radio/networks/{'/'.join(networks)}"])[0] >> np.uint64(1)) if networks else seed
-
-
 class RadioFederate:
     """One federate for all links.
 
@@ -102,7 +97,9 @@ class RadioFederate:
 
     def start(self, run: RunInfo) -> int | None:
         """Start with an idle channel."""
-        self._seed = own_seed(run.seed, self._networks)
+        self._seed = run.seed
+        if self._networks:
+            self._seed = int(keys64(run.seed, [f"radio/networks/{'/'.join(self._networks)}"])[0] >> np.uint64(1))
         self._channel.start(self._seed, run.clocks)
         if run.paced:  # no compilation during the run, which takes seconds
             self._channel.expect(MANY if self._programs else 0)
@@ -127,15 +124,15 @@ class RadioFederate:
     def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
         """Report frames that are decided by now, then send new messages."""
         reports: list[FrameReport] = []
-        inbox = [event for event in inbox if self._takes(event.value)] if self._networks else inbox
+        if self._networks:
+            inbox = [event for event in inbox if self._takes(event.value)]
         for event in inbox:
             if isinstance(event.value, States):
                 self._states = self._of_members(event.value)
             elif isinstance(event.value, _ORDERS):
                 reports += self._apply(event.value, event.time_ns)
-        reports += self._with_networks(
-            self._channel.advance(now_ns)
-        )  # events of the medium precede messages of the same instant
+        # Events of the medium precede messages of the same instant.
+        reports += self._with_networks(self._channel.advance(now_ns))
         if self._network is not None:
             return self._step_routed(self._network, now_ns, inbox, reports)
         posts = list(self._posts(inbox, now_ns))
@@ -333,7 +330,9 @@ class RadioFederate:
 
     def _with_networks(self, reports: list[FrameReport]) -> list[FrameReport]:
         """The reports with the names of their networks, at the vehicles of these alone, and the numbers of the run."""
-        return [self._with_network(report) for report in reports] if self._networks else reports
+        if not self._networks:
+            return reports
+        return [self._with_network(report) for report in reports]
 
     def _with_network(self, report: FrameReport) -> FrameReport:
         name = self._network_of[report.sender]

@@ -220,14 +220,12 @@ class Contention:
         if decided.attempts and sent.tries:  # a later attempt is possible if the acknowledgement was lost
             sent.level_dbm, sent.fading_db = sent.tries[decided.attempts - 1]
         others = sent.sender.others
-        snr_db = sinr_db = self._hearing.over_noise(sent.level_dbm)
+        snr_db = sinr_db = self._hearing.over_noise(sent.level_dbm)[None]
         if decided.attempts:
             least_sinr = decided.least_sinr[others]
             least_sinr[least_sinr <= 0.0] = np.nan  # no ratio at a radio that was sending itself
-            sinr_db = sealed(10.0 * np.log10(least_sinr))
-        snr_row = snr_db[None]
-        sinr_row = snr_row if sinr_db is snr_db else sinr_db[None]
-        return FrameBatch([sent], decided.fate[others][None], [decided.start_ns], [decided.end_ns], snr_row, sinr_row)
+            sinr_db = sealed(10.0 * np.log10(least_sinr))[None]
+        return FrameBatch([sent], decided.fate[others][None], [decided.start_ns], [decided.end_ns], snr_db, sinr_db)
 
 
 def at_all(values: Floats, row: int) -> Floats:

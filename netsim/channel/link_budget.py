@@ -41,6 +41,8 @@ BELOW_SENSITIVITY, WALLS, SHADOWING, FADING = range(4)
 
 AT_ONCE = 1 << 16  # links in a batch: NumPy's overhead for each call is negligible for more
 _SURE = 2.0**-54  # hazard that every frame survives: no draw is less, except 0
+_REPORTED = ("path_loss_db", "walls", "wall_loss_db", "shadowing_db", "path_delay_ns", "delay_spread_ns")
+"""Columns of a `LinkBudget` that reports contain, if the channel has them."""
 
 
 class ReceivedSignal(msgspec.Struct, frozen=True, dict=True):
@@ -65,28 +67,6 @@ class ReceivedSignal(msgspec.Struct, frozen=True, dict=True):
         """The signals of some frames."""
         index = slice(which[0], which[0] + 1) if len(which) == 1 else which
         return ReceivedSignal(self.snr_db[index], self.detected[index], None if self.hazard is None else self.hazard[index])
-
-
-class ReportColumns(msgspec.Struct, frozen=True):
-    """Part of a mean budget at m receivers of a frame; fields: see `LinkBudget`."""
-
-    receivers: tuple[str, ...]
-    distance_m: Floats
-    level_dbm: Floats
-    path_loss_db: Floats
-    walls: Ints | None
-    materials: tuple[str, ...] | None
-    wall_loss_db: Floats | None
-    shadowing_db: Floats | None
-    path_delay_ns: Floats | None
-    delay_spread_ns: Floats | None
-
-    def at(self, to: slice) -> "ReportColumns":
-        """The columns at some of these receivers."""
-        parts: dict[str, Any] = {
-            name: None if value is None else value[to] for name, value in msgspec.structs.asdict(self).items()
-        }
-        return ReportColumns(**parts)
 
 
 def propagation_ns(distance_m: Floats) -> Ints:
@@ -139,7 +119,7 @@ class MeanBudget:
             every.link_antennas,
         )
         self.signals: dict[int, ReceivedSignal] = {}  # (1, n), by size: filled by `ReceiverModel`
-        self._columns: dict[int | None, ReportColumns] = {}  # by place of the first receiver
+        self._columns: dict[int | None, dict[str, Any]] = {}  # by place of the first receiver
 
     @property
     def power_mw(self) -> Floats:
@@ -153,24 +133,19 @@ class MeanBudget:
         delay_ns = self.every.path_delay_ns
         return propagation_ns(self.paths.distance_m) if delay_ns is None else np.rint(delay_ns[self.place]).astype(np.int64)
 
-    def report_columns(self, to: slice) -> ReportColumns:
-        """Columns of frame reports for one receiver, or for all."""
+    def report_columns(self, to: slice) -> dict[str, Any]:
+        """Fields of a `FrameReport` to one receiver, or to all, at the mean level."""
         columns = self._columns.get(to.start)
         if columns is None:
-            every, place = self.every, self.place
-            columns = ReportColumns(
-                every.senders[place].receivers,
-                self.paths.distance_m,
-                self.level_dbm,
-                every.path_loss_db[place],
-                None if every.walls is None else every.walls[place],
-                every.materials,
-                None if every.wall_loss_db is None else every.wall_loss_db[place],
-                None if every.shadowing_db is None else every.shadowing_db[place],
-                None if every.path_delay_ns is None else every.path_delay_ns[place],
-                None if every.delay_spread_ns is None else every.delay_spread_ns[place],
-            )
-            columns = self._columns[to.start] = columns if to.start is None else columns.at(to)
+            receivers = self.every.senders[self.place].receivers[to]
+            columns = {"receivers": receivers, "distance_m": self.paths.distance_m[to], "rssi_dbm": self.level_dbm[to]}
+            for name in _REPORTED:
+                values = getattr(self.every, name)
+                if values is not None:
+                    columns[name] = values[self.place][to]
+            if self.every.materials is not None:
+                columns["wall_materials"] = self.every.materials[to]
+            self._columns[to.start] = columns
         return columns
 
 
@@ -388,8 +363,9 @@ class Budgets:
     def _own(self, names: tuple[str, ...], field: str, default: float) -> Floats:
         if not self._radios:
             return np.full(len(names), float(default))
-        own = [getattr(self._of(name), field) for name in names]
-        return np.array([default if each is None else each for each in own], np.float64)
+        own = np.array([getattr(self._of(name), field) for name in names], np.float64)  # None becomes NaN
+        own[np.isnan(own)] = default
+        return own
 
     def loss_db(self, tx: Floats, rx: Floats) -> Floats:
         """Mean loss from any point (3,) to others (n, 3), (n,) dB: path loss, walls and shadowing."""
@@ -398,7 +374,7 @@ class Budgets:
 
     def _bodies_in_way(self, row: int) -> tuple[Floats, Ints]:
         own = [self._of(name) for name in self._names]
-        sizes = (np.array([getattr(each, size) for each in own]) for size in ("body_radius_m", "body_height_m", "body_loss_db"))
+        sizes = np.array([(each.body_radius_m, each.body_height_m, each.body_loss_db) for each in own]).T.copy()
         assert self._position is not None  # noqa: S101  known since `mean`
         return through(Bodies(self._position, *sizes), row, self._antennas)
 
@@ -407,8 +383,11 @@ class Budgets:
 
 
 def _with_vehicles(materials: tuple[str, ...], count: Ints) -> tuple[str, ...]:
-    words = [f"{n} vehicle" if n else "" for n in count.tolist()]
-    return tuple(", ".join(filter(None, pair)) for pair in zip(materials, words, strict=True))
+    words = []
+    for material, n in zip(materials, count.tolist(), strict=True):
+        vehicles = f"{n} vehicle" if n else ""
+        words.append(", ".join(filter(None, (material, vehicles))))
+    return tuple(words)
 
 
 class ReceiverModel:
@@ -435,8 +414,8 @@ class ReceiverModel:
             signals = self._signals_of(every, size)
             return signals if places == list(range(len(every.rows))) else signals.rows(places)
         rows = [self.signals([mean], [level], [each]) for mean, level, each in zip(means, levels_dbm, sizes, strict=True)]
-        columns = [np.concatenate([getattr(row, name) for row in rows]) for name in ("snr_db", "detected", "hazard")]
-        return ReceivedSignal(*columns)
+        columns: Any = zip(*((row.snr_db, row.detected, row.hazard) for row in rows), strict=True)
+        return ReceivedSignal(*map(np.concatenate, columns))
 
     def _signals_of(self, every: LinkBudget, size_bytes: int) -> ReceivedSignal:
         if size_bytes not in every.signals:

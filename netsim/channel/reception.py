@@ -166,8 +166,9 @@ class Outcomes:
 
     def _arrival_ns(self, batch: FrameBatch, layer_frames: Sequence[Frame]) -> Ints | int:
         """Time of arrival if a frame is not lost, ns: (k, n), (k, 1), or of a single frame without delays its end."""
-        end_ns = _rows(batch.end_ns)
-        heard_ns = end_ns + np.stack([sent.mean.propagation_ns for sent in batch.frames]) if self._propagation else end_ns
+        end_ns = heard_ns = _rows(batch.end_ns)
+        if self._propagation:
+            heard_ns = end_ns + np.stack([sent.mean.propagation_ns for sent in batch.frames])
         if self._delay is None and self._trace is None and self._script is None:
             return heard_ns
         sent_ns = _rows([sent.sent_ns for sent in batch.frames])
@@ -200,8 +201,12 @@ class Outcomes:
     ) -> FrameReport:
         """Report of frame k at its receivers, after delivery; rows (n,) of the batch, read-only."""
         sent, start_ns, end_ns = batch.frames[k], batch.start_ns[k], batch.end_ns[k]
-        sender, mean, to, on_air = sent.sender, sent.mean, sent.destination, start_ns >= 0
-        copy_ns = None
+        sender, to = sent.sender, sent.destination
+        columns = sent.mean.report_columns(to)
+        if sent.level_dbm is not sent.mean.level_dbm:
+            columns = {**columns, "rssi_dbm": frozen(sent.level_dbm[to])}
+        if sent.fading_db is not None:
+            columns = {**columns, "fading_db": frozen(sent.fading_db[to])}
         if to.start is not None:
             code, outcomes = code[to], outcomes[to]
             arrival_ns, snr_db, sinr_db = arrival_ns[to], snr_db[to], sinr_db[to]
@@ -209,35 +214,25 @@ class Outcomes:
             draw, rows, size = sent.draw(DELIVERY_SLOT), sender.others[to], sent.message.size_bytes
             arrival_ns, copy_ns = self._delivery.deliver(sender.row, rows, arrival_ns, size, lambda: draw()[to])
             outcomes = self._words[np.where((code == 0) & (arrival_ns < 0), len(self._words) - 1, code)].tolist()
-            arrival_ns, copy_ns = frozen(arrival_ns), frozen(copy_ns)
-        columns = mean.report_columns(to)
-        head_ns = max(sent.sent_ns, sender.free_ns)  # time at which it became the first of its sender's queue
-        if on_air:
+            arrival_ns, columns = frozen(arrival_ns), {**columns, "copy_ns": frozen(copy_ns)}
+        air_time_ns, queue_ns, access_ns = 0, max(0, end_ns - sent.sent_ns), 0
+        if start_ns >= 0:  # it was sent
+            head_ns = max(sent.sent_ns, sender.free_ns)  # time at which it became the first of its sender's queue
+            air_time_ns, queue_ns, access_ns = sent.air_ns, head_ns - sent.sent_ns, max(0, start_ns - head_ns)
             sender.free_ns = max(sender.free_ns, end_ns)
         return FrameReport(
             frame=sent.frame,
             sender=sender.links.sender,
             sent_ns=sent.sent_ns,
             size_bytes=sent.message.size_bytes,
-            receivers=columns.receivers,
-            distance_m=columns.distance_m,
-            rssi_dbm=columns.level_dbm if sent.level_dbm is mean.level_dbm else frozen(sent.level_dbm[to]),
             received_ns=arrival_ns,
-            copy_ns=copy_ns,
             outcome=tuple(outcomes),
-            air_time_ns=sent.air_ns if on_air else 0,
-            queue_ns=max(0, (head_ns if on_air else end_ns) - sent.sent_ns),
-            access_ns=max(0, start_ns - head_ns) if on_air else 0,
+            air_time_ns=air_time_ns,
+            queue_ns=queue_ns,
+            access_ns=access_ns,
             snr_db=snr_db,
             sinr_db=sinr_db,
-            path_loss_db=columns.path_loss_db,
-            walls=columns.walls,
-            wall_materials=columns.materials,
-            wall_loss_db=columns.wall_loss_db,
-            shadowing_db=columns.shadowing_db,
-            fading_db=None if sent.fading_db is None else frozen(sent.fading_db[to]),
-            path_delay_ns=msgspec.UNSET if columns.path_delay_ns is None else columns.path_delay_ns,
-            delay_spread_ns=msgspec.UNSET if columns.delay_spread_ns is None else columns.delay_spread_ns,
+            **columns,
         )
 
 
@@ -371,7 +366,9 @@ def _arrivals(columns: Sequence[Sequence[Any]]) -> list[NDArray[Any]]:
         receiver, rssi_dbm, arrival_ns = map(np.concatenate, columns)
         number = np.arange(len(columns[0])).repeat([len(each) for each in columns[0]])
     every, arrives = [number, receiver, rssi_dbm, arrival_ns], arrival_ns >= 0
-    return every if np.count_nonzero(arrives) == len(arrives) else [each[arrives] for each in every]
+    if np.count_nonzero(arrives) == len(arrives):
+        return every
+    return [each[arrives] for each in every]
 
 
 def received(report: FrameReport) -> Iterator[tuple[str, float, int]]:
@@ -443,7 +440,7 @@ class Bulk:
         decided = self._medium.advance_many(until_ns)
         if not decided:
             return None
-        number, end_ns, fate = (np.concatenate([batch[column] for batch in decided]) for column in (0, 2, 4))
+        number, _, end_ns, _, fate, _ = map(np.concatenate, zip(*decided, strict=True))
         sender = self._sender[number]
         code = np.where(fate == np.uint8(Fate.UNDETECTED), TOO_WEAK + self._weakness[sender], fate)
         code[np.arange(len(sender)), sender] = _OWN

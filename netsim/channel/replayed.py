@@ -14,6 +14,7 @@ from vcmvsp.cosim.tables.radio_frames import PATHS
 from vcmvsp.cosim.tables.schema import RADIO_SCHEMA, read_table
 from vcmvsp.cosim.types import Array, FrameReport, Message, frozen
 
+_TIMES = ("air_time_ns", "queue_ns", "access_ns")  # of a frame, equal at all receivers
 _LAYERS = ("walls", "wall_loss_db", "shadowing_db", "fading_db", "snr_db", "path_loss_db")
 
 
@@ -49,8 +50,7 @@ class RecordedFrames:
         if wrong := [field.name for field in RADIO_SCHEMA if kinds.get(field.name) != field.type]:
             raise UsageError(f"{path} is not a recording of a radio: no column {', '.join(wrong)} of the right type")
         table = _of_networks(table, [name for name, _ in networks], path)
-        self._columns = {name: frozen(numbers(table, name)) for name in ("distance_m", "rssi_dbm", "air_time_ns", "queue_ns")}
-        self._columns["access_ns"] = frozen(numbers(table, "access_ns"))
+        self._columns = {name: frozen(numbers(table, name)) for name in ("distance_m", "rssi_dbm", *_TIMES)}
         self._columns["sinr_db"] = frozen(numbers(table, "sinr_db", np.nan))
         for name in _LAYERS:  # zeros: the run had no such layer
             values = numbers(table, name)
@@ -60,10 +60,8 @@ class RecordedFrames:
         self._delay_ns = numbers(table, "delay_ns", -1)
         copied = ~nulls(table, "copy_ns")
         self._copy_ns = np.where(copied, numbers(table, "copy_ns") - numbers(table, "sent_ns"), -1) if copied.any() else None
-        self._receivers, self._outcomes, self._materials = (
-            np.array(names, object)[codes] if len(codes) else np.empty(0, object)
-            for names, codes in (names_of(table, name) for name in ("receiver", "outcome", "wall_materials"))
-        )
+        self._receivers, self._outcomes = _texts(table, "receiver"), _texts(table, "outcome")
+        self._materials = _texts(table, "wall_materials")
         self._rows = _rows(numbers(table, "frame"), *names_of(table, "sender"))
 
     def start(self) -> None:
@@ -85,21 +83,22 @@ class RecordedFrames:
         if rows is None or tuple(self._receivers[rows].tolist()) != receivers:
             self.unknown += len(receivers) > 0  # a frame without receivers is in no recording
             return None
-        delay_ns, copy_ns = self._delay_ns[rows], None if self._copy_ns is None else self._copy_ns[rows]
         parts: dict[str, Any] = {name: column[rows] for name, column in self._columns.items()}
-        for name in ("air_time_ns", "queue_ns", "access_ns"):
+        for name in _TIMES:
             parts[name] = int(parts[name][0])
+        if self._copy_ns is not None:
+            parts["copy_ns"] = _since(sent_ns, self._copy_ns[rows])
         materials = tuple(self._materials[rows].tolist())
+        if any(materials):
+            parts["wall_materials"] = materials
         return FrameReport(
             frame=frame,
             sender=message.sender,
             sent_ns=sent_ns,
             size_bytes=message.size_bytes,
             receivers=receivers,
-            received_ns=_since(sent_ns, delay_ns),
-            copy_ns=None if copy_ns is None else _since(sent_ns, copy_ns),
+            received_ns=_since(sent_ns, self._delay_ns[rows]),
             outcome=tuple(self._outcomes[rows].tolist()),
-            wall_materials=materials if any(materials) else None,
             **parts,
         )
 
@@ -124,6 +123,11 @@ def _of_networks(table: pa.Table, networks: Sequence[str], path: Path) -> pa.Tab
     if not networks:
         raise UsageError(f"{path} is the recording of a run with several radios ({', '.join(sorted(names))}), not of one")
     return table.filter(pa.array(np.isin(of, [code for code, name in enumerate(names) if name in networks])))
+
+
+def _texts(table: pa.Table, name: str) -> Array:
+    names, codes = names_of(table, name)
+    return np.array(names, object)[codes] if len(codes) else np.empty(0, object)
 
 
 def _rows(frame: Array, names: tuple[str, ...], sender: Array) -> dict[tuple[str, int], slice]:

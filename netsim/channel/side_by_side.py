@@ -14,6 +14,7 @@ from vcmvsp.cosim.rng import link_uniform
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.channel.link_budget import propagation_ns
 from vcmvsp.netsim.channel.reception import TOO_WEAK, WORDS
+from vcmvsp.netsim.channel.user_layers import is_own
 from vcmvsp.netsim.interfaces.layers import (
     DELAY_SLOT,
     ERROR_SLOT,
@@ -68,20 +69,26 @@ class SideBySide:
         budgets, layers = channel.budgets, channel.operated.layers
         self._loss, self._delay = unless_nothing(layers["loss"]), unless_nothing(layers["delay"])
         self._propagates = getattr(layers["delay"], "propagation", False)
-        if why := channel.unbatchable or _own_layer(channel.fading, self._loss, self._delay):
+        why = channel.unbatchable
+        for layer in (channel.fading, self._loss, self._delay):
+            if not why and layer is not None and is_own(type(layer)):
+                why = f"{type(layer).__name__} is a layer of your own"
+        if why:
             raise ScenarioError(f"{why}: only one world at a time can have it", key="radio")
         self._words = (*WORDS, *(() if self._loss is None else (self._loss.cause,)))
-        self._others = np.array([[row for row in range(n) if row != own] for own in range(n)]).reshape(n, n - 1)
+        self._others = np.nonzero(~np.eye(n, dtype=np.bool_))[1].reshape(n, n - 1)
         self._raised = budgets.antennas_above(names)
         gain_dbi = budgets.gain_dbi(names)
         self._power_dbm = (budgets.tx_power_dbm(names) + gain_dbi)[:, None] + gain_dbi[self._others]
         self._sensitivity_dbm = budgets.sensitivity_dbm(names)[self._others]
         links = [SenderLinks(seed, own, names[:row] + names[row + 1 :]) for seed in seeds for row, own in enumerate(names)]
         self._shape = len(seeds), n, n - 1
-        keys = np.concatenate([each.keys for each in links])
+        keys = pair_keys = np.concatenate([each.keys for each in links])
         uses_pairs = getattr(channel.fading, "doppler_hz", None) is not None
         self._by_time = uses_pairs or (self._loss is not None and not hasattr(self._loss, "lost_by"))
-        self._links = _AllLinks(keys, np.concatenate([each.pair_keys for each in links]) if uses_pairs else keys)
+        if uses_pairs:
+            pair_keys = np.concatenate([each.pair_keys for each in links])
+        self._links = _AllLinks(keys, pair_keys)
         self._numbers = np.zeros(self._shape[:2], np.uint64)  # frames that each vehicle has sent
         self._free_ns = np.zeros(self._shape[:2], np.int64)
 
@@ -134,11 +141,3 @@ class SideBySide:
             )
         nowhere = Paths(np.zeros(3), np.zeros((0, 3)), np.zeros(0))
         return Frame(sent_ns, first_ns, first_ns, size_bytes, nowhere, level_dbm.ravel(), self._links)
-
-
-def _own_layer(*layers: object) -> str:
-    """The first layer that is no built-in one, in words."""
-    for layer in layers:
-        if layer is not None and not type(layer).__module__.startswith("vcmvsp.netsim."):
-            return f"{type(layer).__name__} is a layer of your own"
-    return ""

@@ -143,7 +143,8 @@ class EmpiricalDelay(Propagating):
     quantiles: tuple[tuple[Probability, Seconds], ...]  # pairs [probability, s] that rise from 0 to 1, linear in between
 
     def __post_init__(self) -> None:
-        probabilities, seconds = ([pair[k] for pair in self.quantiles] for k in (0, 1))
+        probabilities = [pair[0] for pair in self.quantiles]
+        seconds = [pair[1] for pair in self.quantiles]
         rising = all(a < b for a, b in pairwise(probabilities)) and seconds == sorted(seconds)
         if len(self.quantiles) < 2 or probabilities[0] != 0.0 or probabilities[-1] != 1.0 or not rising:
             problem = "must be pairs (probability, seconds) in increasing order, from probability 0 to probability 1"

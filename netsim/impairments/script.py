@@ -3,7 +3,8 @@
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
+from itertools import permutations
 from typing import ClassVar, NamedTuple
 
 import msgspec
@@ -40,6 +41,15 @@ class Change(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             raise ValueError(f"to_s = {self.to_s:g} must be greater than from_s = {self.from_s:g}")
         if self.loss is None and self.attenuation_db is None and self.delay_s is None:
             raise ValueError(f"the entry from {self.from_s:g} s has no effect: set loss, attenuation_db or delay_s")
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """Start, and end, which it does not include."""
+        return seconds_to_ns(self.from_s), 2**63 if self.to_s is None else seconds_to_ns(self.to_s)
+
+    def concerns(self, link: str) -> bool:
+        """Whether a link, ``sender/receiver``, is one of its links."""
+        return any(matches(each, link) for each in self.links)
 
 
 class Effects(NamedTuple):
@@ -78,9 +88,9 @@ class Script:
 
     def unmatched(self, vehicles: Sequence[str]) -> list[str]:
         """The key expressions that match no link between the vehicles."""
-        links = [f"{sender}/{receiver}" for sender in vehicles for receiver in vehicles if sender != receiver]
+        links = [f"{sender}/{receiver}" for sender, receiver in permutations(vehicles, 2)]
         expressions = dict.fromkeys(expression for change in self.changes for expression in change.links)
-        return [each for each in expressions if not any(matches(each, link) for link in links)]
+        return [each for each in expressions if not any(map(partial(matches, each), links))]
 
     def _effects(self, frame: Frame) -> Effects:
         """Effects of the changes that are active while the frame is on the air."""
@@ -88,22 +98,24 @@ class Script:
         first, last = bisect_right(edges, frame.start_ns), bisect_left(edges, frame.end_ns)
         now = present[first]
         if first < last:  # a change starts or ends while the frame is on the air
-            now = tuple(sorted({change for stretch in present[first : last + 1] for change in stretch}))
+            now = tuple(sorted(set[int]().union(*present[first : last + 1])))
         return of(now, frame.sender, frame.receivers)
 
     @cached_property
     def _timeline(self) -> tuple[list[int], list[tuple[int, ...]], Callable[[tuple[int, ...], str, tuple[str, ...]], Effects]]:
         """Times of all changes, ns; the active changes before the first and after each of these; their effects."""
-        ends = [2**63 if each.to_s is None else seconds_to_ns(each.to_s) for each in self.changes]
-        spans = [(seconds_to_ns(each.from_s), end) for each, end in zip(self.changes, ends, strict=True)]
-        edges = sorted({edge for span in spans for edge in span})
-        present = [tuple(k for k, (begin, end) in enumerate(spans) if begin <= t < end) for t in (-1, *edges)]
-        return edges, present, lru_cache(maxsize=4096)(self._together)
+        spans = [each.span_ns for each in self.changes]
+        edges = sorted(set[int]().union(*spans))
+
+        def active(time_ns: int) -> tuple[int, ...]:
+            return tuple(k for k, (begin, end) in enumerate(spans) if begin <= time_ns < end)
+
+        return edges, [active(time_ns) for time_ns in (-1, *edges)], lru_cache(maxsize=4096)(self._together)
 
     def _together(self, present: tuple[int, ...], sender: str, receivers: tuple[str, ...]) -> Effects:
         passes, gain_db, delay_s = np.ones(len(receivers)), np.zeros(len(receivers)), np.zeros(len(receivers))
         for change in (self.changes[k] for k in present):
-            struck = [any(matches(links, f"{sender}/{receiver}") for links in change.links) for receiver in receivers]
+            struck = [change.concerns(f"{sender}/{receiver}") for receiver in receivers]
             passes[struck] *= 1.0 - (change.loss or 0.0)
             gain_db[struck] -= change.attenuation_db or 0.0
             delay_s[struck] += change.delay_s or 0.0

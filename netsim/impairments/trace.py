@@ -178,14 +178,16 @@ def read_rows(file: str) -> TraceRows:
         times = f"{time_ns[k] / SECOND_NS:g} after {time_ns[before] / SECOND_NS:g}"
         _refuse(file, f"time_s goes back from {names[ends[0][k]]} to {names[ends[1][k]]}: {times}", row=k)
     times_ns, place = np.unique(row_ns, return_inverse=True)
+    values = {name: columns[name][rows] for name in VALUES if name in columns}
+    pairs = [divmod(each, len(names)) for each in links.tolist()]
     return TraceRows(
-        links=tuple((names[each // len(names)], names[each % len(names)]) for each in links.tolist()),
+        links=tuple([(names[sender], names[receiver]) for sender, receiver in pairs]),
         first=np.searchsorted(link, np.arange(len(links) + 1)),
         row_ns=row_ns,
         times_ns=times_ns,
         stride=len(times_ns) + 1,
         order=link * (len(times_ns) + 1) + place,
-        values={name: columns[name][rows] for name in VALUES if name in columns},
+        values=values,
     )
 
 
@@ -197,7 +199,7 @@ def _read(path: Path) -> pa.Table:
     try:
         if path.suffix == ".parquet":
             return read_table(path)
-        kinds = {name: pa.string() if name in KEYS[1:] else pa.float64() for name in (*KEYS, *VALUES)}
+        kinds = dict.fromkeys((*KEYS, *VALUES), pa.float64()) | dict.fromkeys(KEYS[1:], pa.string())
         limits.check_size(path, limits.CSV_BYTES)
         # One thread, so that errors name their row.
         return csv.read_csv(

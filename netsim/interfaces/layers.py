@@ -266,10 +266,6 @@ class LinkDraws:
             cached = self._blocks[slot] = (number, link_uniform(self._links.keys, frames[:, None], slot))
         return cached[1]
 
-    def some(self, frame: int, slot: int, which: NDArray[np.intp]) -> Floats:
-        """`uniform` for some receivers only, by their place: (len(which), 2)."""
-        return link_uniform(self._links.keys[which], np.array(frame, np.uint64), slot)
-
 
 def _exponential(draws: Floats) -> Floats:
     return -np.log1p(-draws[..., 0])

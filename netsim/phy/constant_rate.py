@@ -14,7 +14,7 @@ import msgspec
 
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Decibels, Positive
-from vcmvsp.netsim.interfaces.layers import BitRate, Floats
+from vcmvsp.netsim.interfaces.layers import BitRate
 
 Overhead = Annotated[float, msgspec.Meta(ge=0.0, le=1e3)]  # s
 
@@ -67,10 +67,6 @@ class ThermalNoise:
         """Noise power."""
         watts = BOLTZMANN * TEMPERATURE_K * self.bandwidth_hz
         return 10.0 * math.log10(watts) + 30.0 + self.noise_figure_db
-
-    def snr_db(self, rssi_dbm: Floats) -> Floats:
-        """Signal above noise, the shape of ``rssi_dbm``."""
-        return rssi_dbm - self.dbm
 
 
 LARGEST_MSDU_BYTES = 2304 - 8  # IEEE 802.11-2016, 9.2.4.7.1: payload of an MSDU, without LLC and SNAP

@@ -73,13 +73,13 @@ class Csma154Air:
 
     def begin(self, now_ns: int, flights: list[AirborneFrame]) -> None:
         """Start frames, usually one."""
-        noticed = np.max([each.power_mw for each in flights], axis=0) > _UNNOTICED * self._noise_mw
+        strongest = np.max([each.power_mw for each in flights], axis=0)
+        noticed = strongest > _UNNOTICED * self._noise_mw
         for each in self._flights:
             self._settle(each, now_ns, noticed[each.rows])
         deaf = self._deaf_until_ns > now_ns
         before = self._noise_mw + self._power_mw
         free = (self._locked == FREE) & ~deaf
-        strongest = np.max([each.power_mw for each in flights], axis=0) if len(flights) > 1 else flights[0].power_mw
         free &= strongest > self._preamble_snr * before
         for each in flights:
             each.deaf = deaf

@@ -72,7 +72,6 @@ def test_thermal_noise_is_that_of_ns_3() -> None:
     assert ThermalNoise().dbm == pytest.approx(-93.97, abs=0.01)  # ns-3.44 for 802.11
     assert ThermalNoise(1.0, 0.0).dbm == pytest.approx(-173.975, abs=0.001)  # the textbook -174 dBm/Hz
     assert ThermalNoise.ieee802154(-92.0).dbm == pytest.approx(-92.4, abs=0.01)
-    assert ThermalNoise().snr_db(array(-82.0, -93.965)) == pytest.approx([11.965, 0.0], abs=0.001)
 
 
 def test_frames_have_as_many_bits_as_ns_3_counts() -> None:
