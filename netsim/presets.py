@@ -1,5 +1,6 @@
 """Presets of the channel: named tables of layer parameters, which a scenario may change key by key."""
 
+from collections.abc import Sequence
 from copy import deepcopy
 from typing import Any
 
@@ -34,10 +35,9 @@ _INSTANT: Tables = {
     "phy": {"kind": "constant_rate", "rate_bps": 1e9, "overhead_s": 1e-6, "tx_power_dbm": 0.0, "sensitivity_dbm": -300.0},
     "mac": {"kind": "ideal"},
 }
-_B_RATES = {"1": 1e6, "2": 2e6, "5.5": 5.5e6, "11": 11e6}
-_HT_RATES = {f"{rate:g}": rate * 1e6 for rate in (6.5, 13, 19.5, 26, 39, 52, 58.5, 65)}
-_HE_RATES = {f"{rate:g}": rate * 1e6 for rate in (8.6, 17.2, 25.8, 34.4, 51.6, 68.8, 77.4, 86, 103.2, 114.7, 129, 143.4)}
-_OFDM_RATES = {f"{rate}": rate * 1e6 for rate in (6, 9, 12, 18, 24, 36, 48, 54)}
+_N_MBPS = 6.5, 13, 19.5, 26, 39, 52, 58.5, 65
+_AX_MBPS = 8.6, 17.2, 25.8, 34.4, 51.6, 68.8, 77.4, 86, 103.2, 114.7, 129, 143.4
+_AG_MBPS = 6, 9, 12, 18, 24, 36, 48, 54
 
 
 def _indoor(frequency_hz: float, reference_loss_db: float) -> Tables:
@@ -52,10 +52,15 @@ def _lora(spreading_factor: int) -> Tables:
     return {**_indoor(868e6, 31.218), "phy": phy, "mac": {"kind": "aloha", "duty_cycle": 0.01, "queue_frames": 1}, **_LEFT_OUT}
 
 
-def _wifi(phy: dict[str, Any], frequency_hz: float, reference_loss_db: float) -> Tables:
-    """802.11 with the power, the preamble threshold and the channel access of ns-3."""
-    full = {**phy, "tx_power_dbm": 16.0206, "sensitivity_dbm": -82.0}
-    return {**_indoor(frequency_hz, reference_loss_db), "phy": full, "mac": {"kind": "dcf"}, **_LEFT_OUT}
+def _wifi(
+    letter: str, rates_mbps: Sequence[float], frequency_hz: float, reference_loss_db: float, kind: str = "ofdm", **band: str
+) -> dict[str, Tables]:
+    """802.11 at each rate, with the power, the preamble threshold and the channel access of ns-3."""
+    indoor, presets = _indoor(frequency_hz, reference_loss_db), dict[str, Tables]()
+    for rate in rates_mbps:
+        phy = {"kind": kind, "rate_bps": rate * 1e6, **band, "tx_power_dbm": 16.0206, "sensitivity_dbm": -82.0}
+        presets[f"wifi-{letter}-{rate:g}"] = {**indoor, "phy": phy, "mac": {"kind": "dcf"}, **_LEFT_OUT}
+    return presets
 
 
 _PRESETS: dict[str, Tables] = {
@@ -77,17 +82,11 @@ _PRESETS: dict[str, Tables] = {
         "mac": _INSTANT["mac"],
         **_LEFT_OUT,
     },
-    **{f"wifi-b-{name}": _wifi({"kind": "dsss", "rate_bps": rate}, 2.4e9, 40.052) for name, rate in _B_RATES.items()},
-    **{
-        f"wifi-{letter}-{name}": _wifi({"kind": "ofdm", "rate_bps": rate, "band": band}, frequency_hz, reference_loss_db)
-        for letter, band, frequency_hz, reference_loss_db in (("g", "2.4GHz", 2.4e9, 40.052), ("a", "5GHz", 5.15e9, 46.684))
-        for name, rate in _OFDM_RATES.items()
-    },
-    **{
-        f"wifi-{letter}-{name}": _wifi({"kind": "ofdm", "rate_bps": rate, "band": "2.4GHz"}, 2.4e9, 40.052)
-        for letter, rates in (("n", _HT_RATES), ("ax", _HE_RATES))
-        for name, rate in rates.items()
-    },
+    **_wifi("b", (1, 2, 5.5, 11), 2.4e9, 40.052, kind="dsss"),
+    **_wifi("g", _AG_MBPS, 2.4e9, 40.052, band="2.4GHz"),
+    **_wifi("a", _AG_MBPS, 5.15e9, 46.684, band="5GHz"),
+    **_wifi("n", _N_MBPS, 2.4e9, 40.052, band="2.4GHz"),
+    **_wifi("ax", _AX_MBPS, 2.4e9, 40.052, band="2.4GHz"),
     # 802.15.4 at 1 mW, with the sensitivity that the standard requires.
     "zigbee": {
         **_indoor(2.4e9, 40.052),

@@ -43,7 +43,7 @@ from vcmvsp.netsim.interfaces.layers import (
     SenderLinks,
     unless_nothing,
 )
-from vcmvsp.netsim.interfaces.medium import Ideal, Mac, Medium, needs
+from vcmvsp.netsim.interfaces.medium import Ideal, Mac, Medium, thresholds
 from vcmvsp.netsim.mac.tdma import Tdma
 
 
@@ -97,10 +97,6 @@ class RuntimeChanges:
         """Lose every frame from and to these vehicles."""
         self.outages = Outages((*self.outages.spans, (frozenset(vehicles), from_ns, until_ns)))
 
-    def change(self, key: str, value: float) -> None:
-        """Change a number; see `changed`."""
-        self.layers = self.changed(self.layers, key, value)
-
     def check(self, key: str, value: float, earlier: Sequence[tuple[str, float]] = ()) -> None:
         """Check a change after earlier ones without making it; see `changed`."""
         layers = self.layers
@@ -152,14 +148,14 @@ class Channel:
         radios: Mapping[str, Radio] | None = None,
     ) -> None:
         self.phy, self.mac = phy, mac or Ideal()
-        least = needs(self.mac, phy)
+        least_dbm, preamble_db = thresholds(self.mac, phy)
         own = dict(radios or {})
-        if least.sensitivity_dbm == -np.inf and any(radio.sensitivity_dbm is not None for radio in own.values()):
+        if least_dbm == -np.inf and any(radio.sensitivity_dbm is not None for radio in own.values()):
             problem = f"{type(self.mac).__name__} detects frames by their SINR: a vehicle's sensitivity_dbm has no effect"
             raise ScenarioError(problem, key="mac.kind")
         layers = unless_nothing(walls), unless_nothing(shadowing)
-        self.budgets = Budgets(path_loss, *layers, phy, own, least.sensitivity_dbm)
-        self.hearing = ReceiverModel(phy, least.preamble_snr_db)
+        self.budgets = Budgets(path_loss, *layers, phy, own, least_dbm)
+        self.hearing = ReceiverModel(phy, preamble_db)
         self.fading, self._script, self._trace, self._jammer, self._delivery = fading, script, trace, jammer, delivery
         self._levels = RxPower(fading, script, trace)
         self.operated = RuntimeChanges(loss=loss, delay=delay)
@@ -338,7 +334,7 @@ class Channel:
 
     def change(self, key: str, value: float) -> None:
         """Change a number of a layer (`RuntimeChanges.numbers`), for all frames that are not decided yet."""
-        self.operated.change(key, value)
+        self.operated.layers = self.operated.changed(self.operated.layers, key, value)
         self._outcomes = self._behind()
 
     def _behind(self) -> Outcomes:

@@ -133,10 +133,8 @@ def _bools(answer: object, shape: tuple[int, ...]) -> Array:
 
 
 def _times(answer: object, shape: tuple[int, ...]) -> Array:
-    must = "whole numbers of ns (int64)"
-    return _array(answer, shape, must, "iu", lambda array: (array > -_BOUND_NS) & (array < _BOUND_NS)).astype(
-        np.int64, copy=False
-    )
+    array = _array(answer, shape, "whole numbers of ns (int64)", "iu", lambda array: (array > -_BOUND_NS) & (array < _BOUND_NS))
+    return array.astype(np.int64, copy=False)
 
 
 def _anything(answer: object, *_: object) -> object:
@@ -160,16 +158,8 @@ def _through(answer: Any, paths: Any) -> tuple[Array, Array, tuple[str, ...]]:
     return _loss_db(answer[0], paths), count.astype(np.int64, copy=False), tuple(answer[2])
 
 
-def _level_dbm(answer: object, frame: Any) -> Array:
-    return _floats(answer, _shape(frame), "numbers (dBm; NaN = not in the trace)", lambda array: ~np.isinf(array))
-
-
 def _lost(answer: object, frame: Any, *_: object) -> Array:
     return _bools(answer, _shape(frame))
-
-
-def _delay_ns(answer: object, frame: Any, *_: object) -> Array:
-    return _times(answer, _shape(frame))
 
 
 def _interference_mw(answer: object, _: int, __: int, rx: Array, *___: object) -> Array:
@@ -238,6 +228,7 @@ def _decided(answer: Any, _: int, *, count: int) -> Any:
     return answer
 
 
+_LEVEL_DBM = "numbers (dBm; NaN = not in the trace)"
 _CHECKS: dict[str, Check] = {
     "loss_db": _loss_db,
     "through": _through,
@@ -245,9 +236,9 @@ _CHECKS: dict[str, Check] = {
     "air_time_ns": _air_time_ns,
     "lost": _lost,
     "lost_by": lambda answer, draws: _bools(answer, draws.shape[:-1]),
-    "delay_ns": _delay_ns,
+    "delay_ns": lambda answer, frame, *_: _times(answer, _shape(frame)),
     "delay_ns_by": lambda answer, draws: _times(answer, draws.shape[:-1]),
-    "level_dbm": _level_dbm,
+    "level_dbm": lambda answer, frame: _floats(answer, _shape(frame), _LEVEL_DBM, lambda array: ~np.isinf(array)),
     "traced": _lost,
     "interference_mw": _interference_mw,
     "deliver": _deliver,

@@ -117,19 +117,12 @@ class Mac(Protocol):
         """The medium of ``count`` radios with random keys (count,); None: no contention."""
 
 
-class Needs(NamedTuple):
-    """Detection thresholds of a frame."""
-
-    sensitivity_dbm: float
-    preamble_snr_db: float
-
-
-def needs(mac: Mac, phy: Phy) -> Needs:
-    """Detection thresholds of this phy and mac; a mac with ``needs_snr_db`` uses the SINR alone, not the sensitivity."""
+def thresholds(mac: Mac, phy: Phy) -> tuple[float, float]:
+    """Least level, dBm, and least SINR, dB, at which a frame is noticed; a mac with ``needs_snr_db`` uses the SINR alone."""
     own: float | None = getattr(mac, "needs_snr_db", None)
     if own is not None:
-        return Needs(-math.inf, own)
-    return Needs(phy.sensitivity_dbm, getattr(phy, "preamble_snr_db", -math.inf))
+        return -math.inf, own
+    return phy.sensitivity_dbm, getattr(phy, "preamble_snr_db", -math.inf)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ never make frames of neighbouring slots overlap. Jitter of a clock has no effect
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import msgspec
@@ -95,7 +95,7 @@ class Tdma:
 
     def open(self, phy: Phy, count: int, keys: Keys, noise_mw: float) -> Medium:
         """The medium of ``count`` radios with a slot each, without names and clocks."""
-        return self._medium(phy, [TdmaRadio(row, (row,), VehicleClock()) for row in range(count)], count, noise_mw)
+        return replace(self, schedule=()).open_named(phy, [str(row) for row in range(count)], {}, noise_mw)
 
     def open_named(self, phy: Phy, names: Sequence[str], clocks: Mapping[str, VehicleClock], noise_mw: float) -> Medium:
         """The medium of vehicles with the clocks of some of them."""
@@ -104,7 +104,4 @@ class Tdma:
         for row, name in enumerate(names):
             slots = tuple(slot for slot, owner in enumerate(schedule) if owner == name)
             radios.append(TdmaRadio(row, slots, clocks.get(name, VehicleClock())))
-        return self._medium(phy, radios, len(schedule), noise_mw)
-
-    def _medium(self, phy: Phy, radios: Sequence[TdmaRadio], slots: int, noise_mw: float) -> Medium:
-        return TdmaMedium(self, phy, radios, slots, noise_mw)
+        return TdmaMedium(self, phy, radios, len(schedule), noise_mw)

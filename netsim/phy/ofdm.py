@@ -75,6 +75,11 @@ class Standard(NamedTuple):
     headers_bytes: int  # of a PSDU besides the payload
     head_us: int  # preamble and header
 
+    @property
+    def rates(self) -> str:
+        """Its rates, in words."""
+        return ", ".join(f"{rate / 1e6:g}e6" for rate in self.modes)
+
 
 LEGACY, HT, HE = Standard(MODES, 36, 20), Standard(HT_MODES, 38, 36), Standard(HE_MODES, 42, 44)
 STANDARD_OF = {rate_bps: each for each in (LEGACY, HT, HE) for rate_bps in each.modes}
@@ -103,24 +108,9 @@ ONTO_TABLE_DB = {
     103.2e6: ((19.66, 22.55, 0.92, 0.11), (21.08, 24.13, 0.77, 0.17)),
     114.7e6: ((21.17, 24.19, 0.85, 0.24), (22.65, 25.88, 0.77, 0.25)),
 }
-ALIKE_BPS = {
-    6.5e6: 6e6,
-    13e6: 12e6,
-    19.5e6: 18e6,
-    26e6: 24e6,
-    39e6: 36e6,
-    52e6: 48e6,
-    58.5e6: 54e6,
-    8.6e6: 6e6,
-    17.2e6: 12e6,
-    25.8e6: 18e6,
-    34.4e6: 24e6,
-    51.6e6: 36e6,
-    68.8e6: 48e6,
-    77.4e6: 54e6,
-    86e6: 65e6,
-}
-"""Rates of HT and HE, and those of the same modulation and code."""
+_FIRST_BPS = {mode: rate_bps for rate_bps, mode in reversed(ALL_MODES.items())}
+ALIKE_BPS = {rate_bps: _FIRST_BPS[mode] for rate_bps, mode in ALL_MODES.items()}
+"""For each rate the first one of the same modulation and code."""
 LEAST_SNR_DB = {
     6e6: 1.465,
     9e6: 3.809,
@@ -178,7 +168,7 @@ class Ofdm:
 
     def __post_init__(self) -> None:
         if self.rate_bps not in ALL_MODES:
-            legacy, ht, he = (", ".join(f"{rate / 1e6:g}e6" for rate in each.modes) for each in (LEGACY, HT, HE))
+            legacy, ht, he = (each.rates for each in (LEGACY, HT, HE))
             problem = f"must be {legacy} bit/s (802.11a/g), {ht} (n) or {he} (ax), not {self.rate_bps:g}"
             raise ScenarioError(problem, key="rate_bps")
         if self.is_ht and self.error_model == "nist":
@@ -202,7 +192,7 @@ class Ofdm:
     @property
     def least_snr_db(self) -> float:
         """Ratio of signal to noise above which rate control takes this rate."""
-        return LEAST_SNR_DB[ALIKE_BPS.get(self.rate_bps, self.rate_bps)]
+        return LEAST_SNR_DB[ALIKE_BPS[self.rate_bps]]
 
     @property
     def headers_bytes(self) -> int:
@@ -271,7 +261,7 @@ class OfdmErrors(ErrorRate):
         """Hazard by the model, (n,); see `yans_bit_error` and `nist_bit_error`."""
         if self.model == "nist":
             return hazard_of(nist_bit_error(sinr, self.rate_bps))
-        rate_bps = ALIKE_BPS.get(self.rate_bps, self.rate_bps) if self.model == "table" else self.rate_bps
+        rate_bps = ALIKE_BPS[self.rate_bps] if self.model == "table" else self.rate_bps
         if self.model == "table" and rate_bps in ONTO_TABLE_DB:
             sinr = _onto_table(sinr, *ONTO_TABLE_DB[rate_bps][self.long])
         return hazard_of(yans_bit_error(sinr, rate_bps))

@@ -213,10 +213,8 @@ def send_data(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
     """Radio i sends its frame."""
     f = s.sending[i]
     s.began_ns[f] = now
-    s.kind[i] = BROADCAST if s.to[f] == NOBODY else UNICAST
-    s.payload_bits_per_ns[i] = s.frame_bits[f] / (s.air_ns[f] - rules.header_end_ns)
-    s.curve[i] = s.frame_curve[f]
-    send(s, rules, i, now, s.air_ns[f])
+    kind = BROADCAST if s.to[f] == NOBODY else UNICAST
+    send(s, rules, i, now, kind, s.frame_curve[f], s.frame_bits[f] / (s.air_ns[f] - rules.header_end_ns), s.air_ns[f])
 
 
 def send_rts(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
@@ -225,10 +223,7 @@ def send_rts(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
     s.began_ns[f] = now
     copy(s.patience[i], s.patiences[f])
     fill(s.doubt[i][draw(s, i)], s.patience[i])
-    s.kind[i] = RTS
-    s.payload_bits_per_ns[i] = rules.rts_bits_per_ns
-    s.curve[i] = ACKNOWLEDGEMENT
-    send(s, rules, i, now, rules.rts_air_ns)
+    send(s, rules, i, now, RTS, ACKNOWLEDGEMENT, rules.rts_bits_per_ns, rules.rts_air_ns)
 
 
 def send_protected(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
@@ -237,8 +232,11 @@ def send_protected(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
     send_data(s, rules, i, now)
 
 
-def send(s: DcfState, rules: DcfRules, i: int, now: int, air_ns: int) -> None:
+def send(
+    s: DcfState, rules: DcfRules, i: int, now: int, kind: int, curve: int, payload_bits_per_ns: float, air_ns: int
+) -> None:
     """Put a frame of radio i on the air, and update carrier sense."""
+    s.kind[i], s.curve[i], s.payload_bits_per_ns[i] = kind, curve, payload_bits_per_ns
     count_down(s, rules, i, now)
     put_on_air(s, rules, i, now, air_ns)
     s.eifs_ns[i] = 0
@@ -255,61 +253,66 @@ def answer(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
     s.level[i][back] = level
     fill(s.doubt[i][draw(s, i)], s.patience[i])
     if s.kind[back] == RTS:
-        s.kind[i] = CTS
-        s.payload_bits_per_ns[i] = rules.cts_bits_per_ns
-        s.curve[i] = ACKNOWLEDGEMENT
-        send(s, rules, i, now, rules.cts_air_ns)
+        send(s, rules, i, now, CTS, ACKNOWLEDGEMENT, rules.cts_bits_per_ns, rules.cts_air_ns)
     else:
         rate = s.frame_rate[f]
-        s.kind[i] = ACK
-        s.payload_bits_per_ns[i] = s.ack_bits_per_ns[rate]
-        s.curve[i] = s.ack_curve[rate]
-        send(s, rules, i, now, s.ack_air_ns[rate])
+        send(s, rules, i, now, ACK, s.ack_curve[rate], s.ack_bits_per_ns[rate], s.ack_air_ns[rate])
 
 
 def finish(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
     """End the transmission of radio i."""
-    n = len(s.lock)
     doze(s, rules, now)
     duration = duration_ns(s, rules, i)
     take_off_air(s, rules, i, now, now + duration if duration > 0 else 0)
     sense(s, rules, now)
-    if s.kind[i] == RTS:
-        finish_rts(s, rules, i, now)
-        return
-    if s.kind[i] == CTS:
-        finish_cts(s, rules, i, now)
-        return
-    if s.kind[i] == ACK:
-        f = s.acked[i]
-        s.acked[i] = NOBODY
-        back = s.sender[f]
-        if s.fate[i][back] == RECEIVED and s.sending[back] == f:
-            s.due[TIMEOUT * n + back] = NEVER
-            s.window[back] = rules.cw_min
-            s.failures[back] = 0
-            observe(s, rules, back, i)
-            decide(s, f, now, s.outcome[f])
-            release(s, rules, back, now, now)
-        return
-    f = s.sending[i]
     if s.kind[i] == BROADCAST:
-        decide(s, f, now, RECEIVED)
+        decide(s, s.sending[i], now, RECEIVED)
         copy(s.fate[i], s.out_fate[s.counts[DECIDED] - 1])
         copy(s.least[i], s.out_least[s.counts[DECIDED] - 1])
         release(s, rules, i, now, now)
-        return
+    elif s.kind[i] == ACK or s.kind[i] == CTS:
+        finish_answer(s, rules, i, now)
+    else:
+        finish_request(s, rules, i, now)
+
+
+def finish_request(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
+    """The destination answers the unicast frame, or the RTS, of radio i; an RTS unless the medium is reserved there."""
+    f, n = s.sending[i], len(s.lock)
     to = s.to[f]
     s.least_there[f] = s.least[i][to]
     s.due[TIMEOUT * n + i] = now + rules.timeout_ns
-    if s.fate[i][to] == RECEIVED:
-        s.acked[to] = f
-        s.due[ANSWER * n + to] = now + rules.sifs_ns
-        if not s.told[f]:  # independent of the acknowledgement
-            decide(s, f, now, RECEIVED)
-            s.out_done[s.counts[DECIDED] - 1] = False
-            s.told[f] = True
     s.outcome[f] = s.fate[i][to]
+    if s.fate[i][to] != RECEIVED:
+        return
+    if s.kind[i] == RTS:
+        s.outcome[f] = COLLISION  # until the CTS is received
+        if s.nav_ns[to] > now:
+            return
+    elif not s.told[f]:  # independent of the acknowledgement
+        decide(s, f, now, RECEIVED)
+        s.out_done[s.counts[DECIDED] - 1] = False
+        s.told[f] = True
+    s.acked[to] = f
+    s.due[ANSWER * n + to] = now + rules.sifs_ns
+
+
+def finish_answer(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
+    """The sender that has received the CTS of radio i sends its frame; one that has received the ACK turns to the next."""
+    f, n = s.acked[i], len(s.lock)
+    s.acked[i] = NOBODY
+    back = s.sender[f]
+    if s.fate[i][back] != RECEIVED or s.sending[back] != f:
+        return
+    s.due[TIMEOUT * n + back] = NEVER
+    observe(s, rules, back, i)
+    if s.kind[i] == CTS:
+        s.due[ANSWER * n + back] = now + rules.sifs_ns
+    else:
+        s.window[back] = rules.cw_min
+        s.failures[back] = 0
+        decide(s, f, now, s.outcome[f])
+        release(s, rules, back, now, now)
 
 
 def duration_ns(s: DcfState, rules: DcfRules, i: int) -> int:
@@ -324,31 +327,6 @@ def duration_ns(s: DcfState, rules: DcfRules, i: int) -> int:
     if kind == RTS:
         return int(2 * rules.sifs_ns + rules.cts_air_ns + s.air_ns[f] + acknowledged)
     return 0
-
-
-def finish_rts(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
-    """The destination answers the RTS of radio i with CTS, unless another radio has reserved the medium there."""
-    f, n = s.sending[i], len(s.lock)
-    to = s.to[f]
-    s.least_there[f] = s.least[i][to]
-    s.due[TIMEOUT * n + i] = now + rules.timeout_ns
-    s.outcome[f] = s.fate[i][to]
-    if s.fate[i][to] == RECEIVED:
-        s.outcome[f] = COLLISION  # until the CTS is received
-        if s.nav_ns[to] <= now:
-            s.acked[to] = f
-            s.due[ANSWER * n + to] = now + rules.sifs_ns
-
-
-def finish_cts(s: DcfState, rules: DcfRules, i: int, now: int) -> None:
-    """The sender of the RTS sends its frame, if it has received the CTS of radio i."""
-    f, n = s.acked[i], len(s.lock)
-    s.acked[i] = NOBODY
-    back = s.sender[f]
-    if s.fate[i][back] == RECEIVED and s.sending[back] == f:
-        s.due[TIMEOUT * n + back] = NEVER
-        s.due[ANSWER * n + back] = now + rules.sifs_ns
-        observe(s, rules, back, i)
 
 
 def is_receiving(s: DcfState, rules: DcfRules, i: int, now: int) -> bool:

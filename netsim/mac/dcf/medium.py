@@ -66,7 +66,10 @@ class DcfMedium:
         longest_bytes: longest payload without RTS/CTS; None: no frame has RTS/CTS.
         compile_core: whether to use compiled code; None: for many frames, if available.
 
-    ``levels`` (n, n) may be set: levels of acknowledgements, mW, sender by row; default: the levels of the sender's last frame.
+    Attributes:
+        levels: of acknowledgements, (n, n) mW, sender by row, may be set; default: the levels of the sender's last frame.
+        sensitivity_mw: weakest level that each radio detects, (n,); default: the phy's.
+        power_mw: transmitted power of each radio, (n,), for the levels of acknowledgements; equal unless set.
     """
 
     def __init__(
@@ -87,7 +90,13 @@ class DcfMedium:
         self._curves = list(curves)  # of the rows of `DcfState.tables`
         self._rates = rates
         self._state = new_state(rules, count, sensitivity_mw, np.stack([each.table for each in curves]), len(rates))
-        self._set_rates(rates)
+        self.levels: Floats = self._state.heard
+        self.sensitivity_mw: Floats = self._state.sensitivity_mw
+        self.power_mw: Floats = self._state.power_mw
+        for k, rate in enumerate(rates):
+            row = self._row_of(rate.ack_curve)
+            self._state.least_snr[k], self._state.ack_curve[k] = rate.least_snr, row
+            self._state.ack_air_ns[k], self._state.ack_bits_per_ns[k] = rate.ack_air_ns, rate.ack_bits_per_ns
         self._free = list(range(len(self._state.behind)))[::-1]  # places of frames, the lowest last
         self._number = np.zeros(len(self._state.behind), np.int64)  # of the frame at each place
         self._renew: dict[int, tuple[Renew, Answer | None]] = {}  # by their places
@@ -103,21 +112,6 @@ class DcfMedium:
         seen = self._faster_at is not None and self._core.is_loaded  # by an earlier run
         if (compile_core or seen) and count:
             self._run, self._faster_at = self._core.compiled, None
-
-    @property
-    def levels(self) -> Floats:
-        """Levels of acknowledgements, (n, n) mW."""
-        return self._state.heard
-
-    @property
-    def sensitivity_mw(self) -> Floats:
-        """Weakest level that each radio detects, (n,) mW; default: the phy's."""
-        return self._state.sensitivity_mw
-
-    @property
-    def power_mw(self) -> Floats:
-        """Transmitted power of each radio, (n,) mW, for the levels of acknowledgements; equal unless set."""
-        return self._state.power_mw
 
     def expect(self, frames: int) -> None:
         """Hint of the expected number of frames; decides now whether to compile."""
@@ -191,13 +185,6 @@ class DcfMedium:
             self._state.size_air_ns[row, k] = rate.phy.air_time_ns(size_bytes)
             self._state.size_bits[row, k], self._state.size_curve[row, k] = bits, place
         return row
-
-    def _set_rates(self, rates: Sequence[Rate]) -> None:
-        """Set what depends on the rate alone."""
-        for k, rate in enumerate(rates):
-            place = self._row_of(rate.ack_curve)
-            self._state.least_snr[k], self._state.ack_curve[k] = rate.least_snr, place
-            self._state.ack_air_ns[k], self._state.ack_bits_per_ns[k] = rate.ack_air_ns, rate.ack_bits_per_ns
 
     def _row_of(self, curve: ErrorRate) -> int:
         if curve not in self._curves:

@@ -120,6 +120,7 @@ class Dcf:
         header_end_ns = standard.header_end_ns
         control = self._control(phy)
         cts_air_ns, rts_air_ns = control.air_time_ns(ACK_BYTES), control.air_time_ns(RTS_BYTES)
+        capture_ns = 0 if self.capture_margin_db is None else round(self.capture_window_us * US)
         return DcfRules(
             slot_ns=slot_ns,
             sifs_ns=sifs_ns,
@@ -148,7 +149,7 @@ class Dcf:
             faintest_mw=milliwatts(standard.faintest_dbm),
             preamble_snr=10.0 ** (phy.preamble_snr_db / 10.0),
             capture=10.0 ** ((self.capture_margin_db or 0.0) / 10.0),
-            capture_ns=0 if self.capture_margin_db is None else round(self.capture_window_us * US),
+            capture_ns=capture_ns,
             draws=DRAWS_IN_STORE,
         )
 
