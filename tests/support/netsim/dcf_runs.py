@@ -28,10 +28,6 @@ def open_air(
     return (mac or Dcf()).open(phy, count, keys, 10.0 ** (phy.noise_dbm / 10.0), compile_core=compiled)
 
 
-def never(attempt: int, start_ns: int) -> tuple[Floats, Floats]:
-    raise AssertionError("nothing fades here")
-
-
 def frame(
     number: int,
     time_ns: int,
@@ -57,6 +53,13 @@ def run(medium: DcfMedium, frames: Sequence[Offered], until_ns: int) -> list[Dec
     for each in frames:
         medium.offer(each)
     return list(medium.advance(until_ns))
+
+
+def whole_slots(wait_ns: int, slot_ns: int = 20 * US, largest: int = 31) -> int:
+    """Number of slots of a backoff, which ``wait_ns`` must be."""
+    slots, rest = divmod(wait_ns, slot_ns)
+    assert (rest, 0 <= slots <= largest) == (0, True)
+    return slots
 
 
 def saturated_receptions(levels: Floats, phy: Dsss | Ofdm, mac: Dcf, to: Sequence[int], size: int, duration_s: int) -> int:

@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 
 from tests.support.netsim.channels import make_channel
-from tests.support.netsim.dcf_runs import MS, STRONG, UNTIL, US, all_equal, frame, open_air, run
+from tests.support.netsim.dcf_runs import MS, STRONG, UNTIL, US, all_equal, frame, open_air, run, whole_slots
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.interfaces.medium import Fate, Offered
 from vcmvsp.netsim.mac.dcf.parameters import Dcf
 from vcmvsp.netsim.phy.dsss import Dsss
-from vcmvsp.netsim.phy.ieee802154 import Ieee802154
 from vcmvsp.netsim.phy.ofdm import Ofdm
 
 AIR = 1280 * US
@@ -57,10 +56,7 @@ def test_every_radio_counts_a_first_backoff_down_from_time_0() -> None:
     starts = set()
     for seed in range(40):
         (decided,) = run(open_air(2, seed=seed), [frame(0, 0, 0, all_equal(2))], 1000 * MS)
-        slots, rest = divmod(decided.start_ns - DIFS, SLOT)
-        assert rest == 0
-        assert 0 <= slots <= 31
-        starts.add(slots)
+        starts.add(whole_slots(decided.start_ns - DIFS))
     assert len(starts) > 15
 
 
@@ -84,9 +80,7 @@ def test_a_busy_medium_draws_a_backoff_and_a_wait_for_difs_does_not() -> None:
     for seed in range(20):
         late = frame(1, busy_from + 100 * US, 1, all_equal(3))
         decided = run(open_air(3, seed=seed), [frame(0, LATER, 0, all_equal(3)), late], 1000 * MS)
-        slots, rest = divmod(decided[1].start_ns - busy_from - AIR - DIFS, SLOT)
-        assert (rest, 0 <= slots <= 31) == (0, True)
-        delays.add(slots)
+        delays.add(whole_slots(decided[1].start_ns - busy_from - AIR - DIFS))
     assert len(delays) > 8
 
 
@@ -105,8 +99,7 @@ def test_the_sum_of_weak_frames_makes_the_air_busy() -> None:
     frames = [frame(0, LATER, 0, weak), frame(1, LATER + 200 * US, 1, weak), frame(2, LATER + 400 * US, 3, all_equal(4, 0.0))]
     first, second, third = run(open_air(4), frames, 1000 * MS)
     assert first.fate[3] == second.fate[3] == Fate.UNDETECTED
-    slots, rest = divmod(third.start_ns - first.end_ns - DIFS, SLOT)
-    assert (rest, 0 <= slots <= 31) == (0, True)
+    whole_slots(third.start_ns - first.end_ns - DIFS)
     _, third = run(open_air(4), [frames[0], frames[2]], 1000 * MS)
     assert third.start_ns == LATER + 400 * US + DIFS
 
@@ -121,17 +114,14 @@ def test_behind_a_payload_that_failed_a_receiver_waits_eifs(
 ) -> None:
     """EIFS: SIFS, an acknowledgement at the lowest rate, DIFS (ns-3.44: 94 and 364 us)."""
     level = all_equal(2, 10 ** ((phy.noise_dbm + snr_db) / 10))
-    for patience, ifs_us, fate in (
-        (0.05, eifs_us, Fate.ERROR),
-        (np.inf, eifs_us - (60 if slot_us == 9 else 314), Fate.RECEIVED),
-    ):
+    difs_us = 34 if slot_us == 9 else 50
+    for patience, ifs_us, fate in ((0.05, eifs_us, Fate.ERROR), (np.inf, difs_us, Fate.RECEIVED)):
         offered = frame(0, LATER, 0, level, patience=patience)
         first, second = run(open_air(2, phy), [offered, frame(1, LATER + 60 * US, 1, level)], 1000 * MS)
         assert first.fate[1] == fate
-        slots, rest = divmod(second.start_ns - first.end_ns - ifs_us * US, slot_us * US)
-        assert (rest, 0 <= slots <= 31) == (0, True)
+        whole_slots(second.start_ns - first.end_ns - ifs_us * US, slot_us * US)
     noise_only = [frame(0, LATER, 0, level, patience=1e-300), frame(1, LATER + 4 * MS, 1, level)]
-    assert run(open_air(2, phy), noise_only, 1000 * MS)[1].start_ns == LATER + 4 * MS + (34 if slot_us == 9 else 50) * US
+    assert run(open_air(2, phy), noise_only, 1000 * MS)[1].start_ns == LATER + 4 * MS + difs_us * US
 
 
 @pytest.mark.parametrize(("patience", "start_us"), [(np.inf, 200), (0.05, 364)])
@@ -155,11 +145,7 @@ def test_a_radio_waits_for_all_of_eifs_even_if_it_ends_early(patience: float, st
 def test_a_full_queue_refuses_frames() -> None:
     medium = open_air(2, mac=Dcf(queue_frames=3))
     decided = run(medium, [frame(k, LATER + k, 0, all_equal(2)) for k in range(6)], LATER + 5)
-    assert [(each.number, each.end_ns, each.start_ns) for each in decided] == [
-        (3, LATER + 3, -1),
-        (4, LATER + 4, -1),
-        (5, LATER + 5, -1),
-    ]
+    assert [(each.number, each.end_ns, each.start_ns) for each in decided] == [(k, LATER + k, -1) for k in (3, 4, 5)]
     assert all((each.fate == Fate.QUEUE_FULL).all() for each in decided)
     assert [each.number for each in medium.advance(UNTIL)] == [0, 1, 2]
 
@@ -182,23 +168,22 @@ def test_a_higher_priority_goes_first_and_equal_ones_in_their_order() -> None:
     assert [each.number for each in decided] == [2, 4, 3, 0, 1, 5]  # none had begun
 
 
-def test_only_the_phys_of_802_11_have_a_dcf() -> None:
-    with pytest.raises(ScenarioError, match=r"dcf .* IEEE 802.11 and needs phy dsss or ofdm, not Ieee802154"):
-        Dcf().open(Ieee802154(), 2, np.zeros(2, np.uint64), 1e-9)
-
-
 @pytest.mark.parametrize(
-    ("key", "value"),
-    [("sifs_us", 1e30), ("slot_us", 1e-9), ("preamble_time_us", 1e30), ("lifetime_s", 1e300), ("capture_margin_db", 1e308)],
+    ("preset", "key", "value", "message"),
+    [
+        ("wifi-b-1", "sifs_us", 1e30, r"radio.mac.sifs_us: must be a number >= "),
+        ("wifi-b-1", "slot_us", 1e-9, r"radio.mac.slot_us: must be a number >= "),
+        ("wifi-b-1", "preamble_time_us", 1e30, r"radio.mac.preamble_time_us: must be a number >= "),
+        ("wifi-b-1", "lifetime_s", 1e300, r"radio.mac.lifetime_s: must be a number >= "),
+        ("wifi-b-1", "capture_margin_db", 1e308, r"radio.mac.capture_margin_db: must be a number >= "),
+        ("wifi-b-1", "cw_max", 3, r"must not be less than cw_min = 31 of the standard, not 3"),
+        ("wifi-b-1", "rate_control", "ideal", r"ideal chooses among the rates of 802.11a, g, n and ax"),
+        ("zigbee", "cw_max", 63, r"dcf .* IEEE 802.11 and needs phy dsss or ofdm, not Ieee802154"),
+    ],
 )
-def test_numbers_that_no_radio_has_are_refused(key: str, value: float) -> None:
-    with pytest.raises(ScenarioError, match=rf"radio.mac.{key}: must be a number >= "):
-        make_channel("wifi-b-1", mac={"kind": "dcf", key: value})
-
-
-def test_a_window_below_the_standards_is_refused() -> None:
-    with pytest.raises(ScenarioError, match=r"must not be less than cw_min = 31 of the standard, not 3"):
-        make_channel("wifi-b-1", mac={"kind": "dcf", "cw_max": 3})
+def test_numbers_and_phys_that_no_radio_has_are_refused(preset: str, key: str, value: float, message: str) -> None:
+    with pytest.raises(ScenarioError, match=message):
+        make_channel(preset, mac={"kind": "dcf", key: value})
 
 
 def test_senders_that_do_not_hear_each_other_collide_at_the_receiver_between_them() -> None:
@@ -254,17 +239,14 @@ def test_frames_of_two_sizes_go_by_the_curves_of_their_sizes() -> None:
     phy, sinr = Ofdm(54e6), 10**1.6
     level = all_equal(2, sinr * 10 ** (phy.noise_dbm / 10))
     frames: list[Offered] = []
-    expected: list[Fate] = []
+    header, header_bits = phy.errors.header
     for size in (100, 1000, 100, 1000):
         curve, bits = phy.errors.payload(size)
-        header, header_bits = phy.errors.header
         hazard = float((bits * curve.hazard(np.array([sinr])) + header_bits * header.hazard(np.array([sinr])))[0])
-        for factor, fate in ((0.999, Fate.ERROR), (1.001, Fate.RECEIVED)):
-            number = len(frames)
-            frames.append(frame(number, LATER + number, 0, level, size=size, patience=factor * hazard))
-            expected.append(fate)
+        for factor in (0.999, 1.001):
+            frames.append(frame(len(frames), LATER + len(frames), 0, level, size=size, patience=factor * hazard))
     assert phy.errors.payload(100)[0] != phy.errors.payload(1000)[0]
-    assert [each.fate[1] for each in run(open_air(2, phy), frames, 1000 * MS)] == expected
+    assert [each.fate[1] for each in run(open_air(2, phy), frames, 1000 * MS)] == [Fate.ERROR, Fate.RECEIVED] * 4
 
 
 ACK = 304 * US  # 14 bytes at 1 Mbit/s
@@ -286,7 +268,7 @@ def test_acknowledgements_go_at_the_highest_mandatory_rate_below_that_of_the_dat
     assert rest_ns % (slot_us * US) == 0
 
 
-def noted(level: Floats, patience: Floats) -> tuple[Offered, list[int]]:
+def noted(level: Floats, patience: Floats, number: int = 0) -> tuple[Offered, list[int]]:
     """A frame from 0 to 1, and the times of its attempts."""
     starts: list[int] = []
 
@@ -294,7 +276,7 @@ def noted(level: Floats, patience: Floats) -> tuple[Offered, list[int]]:
         starts.append(start_ns)
         return level, patience
 
-    return Offered(0, LATER, 0, 1, 100, 0, None, None, renew), starts
+    return Offered(number, LATER, 0, 1, 100, 0, None, None, renew), starts
 
 
 def test_a_unicast_frame_is_tried_7_times_with_growing_windows() -> None:
@@ -315,15 +297,9 @@ def test_a_unicast_frame_is_tried_7_times_with_growing_windows() -> None:
 
 def test_the_window_falls_back_at_every_8th_failure_whatever_frame_it_belongs_to() -> None:
     """Measured in ns-3.44: largest backoffs 63, 127, 255, 511, 1022, 1022, 1014, 31, 63, ... over frames of 7 attempts."""
-    starts: list[int] = []
-
-    def renew(attempt: int, start_ns: int) -> tuple[np.ndarray, np.ndarray]:
-        starts.append(start_ns)
-        return np.zeros(2), np.zeros(2)
-
-    offered = frame(0, LATER, 0, np.zeros(2), to=1)
-    medium = open_air(2, mac=Dcf(lifetime_s=1e6))
-    run(medium, [type(offered)(k, LATER, 0, 1, 100, 0, None, None, renew) for k in range(300)], 100_000 * MS)
+    offered, attempts = zip(*(noted(np.zeros(2), np.zeros(2), number) for number in range(300)), strict=True)
+    run(open_air(2, mac=Dcf(lifetime_s=1e6)), offered, 100_000 * MS)
+    starts = np.concatenate(attempts)
     slots, rest = np.divmod(np.diff(starts) - AIR - TIMEOUT - DIFS, SLOT)
     assert len(starts) == 7 * 300
     assert not rest.any()
@@ -375,8 +351,7 @@ def test_others_keep_silent_for_an_acknowledgement_that_they_cannot_hear() -> No
     medium.levels[1] = deaf_to_1
     frames = [frame(0, LATER, 0, to_all, to=1), frame(1, LATER + DIFS + AIR + 100 * US, 2, to_all)]
     unicast, after = run(medium, frames, 1000 * MS)
-    slots, rest = divmod(after.start_ns - unicast.end_ns - SIFS - ACK - DIFS, SLOT)
-    assert (rest, 0 <= slots <= 31) == (0, True)
+    whole_slots(after.start_ns - unicast.end_ns - SIFS - ACK - DIFS)
     after_broadcast = run(open_air(3), [frame(0, LATER, 0, to_all), frames[1]], 1000 * MS)[1]
     assert after_broadcast.start_ns == frames[1].time_ns + DIFS  # no acknowledgement to wait for after a broadcast
 

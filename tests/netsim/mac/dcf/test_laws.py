@@ -1,6 +1,7 @@
 """Networks of many 802.11 radios: laws of every run, closed forms, and ns-3 with the same positions and traffic."""
 
 from bisect import bisect
+from collections.abc import Sequence
 
 import msgspec
 import numpy as np
@@ -24,8 +25,9 @@ from tests.support.netsim.dcf_runs import (
 )
 from vcmvsp.cosim.reproduction.validation.medium_access import EDGES_M, NS3, sending_chance
 from vcmvsp.netsim.interfaces.layers import Floats
-from vcmvsp.netsim.interfaces.medium import Decided, Fate
+from vcmvsp.netsim.interfaces.medium import Decided, Fate, Offered
 from vcmvsp.netsim.mac.dcf import access
+from vcmvsp.netsim.mac.dcf.medium import DcfMedium
 from vcmvsp.netsim.mac.dcf.parameters import Dcf
 from vcmvsp.netsim.mac.dcf.state import DcfRules, DcfState
 from vcmvsp.netsim.phy.dsss import Dsss
@@ -102,42 +104,34 @@ def test_every_frame_is_decided_once_in_its_step_however_time_is_cut(
     assert medium.next_ns() is None
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_the_predicted_time_is_never_late_and_progress_never_stalls(seed: int) -> None:
-    frames = mixed_traffic(seed)
-    whole = run(open_air(6, seed=seed), frames, UNTIL)
-    medium, idle = open_air(6, seed=seed), 0
-    decided: list[Decided] = []
-    for each in frames:
-        while (now := medium.next_ns()) is not None and now < each.time_ns:
-            more = list(medium.advance(now))
+def predicted(medium: DcfMedium, frames: Sequence[Offered]) -> tuple[list[Decided], int]:
+    """All decisions, advanced to predicted times and to offers alone, and the number of predicted times without a decision."""
+    decided, idle = list[Decided](), 0
+    for offered in (*frames, None):
+        until_ns = UNTIL if offered is None else offered.time_ns
+        while (now := medium.next_ns()) is not None and now < until_ns:
+            more = medium.advance(now)
             assert all(one.end_ns == now for one in more)
             decided += more
             idle += not more
-        decided += medium.advance(each.time_ns)
-        medium.offer(each)
-    while (now := medium.next_ns()) is not None:
-        more = list(medium.advance(now))
-        decided += more
-        idle += not more
+        if offered is not None:
+            decided += medium.advance(until_ns)
+            medium.offer(offered)
+    return decided, idle
+
+
+@pytest.mark.parametrize(("phy", "mac"), [(Dsss(), Dcf()), (Ofdm(54e6), Dcf(rts_threshold_bytes=0))], ids=["plain", "rts"])
+@pytest.mark.parametrize("seed", range(4))
+def test_the_predicted_time_is_never_late_and_progress_never_stalls(phy: Dsss | Ofdm, mac: Dcf, seed: int) -> None:
+    frames = mixed_traffic(seed)
+    whole = run(open_air(6, phy, mac, seed=seed), frames, UNTIL)
+    decided, idle = predicted(open_air(6, phy, mac, seed=seed), frames)
     assert bytes_of(decided) == bytes_of(whole)
     assert idle < 6 * sum(each.attempts for each in whole)
 
 
 def test_for_broadcasts_in_one_domain_the_predicted_time_is_exact() -> None:
-    levels = np.full((5, 5), 1e-6)
-    frames = periodic(levels, 100.0, 200 * MS)
-    medium, idle = open_air(5), 0
-    decided: list[Decided] = []
-    for each in frames:
-        medium.offer(each)
-        while (now := medium.next_ns()) is not None and now <= 200 * MS:
-            following = frames[each.number + 1].time_ns if each.number + 1 < len(frames) else UNTIL
-            if now >= following:
-                break
-            more = medium.advance(now)
-            decided += more
-            idle += not more
+    decided, idle = predicted(open_air(5), periodic(np.full((5, 5), 1e-6), 100.0, 200 * MS))
     assert idle == 0
     assert len(decided) > 90
 
@@ -147,28 +141,18 @@ def test_for_broadcasts_in_one_domain_the_predicted_time_is_exact() -> None:
 def test_frames_offered_as_arrays_fare_as_one_by_one(cuts: list[int], seed: int) -> None:
     """With levels that change after every cut, and queues that overflow."""
     mac, n = Dcf(queue_frames=3, lifetime_s=0.02), 6
-    levels, frames = (
-        square_levels(n, 200.0, 3.0, seed),
-        periodic(square_levels(n, 200.0, 3.0, seed), 60.0, 300 * MS, size=1000, seed=seed),
-    )
+    levels = square_levels(n, 200.0, 3.0, seed)
+    frames = periodic(levels, 60.0, 300 * MS, size=1000, seed=seed)
     singly, together = open_air(n, mac=mac, seed=seed), open_air(n, mac=mac, seed=seed)
-    decided: list[Decided] = []
-    arrays: list[Decided] = []
-    offered = 0
+    decided, arrays, offered = list[Decided](), list[Decided](), 0
     for k, cut in enumerate([*sorted(cuts), UNTIL]):
         now = frames[offered : max(bisect(frames, cut, key=lambda one: one.time_ns), offered)]
         moved = levels * (1.0 + k)
         time_ns, sender, number = (np.array([getattr(each, it) for each in now], int) for it in ("time_ns", "sender", "number"))
         patience = np.array([each.patience for each in now])
         together.offer_many(time_ns, sender, 1000, moved, patience, number)
-        decided += run(
-            singly,
-            [
-                frame(one.number, one.time_ns, one.sender, moved[one.sender], size=1000, patience=row)
-                for one, row in zip(now, patience, strict=True)
-            ],
-            cut,
-        )
+        rows = [msgspec.structs.replace(one, power_mw=moved[one.sender]) for one in now]
+        decided += run(singly, rows, cut)
         arrays += together.advance(cut)
         offered += len(now)
     assert bytes_of(arrays) == bytes_of(decided)
@@ -219,11 +203,12 @@ def test_saturated_broadcast_sends_in_a_slot_with_2_over_w_plus_1(count: int) ->
 BY_PRESET: dict[str, Dsss | Ofdm] = {"wifi-b-1": Dsss(1e6), "wifi-g-6": Ofdm(6e6)}
 
 
-def traffic(count: int, hz: float, seconds: int, seed: int) -> tuple[list[int], list[int]]:
-    """Independent times and senders, from 1 s on."""
-    rng, frames = np.random.default_rng(seed), int(count * hz * seconds)
-    times = np.sort(rng.integers(10**9, 10**9 * (1 + seconds), frames))
-    return times.tolist(), rng.integers(0, count, frames).tolist()
+def traffic(count: int, hz: float, seconds: int, levels: Floats, seed: int) -> list[Offered]:
+    """Broadcasts at independent times and of independent senders, from 1 s on."""
+    rng, patience, total = np.random.default_rng(seed), np.random.default_rng(seed), int(count * hz * seconds)
+    times = np.sort(rng.integers(10**9, 10**9 * (1 + seconds), total)).tolist()
+    sent = enumerate(zip(times, rng.integers(0, count, total).tolist(), strict=True))
+    return [frame(k, time, i, levels[i], patience=patience.exponential(size=count)) for k, (time, i) in sent]
 
 
 @pytest.mark.parametrize("name", [name for name in NS3 if name != "802.11b, 50 in one domain"])  # demanded by `vcmvsp validate`
@@ -235,12 +220,7 @@ def test_delivery_and_delays_agree_with_ns_3(name: str) -> None:
     delay_ms: list[Floats] = []
     sent, got = np.zeros(len(EDGES_M)), np.zeros(len(EDGES_M))
     for seed in range(judged.runs):
-        times, senders = traffic(n, judged.hz, judged.seconds, seed)
-        rng = np.random.default_rng(seed)
-        frames = [
-            frame(k, time, i, levels[i], patience=rng.exponential(size=n))
-            for k, (time, i) in enumerate(zip(times, senders, strict=True))
-        ]
+        frames = traffic(n, judged.hz, judged.seconds, levels, seed)
         for each in run(open_air(n, BY_PRESET[judged.preset], seed=seed), frames, 60_000 * MS):
             i, ok = frames[each.number].sender, each.fate == Fate.RECEIVED
             sent += np.bincount(np.delete(bins[i], i), minlength=len(EDGES_M))

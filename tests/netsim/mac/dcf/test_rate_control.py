@@ -3,22 +3,10 @@
 import numpy as np
 import pytest
 
-from tests.support.netsim.dcf_runs import (
-    MS,
-    UNTIL,
-    all_equal,
-    bytes_of,
-    frame,
-    mixed_traffic,
-    open_air,
-    run,
-    saturated_receptions,
-)
-from vcmvsp.cosim.errors import ScenarioError
+from tests.support.netsim.dcf_runs import MS, UNTIL, all_equal, frame, open_air, run, saturated_receptions
 from vcmvsp.netsim.interfaces.layers import Floats
 from vcmvsp.netsim.interfaces.medium import Fate
 from vcmvsp.netsim.mac.dcf.parameters import Dcf
-from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.phy.ofdm import HE_MODES, HT_MODES, MODES, Ofdm
 
 pytestmark = pytest.mark.slow
@@ -42,11 +30,7 @@ def test_a_frame_has_the_highest_rate_that_the_snr_of_the_one_before_allows(rate
 
 
 def test_broadcasts_have_the_rate_of_the_phy() -> None:
-    frames = [
-        frame(0, LATER, 0, level(40.0), to=1),
-        frame(1, LATER + MS, 0, level(40.0)),
-        frame(2, LATER + 2 * MS, 0, level(40.0), to=1),
-    ]
+    frames = [frame(k, LATER + k * MS, 0, level(40.0), to=to) for k, to in enumerate((1, -1, 1))]
     times = [each.end_ns - each.start_ns for each in run(open_air(2, Ofdm(12e6), IDEAL), frames, UNTIL)]
     assert times == [Ofdm(rate).air_time_ns(100) for rate in (6e6, 12e6, 54e6)]
 
@@ -69,21 +53,6 @@ def test_rts_also_reports_the_snr() -> None:
     (decided,) = run(open_air(2, Ofdm(), mac), frames, UNTIL)
     assert decided.attempts == 7
     assert decided.end_ns - decided.start_ns < Ofdm(6e6).air_time_ns(100)
-
-
-def test_802_11b_has_no_rate_control() -> None:
-    with pytest.raises(ScenarioError, match=r"rate_control: ideal chooses among the rates of 802.11a, g, n and ax"):
-        open_air(2, Dsss(), IDEAL)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_compiled_is_the_same_to_the_last_bit_with_rate_control(seed: int) -> None:
-    frames, phy = mixed_traffic(seed, frames=300), (Ofdm(), Ofdm(65e6), Ofdm(86e6), Ofdm(6e6, "5GHz"))[seed]
-    mac = Dcf(rate_control="ideal", rts_threshold_bytes=None if seed < 2 else 500)
-    interpreted, machine = open_air(6, phy, mac, seed=seed), open_air(6, phy, mac, seed=seed, compiled=True)
-    decided = run(interpreted, frames, UNTIL)
-    assert sorted(each.number for each in decided) == list(range(300))
-    assert bytes_of(run(machine, frames, UNTIL)) == bytes_of(decided)
 
 
 NS3_BPS = {  # by distance, m

@@ -9,15 +9,14 @@ from tests.support.netsim.dcf_runs import (
     UNTIL,
     US,
     all_equal,
-    bytes_of,
     frame,
-    mixed_traffic,
     open_air,
     run,
     saturated_receptions,
+    whole_slots,
 )
 from vcmvsp.netsim.interfaces.layers import Floats
-from vcmvsp.netsim.interfaces.medium import Decided, Fate
+from vcmvsp.netsim.interfaces.medium import Fate
 from vcmvsp.netsim.mac.dcf.medium import DcfMedium
 from vcmvsp.netsim.mac.dcf.parameters import Dcf
 from vcmvsp.netsim.phy.dsss import Dsss
@@ -47,20 +46,15 @@ def air(levels: Floats, mac: Dcf = ALWAYS, phy: Dsss | Ofdm = PHY, *, seed: int 
     return medium
 
 
-@pytest.mark.parametrize("threshold", [None, 1035, 1036, 1037])
-def test_a_frame_above_the_threshold_is_sent_behind_rts_and_cts(threshold: int | None) -> None:
+@pytest.mark.parametrize(("threshold", "to"), [(None, 1), (1035, 1), (1036, 1), (1037, 1), (0, -1)])
+def test_a_unicast_frame_above_the_threshold_is_sent_behind_rts_and_cts(threshold: int | None, to: int) -> None:
     """The PSDU has 1036 bytes: payload 1000, LLC and SNAP 8, MAC header 24, FCS 4."""
     medium = open_air(2, PHY, Dcf(rts_threshold_bytes=threshold))
-    (decided,) = run(medium, [frame(0, LATER, 0, all_equal(2), to=1, size=1000)], UNTIL)
+    (decided,) = run(medium, [frame(0, LATER, 0, all_equal(2), to=to, size=1000)], UNTIL)
     behind = RTS + SIFS + CTS + SIFS if threshold == 1035 else 0
     assert decided.start_ns == LATER + DIFS + behind
     assert decided.end_ns == decided.start_ns + DATA
     assert (decided.attempts, decided.fate[1]) == (1, Fate.RECEIVED)
-
-
-def test_broadcasts_have_no_rts() -> None:
-    (decided,) = run(open_air(2, PHY, ALWAYS), [frame(0, LATER, 0, all_equal(2), size=1000)], UNTIL)
-    assert decided.start_ns == LATER + DIFS
 
 
 @pytest.mark.parametrize(("near", "known_after"), [(0, RTS), (1, RTS + SIFS + CTS)])
@@ -74,8 +68,7 @@ def test_a_radio_that_hears_one_of_both_is_silent_until_the_end_of_the_acknowled
     ]
     decided = {each.number: each for each in run(air(levels), frames, UNTIL)}
     assert decided[0].fate[1] == Fate.RECEIVED
-    slots, rest = divmod(decided[1].start_ns - LATER - DIFS - exchange - DIFS, SLOT)
-    assert (rest, 0 <= slots <= 15) == (0, True)
+    whole_slots(decided[1].start_ns - LATER - DIFS - exchange - DIFS, largest=15)
 
 
 def test_a_reservation_by_rts_ends_early_if_no_frame_follows() -> None:
@@ -84,8 +77,7 @@ def test_a_reservation_by_rts_ends_early_if_no_frame_follows() -> None:
     rts_end = LATER + DIFS + RTS
     frames = [frame(0, LATER, 0, levels[0], to=1, size=1000), frame(1, rts_end + 2 * US, 2, levels[2])]
     other = next(each for each in run(air(levels, Dcf(rts_threshold_bytes=0, attempts=1)), frames, UNTIL) if each.number)
-    slots, rest = divmod(other.start_ns - rts_end - (2 * SIFS + CTS + 20 * US + 2 * SLOT) - DIFS, SLOT)
-    assert (rest, 0 <= slots <= 15) == (0, True)
+    whole_slots(other.start_ns - rts_end - (2 * SIFS + CTS + 20 * US + 2 * SLOT) - DIFS, largest=15)
 
 
 def test_a_destination_with_a_reservation_does_not_answer() -> None:
@@ -148,30 +140,3 @@ def test_saturated_radios_with_rts_receive_as_much_as_in_ns_3(phy: Dsss | Ofdm, 
     mac, to = Dcf(queue_frames=10**6, rts_threshold_bytes=500), [(i + 1) % count for i in range(count)]
     received = saturated_receptions(square(count), phy, mac, to, 1000, 1)
     assert 8000.0 * received == pytest.approx(expected_bps, rel=0.02)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_compiled_is_the_same_to_the_last_bit_with_rts(seed: int) -> None:
-    frames, mac = mixed_traffic(seed, frames=300), Dcf(rts_threshold_bytes=(0, 500)[seed % 2])
-    interpreted, machine = open_air(6, PHY, mac, seed=seed), open_air(6, PHY, mac, seed=seed, compiled=True)
-    decided = run(interpreted, frames, UNTIL)
-    assert sorted(each.number for each in decided) == list(range(300))
-    assert bytes_of(run(machine, frames, UNTIL)) == bytes_of(decided)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_the_predicted_time_is_never_late_with_rts(seed: int) -> None:
-    frames = mixed_traffic(seed)
-    whole = run(open_air(6, PHY, ALWAYS, seed=seed), frames, UNTIL)
-    medium = open_air(6, PHY, ALWAYS, seed=seed)
-    decided: list[Decided] = []
-    for each in frames:
-        while (now := medium.next_ns()) is not None and now < each.time_ns:
-            more = list(medium.advance(now))
-            assert all(one.end_ns == now for one in more)
-            decided += more
-        decided += medium.advance(each.time_ns)
-        medium.offer(each)
-    while (now := medium.next_ns()) is not None:
-        decided += medium.advance(now)
-    assert bytes_of(decided) == bytes_of(whole)
