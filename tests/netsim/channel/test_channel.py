@@ -4,14 +4,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.netsim.channels import make_channel, only_report, send
+from tests.support.netsim.channels import make_channel, only_report, plain_channel, send
 from vcmvsp.cosim.types import Array, FrameReport, Message
 from vcmvsp.netsim.channel.channel import Channel
-from vcmvsp.netsim.impairments.delay import NoDelay
-from vcmvsp.netsim.impairments.loss import NoLoss
-from vcmvsp.netsim.interfaces.layers import Bools, Draw, Floats, Frame, Paths
+from vcmvsp.netsim.interfaces.layers import Floats, Paths
 from vcmvsp.netsim.phy.dsss import Dsss
-from vcmvsp.netsim.propagation.path_loss import LogDistance, NoPathLoss
 
 pytestmark = pytest.mark.slow
 
@@ -55,16 +52,11 @@ def test_the_report_contains_the_frame_and_its_outcomes() -> None:
     assert not any(array.flags.writeable for array in arrays)
 
 
-def test_frames_are_numbered_in_the_order_in_which_they_enter() -> None:
-    places = {"a": (0.0, 0.0, 0.0), "b": (1.0, 0.0, 0.0), "c": (2.0, 0.0, 0.0)}
-    channel = make_channel()
-    assert [broadcast(channel, sender, places).frame for sender in "abacc"] == [0, 1, 2, 3, 4]
-
-
-def test_senders_do_not_wait_for_each_other() -> None:
-    places = {"a": (0.0, 0.0, 0.0), "b": (1.0, 0.0, 0.0)}
-    channel = make_channel("wifi-b-1")
-    assert [broadcast(channel, sender, places).received_ns.item() for sender in "ab"] == [1_280_000, 1_280_000]
+def test_frames_are_numbered_as_they_enter_and_senders_do_not_wait_for_each_other() -> None:
+    places, channel = {"a": (0.0, 0.0, 0.0), "b": (1.0, 0.0, 0.0)}, make_channel("wifi-b-1")
+    reports = [broadcast(channel, sender, places) for sender in "abab"]
+    assert [report.frame for report in reports] == [0, 1, 2, 3]
+    assert [report.received_ns.item() for report in reports] == [1_280_000, 1_280_000, 2_560_000, 2_560_000]
 
 
 def test_queue_obeys_lindley() -> None:
@@ -139,15 +131,6 @@ def test_a_sender_and_receiver_without_position_are_refused() -> None:
         send(make_channel(), 1.0, to="car7")
 
 
-class Tunnel:
-    """A user-written loss layer: frames are lost beyond 10 m, with a cause of its own."""
-
-    cause = "tunnel"
-
-    def lost(self, frame: Frame, draw: Draw) -> Bools:
-        return frame.paths.distance_m > 10.0
-
-
 class Nothing:
     """A user-written path loss that returns no number."""
 
@@ -160,17 +143,13 @@ class Timeless(Dsss):
         return 0
 
 
-def test_layers_of_ones_own() -> None:
-    channel = Channel(path_loss=LogDistance(), phy=Dsss(), loss=Tunnel(), delay=NoDelay())
-    assert send(channel, 5.0, 15.0).outcome == ("received", "tunnel")
-    unknown = Channel(path_loss=Nothing(), phy=Dsss(), loss=NoLoss(), delay=NoDelay())
-    assert send(unknown, 5.0).outcome == ("below sensitivity",)  # a level that is not a number is not received
+def test_a_level_that_is_no_number_is_not_received() -> None:
+    assert send(plain_channel(path_loss=Nothing()), 5.0).outcome == ("below sensitivity",)
 
 
 def test_air_time_must_not_be_zero() -> None:
-    channel = Channel(path_loss=NoPathLoss(), phy=Timeless(), loss=NoLoss(), delay=NoDelay())
     with pytest.raises(ValueError, match=r"Timeless\.air_time_ns\(100\) is 0"):
-        send(channel, 5.0)
+        send(plain_channel(phy=Timeless()), 5.0)
 
 
 def test_too_weak_comes_before_lost_by_chance() -> None:

@@ -1,7 +1,10 @@
 """Contention through the channel: messages in, reports out, for every medium access."""
 
 import math
+from collections.abc import Sequence
+from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -10,24 +13,21 @@ from hypothesis import strategies as st
 from scipy.stats import ks_2samp
 
 from tests.support.cosim.receptions import receptions_in
-from tests.support.netsim.channels import at_rest, make_channel
+from tests.support.netsim.channels import at_rest, make_channel, plain_channel, play
 from vcmvsp.cosim.federate import Event, RunInfo
 from vcmvsp.cosim.tables.radio_frames import UNDER_WAY
 from vcmvsp.cosim.types import FrameReport, Message
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.federate import RadioFederate
-from vcmvsp.netsim.impairments.delay import NoDelay
-from vcmvsp.netsim.impairments.loss import NoLoss
 from vcmvsp.netsim.interfaces.layers import Draw, Fading, Floats, Frame, Phy, Radio
-from vcmvsp.netsim.interfaces.medium import Decided, Mac, Offered
+from vcmvsp.netsim.interfaces.medium import Mac, Offered
 from vcmvsp.netsim.mac.csma154.medium import Csma154
 from vcmvsp.netsim.mac.dcf.parameters import Dcf
 from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.phy.ieee802154 import Ieee802154
 from vcmvsp.netsim.phy.ofdm import Ofdm
 from vcmvsp.netsim.propagation.fading import Nakagami, Rayleigh, Rician
-from vcmvsp.netsim.propagation.path_loss import LogDistance
 
 pytestmark = pytest.mark.slow
 
@@ -46,16 +46,14 @@ def contended(preset: str, mac: str, **changes: Any) -> Channel:
     return make_channel(preset, mac={"kind": mac}, **{**CHANCE, **changes})
 
 
-def play(channel: Channel, offers: list[Offer], cuts: list[int], names: tuple[str, ...] = NAMES) -> list[FrameReport]:
+def reports(
+    channel: Channel, offers: list[Offer], cuts: Sequence[int] = (), names: tuple[str, ...] = NAMES
+) -> list[FrameReport]:
     """All reports, with the channel advanced at the offers and at other times."""
-    reports = []
     places = np.concatenate([PLACES, np.full((len(names) - len(NAMES), 3), 1e9)])
-    for time_us, sender, to in sorted([*offers, *((cut, -1, -1) for cut in cuts)]):
-        reports += channel.advance(time_us * 1000)
-        if sender >= 0:
-            message = Message(sender=NAMES[sender], body={}, size_bytes=80, to=None if to == sender else NAMES[to])
-            reports += channel.send(time_us * 1000, message, names, places)
-    return reports + channel.advance(10**13)
+    sends: list[Any] = [(at_us * 1000, NAMES[sender], None if to == sender else NAMES[to]) for at_us, sender, to in offers]
+    sends += [(cut * 1000, None, None) for cut in cuts]
+    return play(channel, names, places, sorted(sends, key=lambda each: each[0]), size_bytes=80)
 
 
 JAMMER = {"sources": [{"power_dbm": -10.0, "position": [60.0, 20.0, 0.0]}]}
@@ -69,17 +67,17 @@ def test_every_frame_is_reported_once_however_the_channel_is_advanced(
     preset: str, mac: str, offers: list[Offer], cuts: list[int], changes: dict[str, Any]
 ) -> None:
     """With levels that change at every attempt, and with constant levels."""
-    whole = play(contended(preset, mac, **changes), offers, [])
+    whole = reports(contended(preset, mac, **changes), offers)
     assert sorted(report.frame for report in whole) == list(range(len(offers)))
-    assert encode(play(contended(preset, mac, **changes), offers, cuts)) == encode(whole)
+    assert encode(reports(contended(preset, mac, **changes), offers, cuts)) == encode(whole)
 
 
 @pytest.mark.parametrize(("preset", "mac"), MACS)
 def test_a_radio_out_of_reach_changes_nothing(preset: str, mac: str) -> None:
     rng = np.random.default_rng(4)
     offers = sorted((int(t), int(s), int(s)) for t, s in zip(rng.integers(0, 200_000, 80), rng.integers(0, 6, 80), strict=True))
-    few = play(contended(preset, mac), offers, [])
-    many = play(contended(preset, mac), offers, [], (*NAMES, "far"))
+    few = reports(contended(preset, mac), offers)
+    many = reports(contended(preset, mac), offers, names=(*NAMES, "far"))
     for a, b in zip(few, many, strict=True):
         assert (a.frame, a.received_ns.tolist(), a.outcome) == (b.frame, b.received_ns[:-1].tolist(), b.outcome[:-1])
         assert np.array_equal(a.rssi_dbm, b.rssi_dbm[:-1])
@@ -87,11 +85,16 @@ def test_a_radio_out_of_reach_changes_nothing(preset: str, mac: str) -> None:
 
 def test_a_radio_of_its_own_sensitivity_hears_more() -> None:
     radios = {"car2": Radio(sensitivity_dbm=-100.0, antenna_height_m=0.0)}
-    parts: dict[str, Any] = {"path_loss": LogDistance(), "loss": NoLoss(), "delay": NoDelay(), "radios": radios}
-    channel = Channel(phy=Dsss(preamble_snr_db=-100.0), mac=Dcf(), **parts)
+    channel = plain_channel(phy=Dsss(preamble_snr_db=-100.0), mac=Dcf(), radios=radios)
     places = np.array([(0.0, 0, 0), (100, 0, 0), (0, 100, 0)])  # -84 dBm
     channel.send(100 * MS, Message(sender="car0", body={}, size_bytes=100), NAMES[:3], places)
     assert channel.advance(10**10)[0].outcome == ("below sensitivity", "received")
+
+
+def two_to_car1(channel: Channel) -> list[FrameReport]:
+    found = play(channel, NAMES[:2], PLACES[:2], [(100 * MS, "car0", "car1")] * 2, size_bytes=80)
+    assert [each.outcome for each in found] == [("received",)] * 2
+    return found
 
 
 @pytest.mark.parametrize(("phy", "mac"), [(Dsss(), Dcf()), (Ofdm(), Dcf()), (Ieee802154(), Csma154())], ids=str)
@@ -99,11 +102,7 @@ def test_a_radio_of_its_own_sensitivity_hears_more() -> None:
 def test_a_weak_acknowledgement_is_lost(phy: Phy, mac: Mac, power_dbm: float | None) -> None:
     """The acknowledgement is too weak: the sender retries, at least four times in all, before the next frame."""
     radios = {"car1": Radio(tx_power_dbm=power_dbm, antenna_height_m=0.0)}
-    channel = Channel(phy=phy, mac=mac, path_loss=LogDistance(), loss=NoLoss(), delay=NoDelay(), radios=radios)
-    for _ in range(2):
-        channel.send(100 * MS, Message(sender="car0", body={}, size_bytes=80, to="car1"), NAMES[:2], PLACES[:2])
-    first, second = channel.advance(10**10)
-    assert first.outcome == second.outcome == ("received",)
+    first, second = two_to_car1(plain_channel(phy=phy, mac=mac, radios=radios))
     started_ns = [int(each.received_ns[0]) - each.air_time_ns for each in (first, second)]
     assert (started_ns[1] - started_ns[0] > 4 * first.air_time_ns) == (power_dbm is not None)
 
@@ -122,48 +121,26 @@ def test_an_acknowledgement_fades_at_its_own_time(phy: Phy, mac: Mac, pause_us: 
     """The data have arrived; the channel fades just behind them, and they are repeated before the next frame."""
     fading, pauses = Fade(), []
     for fades in (False, True):
-        channel = Channel(phy=phy, mac=mac, path_loss=LogDistance(), loss=NoLoss(), delay=NoDelay(), fading=fading)
-        for _ in range(2):
-            channel.send(100 * MS, Message(sender="car0", body={}, size_bytes=80, to="car1"), NAMES[:2], PLACES[:2])
-        first, second = channel.advance(10**10)
-        assert first.outcome == second.outcome == ("received",)
+        first, second = two_to_car1(plain_channel(phy=phy, mac=mac, fading=fading))
         end_ns = int(first.received_ns[0])
         fading.during_ns = range(end_ns, end_ns + pause_us * 1000)
         pauses.append(int(second.received_ns[0]) - second.air_time_ns - end_ns)
         assert (pauses[-1] > first.air_time_ns) == fades
 
 
-class Catch:
-    """A medium, and the medium access that opens it, without any traffic."""
-
-    def __init__(self) -> None:
-        self.offered: list[Offered] = []
-
-    def open(self, *_: Any) -> "Catch":
-        return self
-
-    def expect(self, frames: int) -> None:
-        pass
-
-    def offer(self, frame: Offered) -> None:
-        self.offered.append(frame)
-
-    def advance(self, until_ns: int) -> list[Decided]:
-        return []
-
-    def next_ns(self) -> int | None:
-        return None
+def offered(sends: int, **layers: Any) -> list[Offered]:
+    """The frames of car0 to car2, 1 ms apart, as a medium without any traffic gets them."""
+    medium = Mock(spec=["offer", "advance", "next_ns"])
+    medium.advance.return_value = []
+    channel = plain_channel(mac=SimpleNamespace(open=lambda *_: medium), **layers)
+    play(channel, NAMES[:3], PLACES[:3], [(k * MS, "car0", "car2") for k in range(sends)], size_bytes=80)
+    return [call.args[0] for call in medium.offer.call_args_list]
 
 
 def gains(fading: Fading) -> tuple[Floats, Floats]:
     """Gains of 2000 frames and of their acknowledgements 1 ms later, relative to the mean."""
-    mac = Catch()
-    channel = Channel(phy=Dsss(), mac=mac, path_loss=LogDistance(), loss=NoLoss(), delay=NoDelay(), fading=fading)
     data, answers = [], []
-    for k in range(2000):
-        channel.send(k * MS, Message(sender="car0", body={}, size_bytes=80, to="car2"), NAMES[:3], PLACES[:3])
-        channel.advance(k * MS)
-        frame = mac.offered[-1]
+    for k, frame in enumerate(offered(2000, fading=fading)):
         assert frame.answer is not None
         data.append(frame.renew(0, k * MS)[0][2])
         answers.append(data[-1] * frame.answer((k + 1) * MS))
@@ -187,11 +164,7 @@ def test_with_doppler_it_meets_the_channel_as_it_is_then(kind: Any) -> None:
 
 
 def test_where_nothing_fades_an_acknowledgement_is_as_strong_as_the_frame() -> None:
-    mac = Catch()
-    channel = Channel(phy=Dsss(), mac=mac, path_loss=LogDistance(), loss=NoLoss(), delay=NoDelay())
-    channel.send(0, Message(sender="car0", body={}, size_bytes=80, to="car1"), NAMES[:2], PLACES[:2])
-    channel.advance(0)
-    assert mac.offered[0].answer is None
+    assert [each.answer for each in offered(1)] == [None]
 
 
 def test_frames_cut_off_by_the_end_are_reported_as_under_way() -> None:

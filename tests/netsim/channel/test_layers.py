@@ -8,11 +8,12 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from tests.support.netsim.channels import make_channel
+from tests.support.netsim.channels import make_channel, play
 from vcmvsp.cosim.types import FrameReport, Message
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.interfaces.layers import Floats
+from vcmvsp.netsim.phy.ofdm import OfdmErrors
 
 pytestmark = pytest.mark.slow
 
@@ -26,39 +27,36 @@ def channel(preset: str, mac: str, **changes: Any) -> Channel:
     return make_channel(preset, mac={"kind": mac}, vehicles=NAMES, **changes)
 
 
-def play(air: Channel, *, unicast: bool = False, frames: int = 60, size_bytes: int = 90) -> list[FrameReport]:
+def reports(air: Channel, *, unicast: bool = False, frames: int = 60) -> list[FrameReport]:
     """Five radios that send at random."""
     rng = np.random.default_rng(6)
     times = np.sort(rng.integers(0, 300 * MS, frames)).tolist()
-    reports = []
-    for at_ns, sender, hop in zip(times, rng.integers(0, 5, frames).tolist(), rng.integers(1, 5, frames).tolist(), strict=True):
-        to = NAMES[(sender + hop) % 5] if unicast else None
-        reports += air.advance(at_ns)
-        reports += air.send(at_ns, Message(sender=NAMES[sender], body={}, size_bytes=size_bytes, to=to), NAMES, PLACES)
-    return sorted(reports + air.advance(10**12), key=lambda report: report.frame)
+    senders, hops = rng.integers(0, 5, frames).tolist(), rng.integers(1, 5, frames).tolist()
+    to = [NAMES[(sender + hop) % 5] if unicast else None for sender, hop in zip(senders, hops, strict=True)]
+    sends = zip(times, [NAMES[sender] for sender in senders], to, strict=True)
+    return sorted(play(air, NAMES, PLACES, sends, size_bytes=90), key=lambda report: report.frame)
 
 
-def fates(reports: list[FrameReport]) -> list[Any]:
-    return [(report.outcome, report.received_ns.tolist(), report.rssi_dbm.tolist()) for report in reports]
+def fates(found: list[FrameReport]) -> list[Any]:
+    return [(report.outcome, report.received_ns.tolist(), report.rssi_dbm.tolist()) for report in found]
 
 
 @pytest.mark.parametrize(("preset", "mac"), MACS)
 @pytest.mark.parametrize("unicast", [False, True])
 def test_layers_that_touch_nothing_change_nothing(preset: str, mac: str, unicast: bool) -> None:
     """An idle jammer, changes long after the end, and levels recomputed at each attempt."""
-    without = fates(play(channel(preset, mac), unicast=unicast))
+    without = fates(reports(channel(preset, mac), unicast=unicast))
     jammer = {"sources": [{"power_dbm": 60.0, "position": [0.0, 0.0, 0.0], "from_s": 1000.0}]}
     script = {"changes": [{"from_s": 1000.0, "loss": 1.0, "attenuation_db": 99.0, "delay_s": 9.0}]}
-    assert fates(play(channel(preset, mac, jammer=jammer), unicast=unicast)) == without
-    assert fates(play(channel(preset, mac, script=script), unicast=unicast)) == without
-    assert fates(play(channel(preset, mac, delivery={"duplicate": 0.0}), unicast=unicast)) == without
+    for changes in ({"jammer": jammer}, {"script": script}, {"delivery": {"duplicate": 0.0}}):
+        assert fates(reports(channel(preset, mac, **changes), unicast=unicast)) == without
 
 
 @pytest.mark.parametrize(("preset", "mac"), MACS)
 def test_a_jammer_destroys_weaker_frames(preset: str, mac: str) -> None:
     """A jammer beside car1 drowns what arrives there from elsewhere; distant receivers still receive their neighbours."""
     sources = [{"power_dbm": 10.0, "position": [15.0, 1.0, 0.0]}]
-    before, after = play(channel(preset, mac)), play(channel(preset, mac, jammer={"sources": sources}))
+    before, after = reports(channel(preset, mac)), reports(channel(preset, mac, jammer={"sources": sources}))
     changed = [(a, b) for x, y in zip(before, after, strict=True) for a, b in zip(x.outcome, y.outcome, strict=True) if a != b]
     assert changed
     assert all(pair == ("received", "jammed") for pair in changed)
@@ -73,19 +71,16 @@ def test_a_jammer_destroys_weaker_frames(preset: str, mac: str) -> None:
 
 def test_a_weak_jammer_adds_to_the_noise() -> None:
     """Success over one link equals the error rate at the ratio of signal to noise plus jammer."""
-    from vcmvsp.netsim.phy.ofdm import OfdmErrors
-
     jammer = {"sources": [{"power_dbm": -5.0, "position": [0.0, 50.0, 0.0]}]}
     air = make_channel("wifi-g-54", jammer=jammer, phy={"tx_power_dbm": 0.0, "sensitivity_dbm": -100.0})
     places, count = np.array([(0.0, 0.0, 0.0), (15.0, 0.0, 0.0)]), 4000
-    message = Message(sender="a", body={}, size_bytes=100)
-    reports = [air.send(k * MS, message, ("a", "b"), places)[0] for k in range(count)]
-    assert reports[0].sinr_db is not None
-    expected = OfdmErrors(54e6).frame_success(reports[0].sinr_db, 100)[0]
+    found = play(air, ("a", "b"), places, [(k * MS, "a", None) for k in range(count)])
+    assert found[0].sinr_db is not None
+    expected = OfdmErrors(54e6).frame_success(found[0].sinr_db, 100)[0]
     assert 0.1 < expected < 0.9
-    received = np.mean([report.outcome == ("received",) for report in reports])
+    received = np.mean([report.outcome == ("received",) for report in found])
     assert abs(received - expected) < 4.0 * np.sqrt(expected * (1.0 - expected) / count)
-    assert {word for report in reports for word in report.outcome} >= {"received", "jammed"}
+    assert {word for report in found for word in report.outcome} >= {"received", "jammed"}
 
 
 @pytest.mark.parametrize(("preset", "mac"), MACS)
@@ -94,8 +89,7 @@ def test_a_trace_takes_the_place_of_the_models(preset: str, mac: str, tmp_path: 
     rows = ["0,car0,car4,-60,0,0.0", "0,car0,car1,-60,1,0.0", "0,car0,car2,-60,0,0.5"]
     (tmp_path / "links.csv").write_text("\n".join(["time_s,sender,receiver,rssi_dbm,loss,delay_s", *rows]))
     air = channel(preset, mac, trace={"file": str(tmp_path / "links.csv")}, loss={"probability": 1.0})
-    message = Message(sender="car0", body={}, size_bytes=50)
-    (report,) = [*air.send(100 * MS, message, NAMES, PLACES), *air.advance(10**12)]
+    (report,) = play(air, NAMES, PLACES, [(100 * MS, "car0", None)], size_bytes=50)
     assert report.outcome == ("traced loss", "received", "random loss" if mac != "csma154" else report.outcome[2], "received")
     assert report.rssi_dbm[[0, 1, 3]].tolist() == [-60.0] * 3
     assert report.received_ns[1] == 600 * MS
@@ -104,10 +98,9 @@ def test_a_trace_takes_the_place_of_the_models(preset: str, mac: str, tmp_path: 
 
 def test_copies_and_a_limited_rate() -> None:
     air = channel("ideal", "ideal", delivery={"rate_bps": 8000.0, "queue_s": 0.15, "duplicate": 1.0, "duplicate_delay_s": 0.01})
-    message = Message(sender="car0", body={}, size_bytes=100)  # 0.1 s each
-    reports = [air.send(k, message, NAMES, PLACES)[0] for k in range(4)]
-    assert [report.outcome[0] for report in reports] == ["received", "received", "rate limit", "rate limit"]
-    for k, report in enumerate(reports[:2]):
+    found = play(air, NAMES, PLACES, [(k, "car0", None) for k in range(4)])  # 0.1 s each
+    assert [report.outcome[0] for report in found] == ["received", "received", "rate limit", "rate limit"]
+    for k, report in enumerate(found[:2]):
         assert report.copy_ns is not None
         assert report.received_ns[0] == pytest.approx((k + 1) * 100 * MS, abs=10_000)
         assert report.copy_ns[0] == report.received_ns[0] + 10 * MS
@@ -117,8 +110,7 @@ def test_copies_and_a_limited_rate() -> None:
 @pytest.mark.parametrize("changes", [{"queue_frames": 3}, {"lifetime_s": 0.02}])
 def test_a_delay_is_queue_and_access_and_air(preset: str, mac: str, changes: dict[str, Any]) -> None:
     air = make_channel(preset, mac={"kind": mac, **changes}, vehicles=NAMES)
-    reports = play(air, frames=300)
-    arrived = [(report, max(report.received_ns.tolist())) for report in reports if max(report.received_ns.tolist()) >= 0]
+    arrived = [(each, at_ns) for each in reports(air, frames=300) if (at_ns := max(each.received_ns.tolist())) >= 0]
     assert len(arrived) > 20
     for report, at_ns in arrived:
         assert at_ns - report.sent_ns == report.queue_ns + report.access_ns + report.air_time_ns
@@ -139,24 +131,24 @@ def test_no_frame_is_decided_before_the_predicted_time(preset: str, mac: str, of
     """Frames of all sizes among partly hidden radios, with different delays on their way to the radio."""
     air = channel(preset, mac, path_loss={"exponent": 4.0})
     sent, predicted_ns = 0, None
-    reports: list[FrameReport] = []
+    found: list[FrameReport] = []
     while sent < len(offers) or predicted_ns is not None:
         at_ns = offers[sent][0] * 1000 if sent < len(offers) else None
         if at_ns is not None and (predicted_ns is None or at_ns <= predicted_ns):
             early = air.advance(at_ns - 1)
             assert not early
-            reports += air.advance(at_ns)
+            found += air.advance(at_ns)
             _, wait_us, size, sender = offers[sent]
             message = Message(sender=NAMES[sender], body={}, size_bytes=size)
-            reports += air.send(at_ns, message, NAMES, PLACES, handover_ns=wait_us * 1000)
-            reports += air.advance(at_ns)
+            found += air.send(at_ns, message, NAMES, PLACES, handover_ns=wait_us * 1000)
+            found += air.advance(at_ns)
             sent += 1
         else:
             assert predicted_ns is not None
             assert not air.advance(predicted_ns - 1)
-            reports += air.advance(predicted_ns)
+            found += air.advance(predicted_ns)
         predicted_ns = air.next_ns()
-    assert sorted(report.frame for report in reports) == list(range(len(offers)))
+    assert sorted(report.frame for report in found) == list(range(len(offers)))
 
 
 @pytest.mark.parametrize("path_loss", ["log_distance", "friis", "none"])

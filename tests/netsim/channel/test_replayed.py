@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.support.netsim.channels import make_channel
+from tests.support.netsim.channels import make_channel, play
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.tables.schema import RunFacts, radio_table, write_table
 from vcmvsp.cosim.types import FrameReport, Message
@@ -35,13 +35,7 @@ def lossy(seed: int = 1, **more: Any) -> Channel:
 
 
 def reports(channel: Channel, sends: Sends, places: np.ndarray = PLACES) -> list[FrameReport]:
-    """Reports of these frames, until all are decided."""
-    found = []
-    for time_ns, sender, to in sends:
-        found += channel.advance(time_ns)
-        found += channel.send(time_ns, Message(sender=sender, body={}, size_bytes=100, to=to), NAMES, places)
-    found += channel.advance(10**12)
-    return found + channel.finish()
+    return play(channel, NAMES, places, sends)
 
 
 def table(found: Sequence[FrameReport]) -> pa.Table:
@@ -160,12 +154,9 @@ def test_a_lone_vehicle_has_no_receivers(tmp_path: Path) -> None:
 
 
 def test_files_that_are_no_recording_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "radio.parquet"
-    with pytest.raises(UsageError, match=r"radio\.parquet"):
-        RecordedFrames(path)
-    path.write_bytes(b"PAR1 and nothing else")
-    with pytest.raises(UsageError, match="cannot be read"):
-        RecordedFrames(path)
-    pq.write_table(pa.table({"frame": [1], "sender": ["a"]}), path)  # names are written differently
-    with pytest.raises(UsageError, match="no column sender, receiver"):
-        RecordedFrames(path)
+    (tmp_path / "text.parquet").write_bytes(b"PAR1 and nothing else")
+    pq.write_table(pa.table({"frame": [1], "sender": ["a"]}), tmp_path / "other.parquet")  # names are written differently
+    problems = {"radio": r"radio\.parquet", "text": "cannot be read", "other": "no column sender, receiver"}
+    for name, message in problems.items():
+        with pytest.raises(UsageError, match=message):
+            RecordedFrames(tmp_path / f"{name}.parquet")

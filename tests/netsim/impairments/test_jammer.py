@@ -15,6 +15,7 @@ from vcmvsp.netsim.interfaces.layers import Floats, Paths
 from vcmvsp.netsim.propagation.path_loss import LogDistance
 
 MS = 1_000_000
+HERE = (0.0, 0.0, 0.0)
 RX = np.array([[10.0, 0.0, 0.0], [0.0, 100.0, 0.0], [0.0, 0.0, 1000.0]])
 SQUARE = LogDistance(exponent=2.0, reference_distance_m=1.0, reference_loss_db=40.0)
 
@@ -35,7 +36,7 @@ def on(source: Emitter, at_ns: int, air_ns: int) -> bool:
 
 def test_a_jammer_arrives_with_its_power_less_the_path_loss() -> None:
     """20 dBm less 60, 80 and 100 dB at 10, 100 and 1000 m: -40, -60, -80 dBm."""
-    assert received_mw(Emitter(power_dbm=20.0, position=(0.0, 0.0, 0.0))) == pytest.approx([1e-4, 1e-6, 1e-8], rel=1e-12)
+    assert received_mw(Emitter(power_dbm=20.0, position=HERE)) == pytest.approx([1e-4, 1e-6, 1e-8], rel=1e-12)
 
 
 def test_powers_of_jammers_add_up() -> None:
@@ -70,8 +71,8 @@ def test_a_jammer_moves_along_its_path(t_s: float, place: tuple[float, float, fl
 
 
 def test_a_pulse_has_full_power() -> None:
-    source = Emitter(power_dbm=0.0, position=(0.0, 0.0, 0.0), from_s=0.005, to_s=0.025, duty=0.2, period_s=0.01)
-    assert received_mw(source, at_ns=6 * MS) == received_mw(Emitter(power_dbm=0.0, position=(0.0, 0.0, 0.0)))
+    source = Emitter(power_dbm=0.0, position=HERE, from_s=0.005, to_s=0.025, duty=0.2, period_s=0.01)
+    assert received_mw(source, at_ns=6 * MS) == received_mw(Emitter(power_dbm=0.0, position=HERE))
 
 
 @given(
@@ -84,39 +85,32 @@ def test_a_pulse_has_full_power() -> None:
 )
 def test_on_is_when_any_nanosecond_is(begin: int, length: int, start: int, air: int, period: int, duty: float) -> None:
     """Compared with a scan of every pulse, in whole ns."""
-    source = Emitter(
-        power_dbm=0.0,
-        position=(0.0, 0.0, 0.0),
-        from_s=begin / 1e9,
-        to_s=(begin + 5 * length) / 1e9,
-        duty=duty,
-        period_s=period / 1e9,
-    )
     end, pulse = begin + 5 * length, max(1, round(duty * period))
+    source = Emitter(power_dbm=0.0, position=HERE, from_s=begin / 1e9, to_s=end / 1e9, duty=duty, period_s=period / 1e9)
     pulses = ((begin + k * period, min(begin + k * period + pulse, end)) for k in range(5 * length // period + 1))
     assert on(source, start, air) == any(max(first, start) < min(last, start + air) for first, last in pulses)
 
 
 def test_a_fractional_period_does_not_drift() -> None:
     """1000.5 ns: pulse 2 000 000 begins at 2.001 s to the nanosecond."""
-    source = Emitter(power_dbm=0.0, position=(0.0, 0.0, 0.0), duty=0.5, period_s=1.0005e-6)
+    source = Emitter(power_dbm=0.0, position=HERE, duty=0.5, period_s=1.0005e-6)
     assert [on(source, 2_001_000_000 + t, 1) for t in (-1, 0)] == [False, True]
 
 
-HERE: dict[str, Any] = {"power_dbm": 20.0, "position": [0.0, 0.0, 0.0]}
+STANDING: dict[str, Any] = {"power_dbm": 20.0, "position": [0.0, 0.0, 0.0]}
 
 
 @pytest.mark.parametrize(
     ("source", "message"),
     [
         ({"power_dbm": 20.0}, r"a jammer needs exactly one of position, vehicle and path"),
-        (HERE | {"vehicle": "car1"}, r"a jammer needs exactly one of position, vehicle and path"),
+        (STANDING | {"vehicle": "car1"}, r"a jammer needs exactly one of position, vehicle and path"),
         ({"power_dbm": 20.0, "path": []}, r"path must have points \[t, x, y, z\], each later than the one before"),
         ({"power_dbm": 20.0, "path": [[1, 0, 0, 0], [1, 2, 0, 0]]}, r"path must have points"),
-        (HERE | {"from_s": 3.0, "to_s": 3.0}, r"to_s = 3 must be greater than from_s = 3"),
-        (HERE | {"duty": 0.3}, r"duty = 0.3 is a pulsed jammer, which needs period_s"),
-        (HERE | {"duty": 0.0, "period_s": 1.0}, r"must be a number > 0 and <= 1, not 0.0"),
-        (HERE | {"power_w": 1.0}, r"unknown key 'power_w'; did you mean 'power_dbm'\?"),
+        (STANDING | {"from_s": 3.0, "to_s": 3.0}, r"to_s = 3 must be greater than from_s = 3"),
+        (STANDING | {"duty": 0.3}, r"duty = 0.3 is a pulsed jammer, which needs period_s"),
+        (STANDING | {"duty": 0.0, "period_s": 1.0}, r"must be a number > 0 and <= 1, not 0.0"),
+        (STANDING | {"power_w": 1.0}, r"unknown key 'power_w'; did you mean 'power_dbm'\?"),
         ({"position": [0, 0, 0]}, r"power_dbm is missing"),
     ],
 )

@@ -9,15 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.netsim.channels import linked_frame, make_frame, many_frame, many_keys
+from tests.support.netsim.channels import linked_frame, make_frame, many_frame, many_keys, plain_channel, send
 from vcmvsp.cosim.rng import key64, link_uniform
-from vcmvsp.cosim.types import Message
-from vcmvsp.netsim.channel.channel import Channel
-from vcmvsp.netsim.impairments.delay import FixedDelay, NoDelay
+from vcmvsp.netsim.impairments.delay import FixedDelay
 from vcmvsp.netsim.impairments.loss import Bernoulli, Bursts, GilbertElliott, NoLoss
 from vcmvsp.netsim.interfaces.layers import DELAY_SLOT, LOSS_SLOT, Bools, Draw, Floats, Frame, LinkDraws, SenderLinks
-from vcmvsp.netsim.phy.dsss import Dsss
-from vcmvsp.netsim.propagation.path_loss import NoPathLoss
 
 pytestmark = pytest.mark.slow
 
@@ -31,10 +27,6 @@ def uniforms() -> np.ndarray:
     return link_uniform(LINKS, FRAMES, LOSS_SLOT)
 
 
-def test_nothing_is_lost_without_a_loss_layer() -> None:
-    assert not NoLoss().lost(make_frame(5), lambda: np.zeros((5, 2))).any()
-
-
 @pytest.mark.parametrize("p", [0.01, 0.1, 0.5, 0.9, 0.999])
 def test_loss_rate_of_every_link(p: float, uniforms: np.ndarray) -> None:
     """Binomial: within 4.5 standard deviations (once in 18 000 repetitions for the 8 links of one p)."""
@@ -46,7 +38,8 @@ def test_probabilities_0_and_1_are_exact(uniforms: np.ndarray) -> None:
     frame = make_frame(*uniforms.shape[:2])
     assert not Bernoulli(0.0).lost(frame, lambda: uniforms).any()
     assert Bernoulli(1.0).lost(frame, lambda: uniforms).all()
-    assert not Bernoulli(0.0).lost(make_frame(4), lambda: np.zeros((4, 2))).any()  # the smallest possible draw
+    for never in (Bernoulli(0.0), NoLoss()):
+        assert not never.lost(make_frame(4), lambda: np.zeros((4, 2))).any()  # the smallest possible draw
 
 
 def test_links_frames_and_layers_are_independent(uniforms: np.ndarray) -> None:
@@ -93,11 +86,8 @@ def test_a_derived_loss_overrides_losses_by_draws_alone() -> None:
         def lost(self, frame: Frame, draw: Draw) -> Bools:
             return np.zeros(frame.rssi_dbm.shape, np.bool_)
 
-    for loss, outcome in ((Bernoulli(1.0), "random loss"), (Never(1.0), "received")):
-        channel = Channel(path_loss=NoPathLoss(), phy=Dsss(), loss=loss, delay=NoDelay())
-        message = Message(sender="a", body=b"", size_bytes=10)
-        (report,) = channel.send(0, message, ("a", "b"), np.zeros((2, 3)))
-        assert report.outcome == (outcome,)
+    assert send(plain_channel(loss=Bernoulli(1.0)), 1.0).outcome == ("random loss",)
+    assert send(plain_channel(loss=Never(1.0)), 1.0).outcome == ("received",)
 
 
 RATES = [(0.1, 1.0), (2.0, 3.0), (5.0, 0.5)]

@@ -3,15 +3,17 @@
 import math
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.netsim.channels import linked_frame
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.impairments.script import Change, Script
-from vcmvsp.netsim.interfaces.layers import Frame, Paths, SenderLinks
+from vcmvsp.netsim.interfaces.layers import Frame
 
 CARS = ("car1", "car2", "car3", "base")
 MS = 1_000_000
@@ -20,8 +22,7 @@ MS = 1_000_000
 def frame(sender: str = "car1", *receivers: str, at_ns: int = 15 * 10**9, wait_ns: int = 0) -> Frame:
     """A frame of 1 ms that begins at ``at_ns``, sent ``wait_ns`` before."""
     names = receivers or tuple(name for name in CARS if name != sender)
-    nowhere = Paths.between(np.zeros(3), np.zeros((len(names), 3)))
-    return Frame(at_ns - wait_ns, at_ns, at_ns + MS, 100, nowhere, np.zeros(len(names)), SenderLinks(1, sender, names))
+    return msgspec.structs.replace(linked_frame(sender, *names, at_s=at_ns / 1e9), sent_ns=at_ns - wait_ns)
 
 
 def half() -> Any:
@@ -66,11 +67,8 @@ def test_links_by_key_expressions(links: tuple[str, ...], sender: str, expected:
 
 def test_links_without_vehicles_are_reported() -> None:
     links = ("car1/*", "nobody/*", "car2/car2", "**", "*/base", "car1/car9", "nobody/*")
-    assert Script((Change(from_s=0.0, links=links, loss=1.0),)).unmatched(CARS) == [
-        "nobody/*",
-        "car2/car2",
-        "car1/car9",
-    ]
+    script = Script((Change(from_s=0.0, links=links, loss=1.0),))
+    assert script.unmatched(CARS) == ["nobody/*", "car2/car2", "car1/car9"]
 
 
 def test_losses_of_several_are_independent_and_the_rest_adds_up() -> None:
@@ -98,9 +96,7 @@ def test_changes_apply_exactly_while_they_overlap_the_frame(found: list[tuple[in
         Change(from_s=begin / 1e9, to_s=None if length is None else (begin + length) / 1e9, attenuation_db=2.0**k)
         for k, (begin, length) in enumerate(found)
     )
-    sent = Frame(
-        0, start, start + air, 9, Paths.between(np.zeros(3), np.zeros((1, 3))), np.zeros(1), SenderLinks(1, "a", ("b",))
-    )
+    sent = linked_frame("a", "b", at_s=start / 1e9, air_ns=air)
     overlapping = (
         2.0**k for k, (begin, length) in enumerate(found) if begin < start + air and (length is None or begin + length > start)
     )
@@ -109,10 +105,7 @@ def test_changes_apply_exactly_while_they_overlap_the_frame(found: list[tuple[in
 
 def test_answers_do_not_depend_on_earlier_calls() -> None:
     """Returned arrays are read-only."""
-    changes = (
-        Change(from_s=1.0, to_s=2.0, loss=0.4),
-        Change(from_s=1.5, to_s=3.0, links=("*/car2",), attenuation_db=4.0),
-    )
+    changes = Change(from_s=1.0, to_s=2.0, loss=0.4), Change(from_s=1.5, to_s=3.0, links=("*/car2",), attenuation_db=4.0)
     frames = [frame(sender, at_ns=t * MS) for t in range(900, 3200, 50) for sender in CARS]
     used = Script(changes)
     there = [used.gain_db(each, half).tolist() for each in frames]
@@ -125,10 +118,7 @@ def test_answers_do_not_depend_on_earlier_calls() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (
-            {"from_s": 5.0, "to_s": 5.0, "loss": 1.0},
-            r"to_s = 5 must be greater than from_s = 5",
-        ),
+        ({"from_s": 5.0, "to_s": 5.0, "loss": 1.0}, r"to_s = 5 must be greater than from_s = 5"),
         ({"from_s": 5.0, "to_s": 6.0}, r"the entry from 5 s has no effect: set loss, attenuation_db or delay_s"),
         ({"from_s": 5.0, "loss": 1.5}, r"must be a number >= 0 and <= 1, not 1.5"),
         ({"from_s": 5.0, "los": 1.0}, r"unknown key 'los'; did you mean 'loss'\?"),

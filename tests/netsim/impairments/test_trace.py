@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -12,10 +13,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pyarrow import parquet
 
+from tests.support.netsim.channels import linked_frame
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.netsim.impairments.trace import Trace
-from vcmvsp.netsim.interfaces.layers import Frame, Paths, SenderLinks
+from vcmvsp.netsim.interfaces.layers import Frame
 
 MS = 1_000_000
 NOISE = -94.0
@@ -30,9 +32,8 @@ ROWS = """time_s,sender,receiver,snr_db,loss,delay_s
 
 def frame(at_s: float, sender: str = "car1", receivers: Sequence[str] = ("car2", "car3", "car4")) -> Frame:
     """A frame of 1 ms that begins at this time, sent 2 ms earlier."""
-    start, count = round(at_s * 1e9), len(receivers)
-    nowhere = Paths.between(np.zeros(3), np.zeros((count, 3)))
-    return Frame(start - 2 * MS, start, start + MS, 100, nowhere, np.zeros(count), SenderLinks(1, sender, tuple(receivers)))
+    sent = linked_frame(sender, *receivers, at_s=at_s)
+    return msgspec.structs.replace(sent, sent_ns=sent.start_ns - 2 * MS)
 
 
 def written(folder: Path, text: str = ROWS, name: str = "links.csv") -> str:
@@ -168,15 +169,9 @@ HEAD = "time_s,sender,receiver,loss\n"
         ("", r"links.csv cannot be read: Empty CSV file"),
         (HEAD, r"links.csv has no rows"),
         ("time_s,sender,loss\n0,a,1\n", r"links.csv has no column receiver"),
-        (
-            "t,sender,receiver,loss\n0,a,b,1\n",
-            r"links.csv has an unknown column 't'.* \(allowed: delay_s, loss, receiver, rssi_dbm",
-        ),
+        ("t,sender,receiver,loss\n0,a,b,1\n", r"links.csv has an unknown column 't'.* \(allowed: delay_s, loss, receiver,"),
         ("time_s,sender,receiver,los\n0,a,b,1\n", r"unknown column 'los'; did you mean 'loss'\?"),
-        (
-            "time_s,sender,receiver\n0,a,b\n",
-            r"has no quantity of a link: add one or more of the columns snr_db, rssi_dbm",
-        ),
+        ("time_s,sender,receiver\n0,a,b\n", r"has no quantity of a link: add one or more of the columns snr_db, rssi_dbm"),
         ("time_s,sender,receiver,snr_db,rssi_dbm\n0,a,b,1,1\n", r"has both snr_db and rssi_dbm"),
         ("time_s,sender,receiver,loss,loss\n0,a,b,1,1\n", r"has two columns loss"),
         (HEAD + "0,a,b,0.5\n\n1,a,b,nan\n", r"links.csv line 4: loss must be a number from 0 to 1, not nan"),
@@ -195,20 +190,23 @@ def test_bad_traces_are_refused_with_their_line(tmp_path: Path, text: str, messa
     assert raised.value.key == "radio.trace.file"
 
 
-def test_errors_of_files(tmp_path: Path) -> None:
-    with pytest.raises(ScenarioError, match=r"file: there is no file .*gone.csv"):
-        Trace(str(tmp_path / "gone.csv"))
-    with pytest.raises(ScenarioError, match=r"file: must be a .csv or .parquet file, not links.txt"):
-        Trace(written(tmp_path, name="links.txt"))
-    with pytest.raises(ScenarioError, match=r"file: broken.parquet cannot be read"):
-        Trace(written(tmp_path, name="broken.parquet"))
-    with pytest.raises(ScenarioError, match=r"noise_dbm: must be set: the file"):
-        Trace(written(tmp_path))
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("gone.csv", r"file: there is no file .*gone.csv"),
+        ("links.txt", r"file: must be a .csv or .parquet file, not links.txt"),
+        ("broken.parquet", r"file: broken.parquet cannot be read"),
+        ("links.csv", r"noise_dbm: must be set: the file"),
+        ("sender.parquet", r"sender.parquet row 2: sender and receiver must be names"),
+        ("receiver.parquet", r"receiver.parquet row 2: sender and receiver must be names"),
+        ("loss.parquet", r"loss.parquet column loss must hold numbers"),
+    ],
+)
+def test_errors_of_files(tmp_path: Path, name: str, message: str) -> None:
     rows: dict[str, Any] = {"time_s": [0.0, 0.0], "sender": ["a", "a"], "receiver": ["b", "b"], "loss": [0.0, 0.0]}
-    for missing in ("sender", "receiver"):
-        parquet.write_table(pa.table(rows | {missing: ["a", None]}), tmp_path / "nobody.parquet")
-        with pytest.raises(ScenarioError, match=r"nobody.parquet row 2: sender and receiver must be names"):
-            Trace(str(tmp_path / "nobody.parquet"))
-    parquet.write_table(pa.table(rows | {"loss": ["x", "y"]}), tmp_path / "words.parquet")
-    with pytest.raises(ScenarioError, match=r"words.parquet column loss must hold numbers"):
-        Trace(str(tmp_path / "words.parquet"))
+    for bad in ("sender", "receiver", "loss"):
+        parquet.write_table(pa.table(rows | {bad: ["a", None]}), tmp_path / f"{bad}.parquet")
+    for text in ("links.txt", "broken.parquet", "links.csv"):
+        written(tmp_path, name=text)
+    with pytest.raises(ScenarioError, match=message):
+        Trace(str(tmp_path / name))

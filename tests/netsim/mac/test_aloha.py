@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.netsim.channels import make_channel
-from vcmvsp.cosim.types import FrameReport, Message
+from tests.support.netsim.channels import make_channel, play
+from vcmvsp.cosim.types import FrameReport
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.evaluation import broadcast_trial
 
@@ -40,11 +40,8 @@ def test_throughput_without_capture_is_that_of_theory(load: float) -> None:
 
 def two(channel: Channel, distance_m: float, apart_ns: int) -> list[FrameReport]:
     """Two frames to a radio between them: one from 10 m, the other from ``distance_m``, ``apart_ns`` later."""
-    names, position = ("v0", "v1", "v2"), np.array([[-10.0, 0.0, 0.0], [distance_m, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    reports = channel.send(0, Message(sender="v0", body={}, size_bytes=SIZE), names, position)
-    reports += channel.advance(apart_ns - 1)
-    reports += channel.send(apart_ns, Message(sender="v1", body={}, size_bytes=SIZE), names, position)
-    return reports + channel.advance(10**12)
+    position = np.array([[-10.0, 0.0, 0.0], [distance_m, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    return play(channel, ("v0", "v1", "v2"), position, [(0, "v0", None), (apart_ns, "v1", None)], SIZE)
 
 
 @pytest.mark.parametrize(
@@ -62,11 +59,8 @@ def test_interference_is_the_sum_of_simultaneous_frames() -> None:
     names, position = ("v0", "v1", "v2", "v3"), np.array([[-10.0, 0, 0], [far_m, 0, 0], [0, far_m, 0], [0.0, 0, 0]])
     air_ns = aloha(4, {}).phy.air_time_ns(SIZE)
     for begins_ns, outcome in (((-air_ns // 2, air_ns // 2), "received"), ((1000, 2000), "collision")):
-        channel, reports = aloha(4, {}), list[FrameReport]()
-        for time_ns, sender in sorted([(air_ns, "v0"), (air_ns + begins_ns[0], "v1"), (air_ns + begins_ns[1], "v2")]):
-            reports += channel.advance(time_ns - 1)
-            reports += channel.send(time_ns, Message(sender=sender, body={}, size_bytes=SIZE), names, position)
-        reports += channel.advance(10**12)
+        sends = sorted((air_ns + begin_ns, sender) for begin_ns, sender in zip((0, *begins_ns), names, strict=False))
+        reports = play(aloha(4, {}), names, position, [(*each, None) for each in sends], SIZE)
         (own,) = [each for each in reports if each.sender == "v0"]
         assert own.outcome[own.receivers.index("v3")] == outcome
 
@@ -76,27 +70,19 @@ def test_a_radio_that_sends_receives_nothing() -> None:
     assert reports[0].outcome[reports[0].receivers.index("v1")] == "receiver transmitting"
 
 
+PAIR: Any = (("v0", "v1"), np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]]))
+
+
 def test_the_duty_cycle_keeps_a_radio_silent() -> None:
-    channel = aloha(2, {}, duty_cycle=0.1)
-    names, position, reports = ("v0", "v1"), np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]]), list[FrameReport]()
-    sizes = [20, 100, 5, 5]
-    for size in sizes:
-        reports += channel.send(0, Message(sender="v0", body={}, size_bytes=size), names, position)
-    reports += channel.advance(10**13)
+    channel, sizes = aloha(2, {}, duty_cycle=0.1), [20, 100, 5, 5]
+    reports = play(channel, *PAIR, [(0, "v0", None, size) for size in sizes])
     starts = [each.sent_ns + each.queue_ns + each.access_ns for each in reports]
     assert np.diff(starts).tolist() == [10 * channel.phy.air_time_ns(size) for size in sizes[:-1]]
 
 
 def test_the_modem_of_the_preset_holds_one_packet() -> None:
     channel = make_channel("lora-sf7", vehicles=["v0", "v1"], mac={"kind": "aloha"})
-    names, position, reports = ("v0", "v1"), np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]]), list[FrameReport]()
-    for time_ns in (0, 1, 10**9, 2 * 10**9):  # on the air, during it, silent, silent with one that waits
-        reports += channel.advance(time_ns - 1)
-        reports += channel.send(time_ns, Message(sender="v0", body={}, size_bytes=SIZE), names, position)
-    reports += channel.advance(10**13)
-    assert [each.outcome[0] for each in sorted(reports, key=lambda each: each.frame)] == [
-        "received",
-        "queue full",
-        "received",
-        "queue full",
-    ]
+    times_ns = (0, 1, 10**9, 2 * 10**9)  # on the air, during it, silent, silent with one that waits
+    reports = play(channel, *PAIR, [(time_ns, "v0", None) for time_ns in times_ns], SIZE)
+    outcomes = [each.outcome[0] for each in sorted(reports, key=lambda each: each.frame)]
+    assert outcomes == ["received", "queue full", "received", "queue full"]

@@ -1,6 +1,7 @@
 """Time division: slots by the clocks of vehicles, guard times, and what drift costs."""
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,9 @@ from hypothesis import strategies as st
 
 import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.netsim.channels import make_channel
+from tests.support.netsim.channels import make_channel, play
 from vcmvsp.cosim.agent import Agent, Observation, Radio
-from vcmvsp.cosim.types import FrameReport, Message
+from vcmvsp.cosim.types import FrameReport
 from vcmvsp.cosim.vehicle_clock import ClockStep, VehicleClock
 from vcmvsp.netsim.channel.channel import Channel
 from vcmvsp.netsim.evaluation import broadcast_trial
@@ -31,14 +32,9 @@ def tdma(*, preset: str = "wifi-g-6", clocks: dict[str, VehicleClock] | None = N
     return channel
 
 
-def sent_at(channel: Channel, times_ns: list[int], senders: str = "ab", until_ns: int = 10**12) -> list[FrameReport]:
+def sent_at(channel: Channel, times_ns: Iterable[int], senders: str = "ab") -> list[FrameReport]:
     """Reports of broadcasts: one per sender at each time."""
-    reports: list[FrameReport] = []
-    for time_ns in times_ns:
-        reports += channel.advance(time_ns - 1)
-        for sender in senders:
-            reports += channel.send(time_ns, Message(sender=sender, body={}, size_bytes=SIZE), NAMES, POSITION)
-    return reports + channel.advance(until_ns)
+    return play(channel, NAMES, POSITION, [(time_ns, sender, None) for time_ns in times_ns for sender in senders], SIZE)
 
 
 def starts_ns(reports: list[FrameReport], sender: str) -> list[int]:
@@ -129,7 +125,7 @@ def test_drift_makes_slots_collide_from_the_closed_form_on(guard_s: float) -> No
     clocks = {"b": VehicleClock(drift_ppm=200.0)}
     channel = tdma(preset=FRAGILE, slot_s=TIGHT_NS / 1e9, schedule=("a", "b"), guard_s=guard_s, clocks=clocks)
     air_ns = channel.phy.air_time_ns(SIZE)
-    reports = sent_at(channel, list(range(0, 10**9, 2 * TIGHT_NS)))
+    reports = sent_at(channel, range(0, 10**9, 2 * TIGHT_NS))
     first_s = np.array(starts_ns(reports, "a"))[collided(reports, "a")][0] / 1e9
     assert first_s == pytest.approx((TIGHT_NS - air_ns) / 200e-6 / 1e9, rel=0.01)
 
@@ -140,7 +136,7 @@ def test_the_share_of_collisions_is_air_time_over_slot(preset: str, slot_ns: int
     clocks = {"b": VehicleClock(drift_ppm=1000.0)}
     channel = tdma(preset=preset, slot_s=slot_ns / 1e9, schedule=("a", "b"), clocks=clocks)
     passes_ns = round(2 * slot_ns / 1000e-6)  # until the slots of b have drifted by a period
-    reports = sent_at(channel, list(range(0, 4 * passes_ns, 2 * slot_ns)))
+    reports = sent_at(channel, range(0, 4 * passes_ns, 2 * slot_ns))
     assert np.mean(collided(reports, "a")) == pytest.approx(channel.phy.air_time_ns(SIZE) / slot_ns, abs=0.02)
 
 

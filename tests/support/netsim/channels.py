@@ -1,6 +1,6 @@
 """Channels, paths and frames in one line each."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +11,12 @@ from vcmvsp.cosim.assembly import radio
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.types import FrameReport, Message, States
 from vcmvsp.netsim.channel.channel import Channel
+from vcmvsp.netsim.impairments.delay import NoDelay
+from vcmvsp.netsim.impairments.loss import NoLoss
 from vcmvsp.netsim.interfaces.layers import Floats, Frame, Keys, Paths, SenderLinks
+from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.phy.error_rate import ErrorRate
+from vcmvsp.netsim.propagation.path_loss import LogDistance
 from vcmvsp.physics.world.solids import Box
 
 
@@ -29,6 +33,34 @@ def make_channel(
     channel: Channel = radio.build(tables, Source("test", Path()), solids=boxes, vehicles=vehicles)[0]
     channel.start(seed)
     return channel
+
+
+def plain_channel(**layers: Any) -> Channel:
+    """A channel of 802.11b without contention, losses and delays, with these layers in addition or instead."""
+    plain: dict[str, Any] = {"path_loss": LogDistance(), "phy": Dsss(), "loss": NoLoss(), "delay": NoDelay()}
+    return Channel(**plain | layers)
+
+
+def play(
+    channel: Channel, names: tuple[str, ...], position: Floats, sends: Iterable[Sequence[Any]], size_bytes: int = 100
+) -> list[FrameReport]:
+    """Reports of all frames, until the last is decided.
+
+    Args:
+        channel: at its start.
+        names: of the vehicles.
+        position: of the vehicles, (n, 3) m.
+        sends: rising times (ns), senders and destinations (None: all) of the frames, and their sizes if they differ; the
+            channel is only advanced at a time without a sender.
+        size_bytes: of the others.
+    """
+    reports = []
+    for time_ns, sender, to, *size in sends:
+        reports += channel.advance(time_ns)
+        if sender is not None:
+            message = Message(sender=sender, body={}, size_bytes=size[0] if size else size_bytes, to=to)
+            reports += channel.send(time_ns, message, names, position)
+    return reports + channel.advance(10**13)
 
 
 def send(channel: Channel, *distances: float, sent_ns: int = 0, size_bytes: int = 100, to: str | None = None) -> FrameReport:

@@ -100,35 +100,31 @@ def test_parameters_without_a_meaning_are_refused() -> None:
         Csma154().open(Dsss(), 2, keys(2), 1e-9)
 
 
-def hidden(left_dbm: float, right_dbm: float, *, later_us: int, sizes: tuple[int, int], **mac: Any) -> tuple[World, int]:
-    """0 sends, and 2 begins ``later_us`` after it; also returned: the time when 0 begins."""
-    world = World(line(left_dbm, right_dbm), **mac)
-    offers = [(at(100 * MS, 0), 0, sizes[0]), (at(100 * MS + later_us * US, 2), 2, sizes[1])]
-    for time_ns, sender, size in sorted(offers):
-        world.offer(time_ns, sender, size=size, patience=1e-3)
-    return world, 100 * MS
+def by_start(world: World, *starts: tuple[int, int], sizes: dict[int, int] = {}, **offer: Any) -> list[Decided]:  # noqa: B006
+    """Decisions of the first frames of radios, which begin at these times if the channel is free, by their starts."""
+    for time_ns, sender in sorted((at(start_ns, sender), sender) for start_ns, sender in starts):
+        world.offer(time_ns, sender, size=sizes.get(sender, 50), **offer)
+    return sorted(world.finish().values(), key=lambda each: each.start_ns)
 
 
-@pytest.mark.parametrize("later_us", [1, 500, 2000])
-def test_hidden_nodes_collide_and_the_first_keeps_the_receiver(later_us: int) -> None:
-    for right_dbm, first in ((-40.0, Fate.COLLISION), (-80.0, Fate.RECEIVED), (-10.0, Fate.COLLISION)):
-        world, begin_ns = hidden(-40.0, right_dbm, later_us=later_us, sizes=(50, 50))
-        by_start = sorted(world.finish().values(), key=lambda each: each.start_ns)
-        assert by_start[0].start_ns == begin_ns
-        assert by_start[1].start_ns == begin_ns + later_us * US
-        assert by_start[0].fate[1] == first
-        assert by_start[1].fate[1] == Fate.COLLISION  # however strong: the receiver is locked to the other frame
+@pytest.mark.parametrize("later_us", [1, 500, 2000, (50 + 17) * 32])
+@pytest.mark.parametrize(("right_dbm", "fate"), [(-40.0, Fate.COLLISION), (-80.0, Fate.RECEIVED), (-10.0, Fate.COLLISION)])
+def test_hidden_nodes_collide_unless_apart_and_the_first_keeps_the_receiver(
+    later_us: int, right_dbm: float, fate: Fate
+) -> None:
+    starts = 100 * MS, 100 * MS + later_us * US
+    first, second = by_start(World(line(-40.0, right_dbm)), (starts[0], 0), (starts[1], 2), patience=1e-3)
+    assert (first.start_ns, second.start_ns) == starts
+    if later_us == (50 + 17) * 32:
+        assert first.fate[1] == second.fate[1] == Fate.RECEIVED
+    else:
+        assert first.fate[1] == fate
+        assert second.fate[1] == Fate.COLLISION  # however strong: the receiver is locked to the other frame
 
 
 def test_of_frames_that_begin_together_the_stronger_is_received() -> None:
-    world, _ = hidden(-60.0, -40.0, later_us=0, sizes=(50, 50))
-    fates = {each.least_sinr[1] > 1.0: each.fate[1] for each in world.finish().values()}
-    assert fates == {True: Fate.RECEIVED, False: Fate.COLLISION}
-
-
-def test_hidden_nodes_do_not_collide_when_apart() -> None:
-    world, _ = hidden(-40.0, -40.0, later_us=(50 + 17) * 32, sizes=(50, 50))
-    assert [each.fate[1] for each in world.finish().values()] == [Fate.RECEIVED] * 2
+    decided = by_start(World(line(-60.0, -40.0)), (100 * MS, 0), (100 * MS, 2), patience=1e-3)
+    assert {each.least_sinr[1] > 1.0: each.fate[1] for each in decided} == {True: Fate.RECEIVED, False: Fate.COLLISION}
 
 
 @pytest.mark.parametrize(("forget", "sizes"), [(False, (50, 50)), (True, (50, 50)), (False, (100, 20)), (True, (100, 20))])
@@ -144,10 +140,8 @@ def test_hazards_of_the_pieces_add_up(forget: bool, sizes: tuple[int, int]) -> N
     hazard = 8 * ((total - disturbed) * one + disturbed * two)
     for factor, fate in ((1.0 + 1e-9, Fate.RECEIVED), (1.0 - 1e-9, Fate.COLLISION)):
         world = World(line(NOISE_DBM + 3.0, NOISE_DBM + 1.0), forget_interference=forget)
-        offers = [(at(100 * MS, 0), 0), (at(100 * MS + 32 * later_bytes * US, 2), 2)]
-        for time_ns, sender in sorted(offers):
-            world.offer(time_ns, sender, size=sizes[sender // 2], patience=float(hazard) * factor)
-        decided = min(world.finish().values(), key=lambda each: each.start_ns)
+        starts = (100 * MS, 0), (100 * MS + 32 * later_bytes * US, 2)
+        decided, _ = by_start(world, *starts, sizes={0: sizes[0], 2: sizes[1]}, patience=float(hazard) * factor)
         expected = fate if disturbed or fate == Fate.RECEIVED else Fate.ERROR
         assert decided.fate[1] == expected
         assert decided.least_sinr[1] == pytest.approx(power / (noise + other))
@@ -158,22 +152,15 @@ def test_a_radio_is_deaf_until_it_has_turned_round_again(after_us: int, fate: Fa
     """1 sends; 0, out of range of 1's carrier sense, begins so long after the end."""
     dbm = levels(2)
     dbm[1, 0] = SILENT
-    world, end_ns = World(dbm), 100 * MS + PHY.air_time_ns(50)
-    for time_ns, sender in sorted([(at(100 * MS, 1), 1), (at(end_ns + after_us * US, 0), 0)]):
-        world.offer(time_ns, sender)
-    decided = world.finish()
-    assert max(decided.values(), key=lambda each: each.start_ns).fate[1] == fate
+    end_ns = 100 * MS + PHY.air_time_ns(50)
+    assert by_start(World(dbm), (100 * MS, 1), (end_ns + after_us * US, 0))[1].fate[1] == fate
 
 
 @pytest.mark.parametrize(("after_ns", "free"), [(0, True), (1, False), (67 * 32 * US, False), (67 * 32 * US + 1, True)])
 def test_within_one_nanosecond_the_air_is_assessed_before_it_changes(after_ns: int, free: bool) -> None:
     """As with finite propagation: at its first instant a frame is not yet detected, at its last it still is."""
-    world = World(levels(2))
     start_ns = 100 * MS + after_ns + 192 * US
-    for time_ns, sender in sorted([(at(100 * MS, 0), 0), (at(start_ns, 1), 1)]):
-        world.offer(time_ns, sender)
-    last = max(world.finish().values(), key=lambda each: each.start_ns)
-    assert (last.start_ns == start_ns) == free
+    assert (by_start(World(levels(2)), (100 * MS, 0), (start_ns, 1))[1].start_ns == start_ns) == free
 
 
 def test_least_power_on_the_air_counts_as_busy() -> None:
@@ -199,23 +186,18 @@ def test_an_acknowledged_frame() -> None:
     assert two.start_ns == one.end_ns + (192 + 352 + 640 + int(8 * uniforms[1]) * 320 + 128 + 192) * US
 
 
-def test_without_an_answer_a_frame_is_sent_four_times() -> None:
+@pytest.mark.parametrize(("acknowledge", "attempts"), [(True, 4), (False, 1)])
+def test_without_an_answer_an_acknowledged_frame_is_sent_four_times(acknowledge: bool, attempts: int) -> None:
     """Each attempt after an acknowledgement timeout of 54 symbols, with new contention."""
-    world = World(levels(2, SILENT))
+    world = World(levels(2, SILENT), acknowledge=acknowledge)
     number = world.offer(0, 0, to=1)
     decided, air_ns = world.finish()[number], PHY.air_time_ns(50)
     time_ns = 0
-    for uniform in backoffs(4, 0):
+    for uniform in backoffs(attempts, 0):
         start_ns = time_ns + (int(8 * uniform) * 320 + 128 + 192) * US
-        time_ns = start_ns + air_ns + 864 * US
-    assert (decided.start_ns, decided.end_ns, decided.attempts) == (start_ns, time_ns, 4)
+        time_ns = start_ns + air_ns + 864 * US * acknowledge
+    assert (decided.start_ns, decided.end_ns, decided.attempts) == (start_ns, time_ns, attempts)
     assert decided.fate[1] == Fate.UNDETECTED
-
-
-def test_unacknowledged_unicast_is_sent_once() -> None:
-    world = World(levels(2, SILENT), acknowledge=False)
-    number = world.offer(0, 0, to=1)
-    assert world.finish()[number].attempts == 1
 
 
 def test_retries_at_the_edge_of_range_follow_the_error_rate() -> None:
@@ -276,17 +258,13 @@ def test_a_frame_that_comes_instead_of_the_acknowledgement_ends_the_wait(retries
         assert waited.end_ns == came_ns
 
 
-def crowd(count: int, frames: int, seed: int, *, period_ns: int = 2 * MS) -> tuple[World, dict[int, Decided], list[int]]:
-    world, rng = World(levels(count), seed), np.random.default_rng(seed)
-    senders = rng.integers(count, size=frames).tolist()
-    for time_ns, sender in zip(np.cumsum(rng.integers(period_ns, size=frames)).tolist(), senders, strict=True):
-        world.offer(time_ns, sender)
-    return world, world.finish(), senders
-
-
 def test_the_deaf_time_before_a_frame_is_the_only_gap_for_a_collision() -> None:
     """In one domain frames overlap only if they begin within 192 us; each sender then misses the other's frame."""
-    _, decided, senders = crowd(8, 2000, 3)
+    world, rng = World(levels(8), 3), np.random.default_rng(3)
+    senders = rng.integers(8, size=2000).tolist()
+    for time_ns, sender in zip(np.cumsum(rng.integers(2 * MS, size=2000)).tolist(), senders, strict=True):
+        world.offer(time_ns, sender)
+    decided = world.finish()
     sent = sorted((each for each in decided.values() if each.attempts), key=lambda each: each.start_ns)
     overlaps = [(a, b) for a, b in itertools.pairwise(sent) if b.start_ns < a.end_ns]
     assert len(overlaps) > 50
@@ -316,18 +294,13 @@ def test_five_busy_assessments_end_an_access() -> None:
 Script = list[tuple[int, int, int, int]]  # time us, sender, receiver (-1: all), payload
 
 
-def scripts(count: int) -> st.SearchStrategy[Script]:
-    frame = st.tuples(
-        st.integers(0, 30_000), st.integers(0, count - 1), st.integers(-1, count - 1), st.sampled_from([1, 20, 100])
-    )
-    return st.lists(frame, max_size=25).map(sorted)
-
-
+FRAME = st.tuples(st.integers(0, 30_000), st.integers(0, 3), st.integers(-1, 3), st.sampled_from([1, 20, 100]))
+SCRIPTS: st.SearchStrategy[Script] = st.lists(FRAME, max_size=25).map(sorted)
 FIELD = np.array([[0, -60, -84, -90], [-60, 0, -78, -86], [-84, -78, 0, -60], [-90, -86, -60, 0]], float)
 
 
 @settings(max_examples=60)
-@given(script=scripts(4), cuts=st.lists(st.integers(0, 80_000), max_size=12).map(sorted))
+@given(script=SCRIPTS, cuts=st.lists(st.integers(0, 80_000), max_size=12).map(sorted))
 def test_decisions_do_not_depend_on_steps_and_come_at_predicted_times(script: Script, cuts: list[int]) -> None:
     """No decision comes before `next_ns`, which is never in the past; it is None when nothing waits."""
     script = [(t, s, -1 if s == r else r, z) for t, s, r, z in script]
@@ -353,7 +326,7 @@ def test_decisions_do_not_depend_on_steps_and_come_at_predicted_times(script: Sc
     assert len(whole) == len(script)
 
 
-@given(script=scripts(4))
+@given(script=SCRIPTS)
 @example(script=[(0, 1, 0, 100), (0, 3, 0, 20), (128, 0, 0, 100)])  # its frame begins while another is disturbed
 @settings(max_examples=30)
 def test_a_radio_out_of_reach_changes_nothing(script: Script) -> None:
