@@ -13,7 +13,7 @@ from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.types import Value
 from vcmvsp.hardware.drivers.arcos import protocol
 from vcmvsp.hardware.drivers.arcos.protocol import BAUDS, CONFIG_PACKET, SYNC0, SYNC2, Command, Config, command, is_sip
-from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS, Robot, robot_of
+from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS, Robot
 from vcmvsp.hardware.drivers.base import HandshakeError
 
 ZERO_SPEED = command(Command.VEL, 0) + command(Command.RVEL, 0)
@@ -163,11 +163,10 @@ class Handshake:
         if len(words) < 3:
             raise self._looped()
         self.name, family, subclass = words[0], words[1], words[2]
-        try:
-            robot = robot_of(subclass)
-        except ValueError:
+        robot = ROBOTS.get(subclass.lower())
+        if robot is None:
             happened = f"the robot is {family or 'a robot'} {subclass!r}, whose parameters are unknown"
-            raise HandshakeError(self._device, happened, f"supported robots: {', '.join(ROBOTS)}") from None
+            raise HandshakeError(self._device, happened, f"supported robots: {', '.join(ROBOTS)}")
         if self._kind and robot.kind != self._kind.lower():
             happened = f"the robot is of kind {robot.kind}{self.name and f' ({self.name})'}, not {self._kind}"
             raise HandshakeError(self._device, happened, f"set robot = {robot.kind!r}, or connect to the other robot")

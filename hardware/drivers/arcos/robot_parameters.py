@@ -57,8 +57,9 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
 
 def _ring(*places: tuple[int, int, int], mirrored: bool = True) -> tuple[Sonar, ...]:
     """Sonars at (x mm, y mm, degrees); ``mirrored``: then their mirror images in reverse order, as numbered on the robot."""
-    other_side = tuple((x, -y, -degrees) for x, y, degrees in reversed(places)) if mirrored else ()
-    return tuple(Sonar(x / 1000, y / 1000, math.radians(degrees)) for x, y, degrees in (*places, *other_side))
+    if mirrored:
+        places += tuple((x, -y, -degrees) for x, y, degrees in reversed(places))
+    return tuple(Sonar(x / 1000, y / 1000, math.radians(degrees)) for x, y, degrees in places)
 
 
 _P2DX = Robot(
@@ -102,17 +103,8 @@ _AMIGO_SH = msgspec.structs.replace(
     speed=0.75,
     dist_factor=1.0,
     vel_factor=1.0,
-    sonars=_ring((70, 100, 90), (125, 75, 41), (144, 30, 15), mirrored=False)
-    + _ring((144, -30, -15), (120, -75, -41), (70, -100, -90), mirrored=False)
+    sonars=_ring((70, 100, 90), (125, 75, 41), (144, 30, 15), (144, -30, -15), (120, -75, -41), (70, -100, -90), mirrored=False)
     + _ring((-146, -58, -145)),
 )
 
 ROBOTS: dict[str, Robot] = {each.kind: each for each in (_P2DX, _AMIGO, _AMIGO_SH)}
-
-
-def robot_of(subclass: str) -> Robot:
-    """Parameters of the subclass that a robot reports, in upper or lower case; `ValueError`: there is no such robot."""
-    robot = ROBOTS.get(subclass.lower())
-    if robot is None:
-        raise ValueError(f"unknown kind of robot {subclass!r}: known are {', '.join(ROBOTS)}")
-    return robot

@@ -27,7 +27,7 @@ from vcmvsp.hardware.drivers.arcos.protocol import (
     setting_warnings,
     speeds,
 )
-from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS, robot_of
+from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
 from vcmvsp.hardware.emulators.arcos.device import SetPoints
 
 pytestmark = pytest.mark.slow
@@ -339,9 +339,6 @@ def test_factors_of_the_robots() -> None:
     assert round(1e3 * ROBOTS["p2dx"].track_m) == 357
     assert round(1e3 * ROBOTS["amigo"].track_m) == 182
     assert all(robot.angle_factor == pytest.approx(0.001534, abs=5e-7) for robot in ROBOTS.values())
-    assert robot_of("AMIGO-sh") is ROBOTS["amigo-sh"]
-    with pytest.raises(ValueError, match="known are p2dx, amigo, amigo-sh"):
-        robot_of("rover")
 
 
 @pytest.mark.parametrize("kind", ROBOTS)
