@@ -24,7 +24,6 @@ from vcmvsp.hardware.firmware.link import UdpFirmware
 MAGIC = {18458: 16, 29569: 32}  # channels by magic number
 HEAD = struct.Struct("<HHI")  # magic number, rate in Hz, number of the frame
 LEAST_US, SPAN_US = 1000.0, 1000.0  # pulse width at standstill, and up to the greatest speed
-DATAGRAM = 2048
 HOME: Vec3 = (-35.363261, 149.165230, 584.0)  # degrees and m: ArduPilot's default in simulation (sim_vehicle.py, CMAC)
 
 
@@ -46,12 +45,9 @@ class ArduPilot(UdpFirmware):
     def receive(self) -> bool:
         """Read datagrams; a repeated one gets the last line again."""
         fresh = False
-        while True:
-            try:
-                data, sender = self._open.recvfrom(DATAGRAM)
-            except OSError:  # none is left
-                return fresh
+        for data, sender in self._datagrams():
             fresh |= self._take(data, sender)
+        return fresh
 
     @property
     def refused(self) -> str:

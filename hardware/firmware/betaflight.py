@@ -99,11 +99,7 @@ class Betaflight(UdpFirmware):
     def receive(self) -> bool:
         """Read outputs; a packet without an answer is repeated."""
         fresh = False
-        while True:
-            try:
-                data = self._open.recv(2048)
-            except OSError:  # none is left, or nobody listens yet
-                break
+        for data, _ in self._datagrams():
             outputs = outputs_of(data)
             if outputs is None:
                 self._strange += 1

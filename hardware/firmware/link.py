@@ -8,6 +8,7 @@ import socket
 import subprocess
 import tempfile
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -24,6 +25,7 @@ OnLost = Literal["stop", "fall", "hold"]
 LOOPBACK = "127.0.0.1"
 STILL = (0.0, 0.0, 0.0, 0.0)
 LEAVE_S = 2.0  # for a process to end, before it is killed
+DATAGRAM = 2048  # bytes
 LAST_BYTES = 2000  # of the output of a process, in which its last line is
 
 
@@ -181,6 +183,12 @@ class UdpFirmware(FirmwareLink):
     def _open(self) -> socket.socket:
         assert self._socket is not None  # noqa: S101  `listen` and `start` were called
         return self._socket
+
+    def _datagrams(self) -> Iterator[tuple[bytes, tuple[str, int]]]:
+        """Datagrams that are there, with their senders."""
+        with contextlib.suppress(OSError):  # none is left, or nobody listens yet
+            while True:
+                yield self._open.recvfrom(DATAGRAM)
 
     def _use(self, opened: socket.socket) -> None:
         opened.setblocking(False)

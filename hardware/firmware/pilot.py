@@ -108,6 +108,5 @@ def _deflection(share: float) -> float:
 def _channels(roll: float, pitch: float, throttle: float, yaw: float, *, armed: bool) -> list[int]:
     """Pulse widths, microseconds; the throttle starts at 1050 (``min_check``) and arming needs less."""
     lift = round(1050.0 + 950.0 * min(max(throttle, 0.0), 1.0)) if throttle > 0.0 else 1000
-    sticks = (round(1500.0 + 500.0 * each) for each in (roll, pitch, yaw))
-    a, e, r = sticks
+    a, e, r = (round(1500.0 + 500.0 * each) for each in (roll, pitch, yaw))
     return [a, e, lift, r, 2000 if armed else 1000, 2000]

@@ -146,7 +146,7 @@ class Px4(FirmwareLink):
         match message.get_type():
             case "HIL_ACTUATOR_CONTROLS":
                 armed = bool(message.mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-                self.outputs = tuple(_share(each) if armed else 0.0 for each in message.controls[:4])
+                self.outputs = tuple(map(_share, message.controls[:4])) if armed else (0.0,) * 4
                 return True
             case "COMMAND_LONG" if message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
                 if message.param1 == mavlink.MAVLINK_MSG_ID_HIL_STATE_QUATERNION and math.isfinite(message.param2):
