@@ -54,7 +54,9 @@ class _Plan(NamedTuple):
             share, speed = s, float(s < 1.0)
         way = [b - a for a, b in zip(self.start, self.goal, strict=True)]
         x, y, z = (a + share * each for a, each in zip(self.start, way, strict=True))
-        vx, vy, vz = (speed * each / self.duration_s if s < 1.0 else 0.0 for each in way)
+        if s == 1.0:
+            return SetPoint(position=(x, y, z), yaw=self.yaw)
+        vx, vy, vz = (speed * each / self.duration_s for each in way)
         return SetPoint((vx, vy, vz), (x, y, z), yaw=self.yaw)
 
     def over(self, now_s: float) -> bool:
@@ -153,13 +155,12 @@ class Commander:
 
 def _followed(set_point: SetPoint, state: VehicleState) -> Velocity:
     """Velocity towards a set-point."""
-    x, y, z = set_point.velocity
+    speeds = [*set_point.velocity]
     if set_point.body:
-        x, y = rotate2(x, y, state.yaw)
-    speeds = [
-        speed if place is None else speed + GAIN * (place - own)
-        for speed, place, own in zip((x, y, z), set_point.position, state.position, strict=True)
-    ]
+        speeds[:2] = rotate2(speeds[0], speeds[1], state.yaw)
+    for axis, place in enumerate(set_point.position):
+        if place is not None:
+            speeds[axis] += GAIN * (place - state.position[axis])
     rate = set_point.yaw_rate
     if set_point.yaw is not None:
         rate += GAIN * wrap(set_point.yaw - yaw_of(state.attitude))

@@ -27,7 +27,7 @@ from collections.abc import Callable, Mapping
 from errno import EIO, ENOENT, ENOEXEC
 from typing import Literal, NamedTuple
 
-from vcmvsp.cosim.frames import Quaternion
+from vcmvsp.cosim.frames import Quaternion, yaw_of
 from vcmvsp.cosim.types import ORIGIN, Vec3, VehicleState
 from vcmvsp.hardware.stacks.trajectories import Piece, compressed, uncompressed
 
@@ -68,18 +68,6 @@ PARAMETERS: Mapping[str, tuple[int, float]] = {  # type and value at the start
     "firmware.modified": (_U8 | READ_ONLY, 0),
     "firmware.revision0": (10 | READ_ONLY, 0),
     "firmware.revision1": (_U16 | READ_ONLY, 0),
-}
-_ANGLES = "roll", "pitch", "yaw"
-LOG: Mapping[str, int] = {  # type
-    **{f"stateEstimate.{each}": 7 for each in ("x", "y", "z", "vx", "vy", "vz", *_ANGLES, "qx", "qy", "qz", "qw")},
-    **{f"stabilizer.{each}": 7 for each in _ANGLES},
-    **{f"gyro.{each}": 7 for each in "xyz"},
-    **{f"kalman.varP{each}": 7 for each in "XYZ"},
-    "pm.vbat": 7,
-    "pm.state": 4,
-    "sys.canfly": 1,
-    "supervisor.info": 2,
-    "radio.rssi": 1,
 }
 VARIANCE_M2 = 1e-6  # of the estimated position: scripts wait until it is small
 FULL_V = 4.1  # battery
@@ -178,7 +166,9 @@ class Crazyflie:
         except _Refused as refused:
             self.refused[str(refused)] += 1
             return []
-        return [packet[:1] + each for each in answers] if port != 15 or channel == 0 else answers
+        if port == 15 and channel:
+            return answers
+        return [packet[:1] + each for each in answers]
 
     def logged(self, now_ms: int, state: VehicleState) -> list[bytes]:
         """Packets of the log that are due; one for each block at most."""
@@ -289,7 +279,7 @@ class Crazyflie:
             x, y, z, vx, vy, vz, _, _, _, packed, _, _, rate = struct.unpack("<hhhhhhhhhIhhh", numbers)
             velocity, place = (vx / 1e3, vy / 1e3, vz / 1e3), (x / 1e3, y / 1e3, z / 1e3)
             turn = math.radians(rate / 1e3)
-            self._order(SetPoint(velocity, place, yaw=_yaw_of(_uncompressed(packed)), yaw_rate=turn))
+            self._order(SetPoint(velocity, place, yaw=yaw_of(_uncompressed(packed)), yaw_rate=turn))
         else:
             raise _Refused(f"set-point of type {kind}")
         return []
@@ -347,19 +337,18 @@ def log_values(state: VehicleState) -> dict[str, float]:
     pitch = -math.degrees(math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0)))
     yaw = math.degrees(state.yaw)
     place = dict(zip(("x", "y", "z", "vx", "vy", "vz"), (*state.position, *state.velocity), strict=True))
-    turned = {"roll": roll, "pitch": pitch, "yaw": yaw, "qw": w, "qx": x, "qy": y, "qz": z}
-    rates = zip("xyz", map(math.degrees, state.angular_velocity), strict=True)
-    return {
-        **{f"stateEstimate.{name}": value for name, value in (place | turned).items()},
-        **{f"stabilizer.{name}": turned[name] for name in _ANGLES},
-        **{f"gyro.{name}": value for name, value in rates},
-        **{f"kalman.varP{axis}": VARIANCE_M2 for axis in "XYZ"},
-        "pm.vbat": FULL_V,
-        "pm.state": 0,
-        "sys.canfly": 1,
-        "supervisor.info": CAN_FLY,
-        "radio.rssi": 40,
-    }
+    angles = {"roll": roll, "pitch": pitch, "yaw": yaw}
+    estimate = place | angles | {"qx": x, "qy": y, "qz": z, "qw": w}
+    values = {f"stateEstimate.{name}": value for name, value in estimate.items()}
+    values |= {f"stabilizer.{name}": value for name, value in angles.items()}
+    values |= {f"gyro.{axis}": math.degrees(rate) for axis, rate in zip("xyz", state.angular_velocity, strict=True)}
+    values |= {f"kalman.varP{axis}": VARIANCE_M2 for axis in "XYZ"}
+    return values | {"pm.vbat": FULL_V, "pm.state": 0, "sys.canfly": 1, "supervisor.info": CAN_FLY, "radio.rssi": 40}
+
+
+# Types of the variables, in the order of the table of contents: floats but for a few.
+_INTEGERS = {"pm.state": 4, "sys.canfly": 1, "supervisor.info": 2, "radio.rssi": 1}
+LOG: Mapping[str, int] = dict.fromkeys(log_values(VehicleState(position=ORIGIN)), 7) | _INTEGERS
 
 
 def _contents(data: bytes, names: list[str], kinds: list[int]) -> list[bytes]:
@@ -413,8 +402,3 @@ def _uncompressed(packed: int) -> Quaternion:
         rest >>= 10
     others[largest] = math.sqrt(max(0.0, 1.0 - sum(each * each for each in others.values())))
     return others[3], others[0], others[1], others[2]
-
-
-def _yaw_of(attitude: Quaternion) -> float:
-    w, x, y, z = attitude
-    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

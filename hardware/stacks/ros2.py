@@ -39,7 +39,7 @@ from vcmvsp.cosim.recording import ros_messages as ros
 from vcmvsp.cosim.types import ORIGIN, Fix, Image, Imu, Later, Name, Odometry, Positive, Reading, Scan, Vec3, Velocity, Waypoint
 from vcmvsp.hardware.drivers.base import PortError
 from vcmvsp.hardware.drivers.ros2.node import Mode, Node, ReceivedMessage
-from vcmvsp.hardware.drivers.ros2.protocol import TWIST, TWIST_STAMPED, Endpoint, RmwZenoh, decode_twist
+from vcmvsp.hardware.drivers.ros2.protocol import TWIST, TWIST_STAMPED, Endpoint, RefusedMessage, RmwZenoh, decode_twist
 from vcmvsp.hardware.stacks.simulation_services import SimulationServices
 
 POSE = "geometry_msgs/msg/PoseStamped"
@@ -58,12 +58,6 @@ Mount = tuple[Vec3, Quaternion]
 """Place (m) and attitude of a sensor's frame in the vehicle's."""
 
 
-class _Refused(Exception):
-    def __init__(self, cause: str, why: str) -> None:
-        self.cause = cause
-        super().__init__(why)
-
-
 class _News(NamedTuple):
     """What a callback of Zenoh passes on: a message of an input, or a publisher of commands that came or went."""
 
@@ -78,21 +72,16 @@ class Outlet:
     """A topic that is published while it has subscribers."""
 
     def __init__(self, node: Node, topic: str, kind: str, *, complete: bool) -> None:
-        self._has_readers = False
+        self.has_subscribers = False
         self._publish = node.publisher(Endpoint("MP", topic, kind), self._match, complete=complete)
 
     def put(self, make: Callable[[], ros.RosMessage]) -> None:
         """Publish a message, if the topic has subscribers."""
-        if self._has_readers:
+        if self.has_subscribers:
             self._publish(ros.encoded(make()))
 
-    @property
-    def has_subscribers(self) -> bool:
-        """Whether the topic has subscribers."""
-        return self._has_readers
-
-    def _match(self, has_readers: bool) -> None:
-        self._has_readers = has_readers
+    def _match(self, has_subscribers: bool) -> None:
+        self.has_subscribers = has_subscribers
 
 
 class _Program:
@@ -326,7 +315,7 @@ class Ros2Stack:
             return True
         try:
             self._hear(program, news.topic, news.message)
-        except _Refused as refused:
+        except RefusedMessage as refused:
             program.refused[refused.cause] += 1
             if program.refused[refused.cause] == 1:
                 self._tell(f"stack.ros2: a message on /{news.vehicle}/{news.topic} is refused: {refused}")
@@ -349,29 +338,31 @@ class Ros2Stack:
             return
         command, stamp_ns = _command(program, topic, message)
         if program.sender not in (None, message.sender):
-            raise _Refused("second publisher", "another node publishes it, too, and is followed; end one of them")
+            raise RefusedMessage("second publisher", "another node publishes it, too, and is followed; end one of them")
         program.sender = message.sender
         if not self.paced and not program.lost:
             if 0 < stamp_ns < program.asked_ns:
-                raise _Refused("older", f"its stamp, {1e-9 * stamp_ns:g} s, is that of an earlier observation")
+                raise RefusedMessage("older", f"its stamp, {1e-9 * stamp_ns:g} s, is that of an earlier observation")
             if program.answered:
-                raise _Refused("surplus", "the observation was answered already; publish one command for each")
+                raise RefusedMessage("surplus", "the observation was answered already; publish one command for each")
         program.command, program.answered, program.lost = command, True, ""
         program.moves_since_s = time.monotonic() if self.paced else None
 
     def _radio_message(self, program: _Program, message: Any) -> tuple[dict[str, Any] | bytes, str | None]:
         to = message.to or None
         if to is not None and (to not in self._others or self._programs.get(to) is program):
-            raise _Refused("receiver", f"there is no other vehicle '{to}'")
+            raise RefusedMessage("receiver", f"there is no other vehicle '{to}'")
         return _body(message), to
 
     # --- the way in -----------------------------------------------------------------------------------------------------------
 
     def _how_to_reach(self) -> str:
-        topics = ", ".join(f"/{each}/cmd_vel" for each in list(self._names)[:3]) + (", ..." if len(self._names) > 3 else "")
+        topics = [f"/{each}/cmd_vel" for each in self._names]
+        if len(topics) > 3:
+            topics[3:] = ["..."]
         config = "" if self._endpoint == DEFAULT else f" ZENOH_CONFIG_OVERRIDE='connect/endpoints=[\"{self._endpoint}\"]'"
         where = f"RMW_IMPLEMENTATION=rmw_zenoh_cpp ROS_DOMAIN_ID={self._domain}{config}"
-        return f"stack.ros2: nodes with {where} drive by {topics}"
+        return f"stack.ros2: nodes with {where} drive by {', '.join(topics)}"
 
     def _await_nodes(self) -> None:
         until_s = time.monotonic() + self._join_s
@@ -413,7 +404,7 @@ def _command(program: _Program, topic: str, message: ReceivedMessage) -> tuple[V
     if topic == "goal_pose":
         _check_type(message, POSE)
         if not program.flies:
-            raise _Refused("goal_pose", "only flying vehicles follow it; publish cmd_vel")
+            raise RefusedMessage("goal_pose", "only flying vehicles follow it; publish cmd_vel")
         content = _decoded(message)
         place, turn = content.pose.position, content.pose.orientation
         numbers = place.x, place.y, place.z, yaw_of((turn.w, turn.x, turn.y, turn.z))
@@ -423,7 +414,7 @@ def _command(program: _Program, topic: str, message: ReceivedMessage) -> tuple[V
     try:
         twist = decode_twist(message.data, stamped=message.type == TWIST_STAMPED)
     except ValueError as error:
-        raise _Refused("content", str(error)) from None
+        raise RefusedMessage("content", str(error)) from None
     x, y, z = twist.linear
     _check_size(x, y, z, twist.angular[2])
     if program.flies:  # a Twist is along the body's axes, a command in the world's
@@ -433,19 +424,19 @@ def _command(program: _Program, topic: str, message: ReceivedMessage) -> tuple[V
 
 def _check_size(*numbers: float) -> None:
     if not all(abs(each) <= LARGEST for each in numbers):  # also refuses NaN
-        raise _Refused("content", f"numbers must be from {-LARGEST:g} to {LARGEST:g}")
+        raise RefusedMessage("content", f"numbers must be from {-LARGEST:g} to {LARGEST:g}")
 
 
 def _check_type(message: ReceivedMessage, *types: str) -> None:
     if message.type not in types:
-        raise _Refused("type", f"it is {message.type}, not {' or '.join(types)}")
+        raise RefusedMessage("type", f"it is {message.type}, not {' or '.join(types)}")
 
 
 def _decoded(message: ReceivedMessage) -> Any:
     try:
         return ros.decoded(message.data, message.type)
     except ValueError as error:
-        raise _Refused("content", str(error)) from None
+        raise RefusedMessage("content", str(error)) from None
 
 
 def _body(message: Any) -> dict[str, Any] | bytes:
@@ -456,7 +447,7 @@ def _body(message: Any) -> dict[str, Any] | bytes:
         body: dict[str, Any] = msgspec.msgpack.decode(message.data.tobytes(), type=dict[str, Any])
         check_body(body)
     except (msgspec.MsgspecError, TypeError, ValueError) as error:
-        raise _Refused("content", f"its data are not the MessagePack of a map that can be recorded: {error}") from None
+        raise RefusedMessage("content", f"its data are not the MessagePack of a map that can be recorded: {error}") from None
     return body
 
 

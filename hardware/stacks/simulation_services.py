@@ -9,7 +9,8 @@ import math
 import queue
 import re
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -75,17 +76,12 @@ class _RefusedCall(Exception):
         super().__init__(why)
 
 
-class _Request(NamedTuple):
-    service: str
-    call: Call
-
-
 class SimulationServices:
     """The services of a node; calls wait until the run attends to them, in their order."""
 
     def __init__(self, node: Node) -> None:
         register()
-        self._requests: queue.SimpleQueue[_Request] = queue.SimpleQueue()
+        self._requests: queue.SimpleQueue[tuple[str, Call]] = queue.SimpleQueue()
         self._stepping: Call | None = None  # is answered when its steps are over
         self._answers: Mapping[str, Callable[[RunControl, Any], tuple[object, ...]]] = {
             "get_simulator_features": _features,
@@ -100,14 +96,11 @@ class SimulationServices:
         for name, (kind, _, _) in SERVICES.items():
             endpoint = Endpoint("SS", name, f"{PACKAGE}/srv/{kind}")
             node.add(endpoint)
-            node.serve(endpoint, self._taker(name))
+            node.serve(endpoint, partial(self._hand_over, name))
 
-    def _taker(self, service: str) -> Callable[[Call], None]:
-        def take(call: Call) -> None:  # in Zenoh's thread
-            if self._requests.qsize() < WAITING:
-                self._requests.put(_Request(service, call))
-
-        return take
+    def _hand_over(self, service: str, call: Call) -> None:  # in Zenoh's thread
+        if self._requests.qsize() < WAITING:
+            self._requests.put((service, call))
 
     def attend(self, control: RunControl) -> None:
         """Answer the calls; while a step is not over, the others wait."""

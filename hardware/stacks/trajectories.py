@@ -123,8 +123,11 @@ def _pieces_from(memory: Memory, offset: int, begin: list[float]) -> Iterator[Pi
 def _of_bezier(points: list[float], duration_s: float) -> Polynomial:
     """Coefficients of a Bezier curve over a duration: c_j = C(n, j) sum_i (-1)^(i + j) C(j, i) P_i / duration^j."""
     n = len(points) - 1
-    differences = (sum((-1) ** (i + j) * math.comb(j, i) * points[i] for i in range(j + 1)) for j in range(n + 1))
-    return tuple(math.comb(n, j) * each / duration_s**j for j, each in enumerate(differences))
+    coefficients = []
+    for j in range(n + 1):
+        difference = sum((-1) ** (i + j) * math.comb(j, i) * points[i] for i in range(j + 1))
+        coefficients.append(math.comb(n, j) * difference / duration_s**j)
+    return tuple(coefficients)
 
 
 def _value(polynomial: Polynomial, time_s: float) -> float:

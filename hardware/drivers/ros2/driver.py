@@ -22,7 +22,15 @@ from vcmvsp.cosim.types import ORIGIN, NonNegative, Odometry, Positive, Rate, Ve
 from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, CommandTimeout, HandshakeError, LinkLost, Sample
 from vcmvsp.hardware.drivers.ros2 import protocol
 from vcmvsp.hardware.drivers.ros2.node import GRAPH_S, Mode, Node, ReceivedMessage, RobotPresence
-from vcmvsp.hardware.drivers.ros2.protocol import ODOMETRY, STAMPS_END_NS, TWIST, TWIST_STAMPED, Endpoint, OdometryMessage
+from vcmvsp.hardware.drivers.ros2.protocol import (
+    ODOMETRY,
+    STAMPS_END_NS,
+    TWIST,
+    TWIST_STAMPED,
+    Endpoint,
+    OdometryMessage,
+    RefusedMessage,
+)
 from vcmvsp.hardware.drivers.threaded import NOT_YET, CommandRepeater, ThreadedDriver
 
 Pose = Literal["odometry", "world"]
@@ -115,12 +123,6 @@ _SHOWN = 6  # endpoints in an error text
 
 Domain = Annotated[int, msgspec.Meta(ge=0, le=232)]
 ConnectTime = Annotated[float, msgspec.Meta(gt=0, le=30)]  # s; less than a station allows its driver
-
-
-class _LeftOut(Exception):
-    def __init__(self, cause: str, why: str) -> None:
-        self.cause = cause
-        super().__init__(why)
 
 
 class Ros2Driver(ThreadedDriver):
@@ -267,25 +269,25 @@ class Ros2Driver(ThreadedDriver):
         """Odometry of a message, and its arrival; the first rejected message of each cause is reported."""
         try:
             return self._checked(message), message.arrived_ns
-        except _LeftOut as left_out:
-            self.refused[left_out.cause] += 1
-            if self.refused[left_out.cause] == 1:
-                self._notice("warned", f"a message on {self._odometry.topic} is ignored: {left_out}")
+        except RefusedMessage as refused:
+            self.refused[refused.cause] += 1
+            if self.refused[refused.cause] == 1:
+                self._notice("warned", f"a message on {self._odometry.topic} is ignored: {refused}")
             return None
 
     def _checked(self, message: ReceivedMessage) -> OdometryMessage:
         if message.type not in ("", ODOMETRY):
-            raise _LeftOut("type", f"it is {message.type}, not {ODOMETRY}")
+            raise RefusedMessage("type", f"it is {message.type}, not {ODOMETRY}")
         try:
             odometry = protocol.decode_odometry(message.data)
         except ValueError as error:
-            raise _LeftOut("content", str(error)) from None
+            raise RefusedMessage("content", str(error)) from None
         if not 0 <= odometry.stamp_ns < STAMPS_END_NS:
-            raise _LeftOut("stamp", "its stamp is not a time")
+            raise RefusedMessage("stamp", "its stamp is not a time")
         if self._frame and odometry.frame != self._frame:
-            raise _LeftOut("frame", f"it is in the frame '{odometry.frame}', not '{self._frame}'")
+            raise RefusedMessage("frame", f"it is in the frame '{odometry.frame}', not '{self._frame}'")
         if not self._presence.hear(message.sender, message.arrived_ns):
-            raise _LeftOut("sender", "a second node publishes it")
+            raise RefusedMessage("sender", "a second node publishes it")
         return odometry
 
     def _look(self, now_ns: int) -> None:

@@ -36,6 +36,14 @@ STAMPS_END_NS = 2**31 * SECOND_NS  # stamps have 32-bit signed seconds: until 20
 UNIT_WITHIN = 0.01  # maximum error of a quaternion's norm
 
 
+class RefusedMessage(Exception):
+    """A message that is not followed: its kind of cause, and the cause in words."""
+
+    def __init__(self, cause: str, why: str) -> None:
+        self.cause = cause
+        super().__init__(why)
+
+
 class Twist(NamedTuple):
     """A velocity in the frame of the body; with a stamp and a frame where it is a TwistStamped."""
 
