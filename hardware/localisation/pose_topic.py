@@ -6,6 +6,7 @@ keys are ignored.
 """
 
 import time
+from functools import partial
 from typing import Any, Literal
 
 import msgspec
@@ -39,21 +40,15 @@ class _PoseMessage(msgspec.Struct, kw_only=True):
 _decoder = msgspec.json.Decoder(_PoseMessage)  # JSON has neither NaN nor infinity
 
 
-class PoseReader(DatagramReader):
-    """Decodes messages; ``sigma_rad`` is the standard deviation of a yaw without ``sigma_yaw``."""
-
-    def __init__(self, sigma_rad: float) -> None:
-        super().__init__(self._read)
-        self._sigma_rad = sigma_rad
-
-    def _read(self, chunk: bytes) -> Located:
-        if len(chunk) > LARGEST_BYTES:
-            raise ValueError(f"a pose has at most {LARGEST_BYTES} bytes")
-        pose = _decoder.decode(chunk)
-        source_ns = None if pose.t is None else round(pose.t * SECOND_NS)
-        sigma_rad = self._sigma_rad if pose.sigma_yaw is None else pose.sigma_yaw
-        position = (pose.x, pose.y, pose.z)
-        return Located(position=position, yaw=pose.yaw, sigma_rad=sigma_rad, sigma_m=pose.sigma, source_ns=source_ns)
+def decode(sigma_rad: float, chunk: bytes) -> Located:
+    """Position of a message; ``sigma_rad`` is the standard deviation of a yaw without ``sigma_yaw``."""
+    if len(chunk) > LARGEST_BYTES:
+        raise ValueError(f"a pose has at most {LARGEST_BYTES} bytes")
+    pose = _decoder.decode(chunk)
+    source_ns = None if pose.t is None else round(pose.t * SECOND_NS)
+    sigma_rad = sigma_rad if pose.sigma_yaw is None else pose.sigma_yaw
+    position = (pose.x, pose.y, pose.z)
+    return Located(position=position, yaw=pose.yaw, sigma_rad=sigma_rad, sigma_m=pose.sigma, source_ns=source_ns)
 
 
 class ExternalPose(PositionSource):
@@ -93,7 +88,7 @@ class ExternalPose(PositionSource):
             f'messages under {key} are not poses; format: {{"t": s, "x": m, "y": m}}, with "z", "yaw", "sigma" if known',
         )
         transform = WorldTransform(sigma_m=sigma_m, latency_s=latency_s, offset=offset, turn_rad=turn_rad)
-        super().__init__(f"{key} at {endpoint}", PoseReader(sigma_rad), transform, words)
+        super().__init__(f"{key} at {endpoint}", DatagramReader(partial(decode, sigma_rad)), transform, words)
         self._endpoint, self._mode = with_slash(endpoint), mode
         self._session: zenoh.Session | None = None
 

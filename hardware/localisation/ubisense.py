@@ -85,7 +85,12 @@ class Ubisense(PortSource):
             "the datagrams are not Ubisense's: check which program sends to this port",
         )
         transform = WorldTransform(
-            tag=tag, sigma_m=sigma_m, latency_s=latency_s, offset=offset, turn_rad=turn_rad, normal=_normal
+            tag=tag,
+            sigma_m=sigma_m,
+            latency_s=latency_s,
+            offset=offset,
+            turn_rad=turn_rad,
+            normal=lambda text: text and tag_of(text),
         )
         self._url = listen
         super().__init__(listen, DatagramReader(decode), transform, words)
@@ -94,7 +99,3 @@ class Ubisense(PortSource):
         line = Datagrams(self._url)
         self.device = line.url
         return line
-
-
-def _normal(tag: str) -> str:
-    return tag_of(tag) if tag else ""

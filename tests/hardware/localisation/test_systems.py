@@ -10,6 +10,7 @@ import socket
 import time
 import tty
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ from vcmvsp.hardware.localisation import dwm1001, port_source, pose_topic, sourc
 from vcmvsp.hardware.localisation.dwm1001 import Dwm1001
 from vcmvsp.hardware.localisation.nmea import Nmea
 from vcmvsp.hardware.localisation.pose_topic import ExternalPose
-from vcmvsp.hardware.localisation.source import Localisation, Located, WorldTransform
+from vcmvsp.hardware.localisation.source import DatagramReader, Localisation, Located, WorldTransform
 from vcmvsp.hardware.localisation.ubisense import Ubisense
 
 pytestmark = pytest.mark.sockets
@@ -448,7 +449,7 @@ def test_any_message_gives_finite_near_readings_not_from_the_future(
 )
 def test_no_message_raises_errors(data: bytes, position: bool, yaw: Any) -> None:
     reader, placing, fusion = (
-        pose_topic.PoseReader(0.02),
+        DatagramReader(partial(pose_topic.decode, 0.02)),
         WorldTransform(sigma_m=0.1, latency_s=0.0),
         Fusion(start=(0.0, 0.0, 0.0)),
     )
