@@ -196,7 +196,11 @@ class VehicleProxy:
         self._still = VehicleState(position=place, attitude=quaternion_from_yaw(yaw))
         self._history: deque[StationReport] = deque()  # oldest first
         self._fresh: list[StationReport] = []  # since the last publication
-        self._command: tuple[Velocity | None, int, int] = (None, 0, 0)  # command, its monotonic time, its logical time
+        self._command: tuple[Velocity | None, int | None, int] = (
+            None,
+            None,
+            0,
+        )  # command, its monotonic time, its logical time
         self._orders, self._published = 0, (0, self._still)
         self._latest = (-1, self._still)
 
@@ -216,13 +220,14 @@ class VehicleProxy:
         command, command_ns, since_ns = self._command
         if self.halted and command is not None:
             command = Velocity()  # keeps the age of the agent's command
+        age_ns = None if command is None or now_ns is None else now_ns - since_ns
         self.station.order(
             StationOrder(
                 number=self._orders,
                 sent_ns=time.monotonic_ns(),
                 command=command,
-                command_ns=command_ns if command is not None else None,
-                command_age_ns=None if command is None or now_ns is None else now_ns - since_ns,
+                command_ns=command_ns,
+                command_age_ns=age_ns,
                 others=others,
                 stop=stop,
             )

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 
 import msgspec
 
-from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.processes.child_process import LinkedProcess
 from vcmvsp.cosim.scenario.schema import RealVehicle
 from vcmvsp.cosim.util.codec import encode
@@ -26,11 +25,9 @@ WATCHDOG = "the robot's own watchdog stops it, if it has one: secure the robot"
 
 
 class StationError(DriverError):
-    """A station failed or ended."""
+    """A station failed or ended; its ``device`` is the vehicle."""
 
-    def __init__(self, vehicle: str, happened: str, advice: str) -> None:
-        self.device, self.happened, self.advice = vehicle, happened, advice
-        FederateError.__init__(self, f"the robot of {vehicle}", f"{happened}; {advice}")
+    _subject = "the robot of"
 
 
 class Station:

@@ -41,9 +41,11 @@ CommandTimeout = Annotated[float, msgspec.Meta(gt=0, le=2)]
 class DriverError(FederateError):
     """A robot cannot be driven: which device, what happened, what to do."""
 
+    _subject = "robot at"
+
     def __init__(self, device: str, happened: str, advice: str) -> None:
         self.device, self.happened, self.advice = device, happened, advice
-        super().__init__(f"robot at {device}", f"{happened}; {advice}")
+        super().__init__(f"{self._subject} {device}", f"{happened}; {advice}")
 
 
 class PortError(DriverError):

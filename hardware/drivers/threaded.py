@@ -208,7 +208,7 @@ class ThreadedDriver:
         raise NotImplementedError
 
     def _give_up(self) -> None:
-        """Store the error that ends the thread as `_failure`."""
+        """Leave the robot in a safe state after the error `_failure`, which ends the thread."""
 
     def _say_goodbye(self) -> None:
         """Leave the robot in a safe state; waiting does not raise `ClosedByCaller` once `_leaving` is set."""

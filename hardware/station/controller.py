@@ -219,10 +219,11 @@ class StationController:
             late_ns = max(0, age_ns - max(0, own_ns))
             self._late_s = late_ns / SECOND_NS
             command_ns = now_ns - age_ns + min(late_ns, round((self._mission.safety.federation_s or 0.0) * SECOND_NS))
+        measured_ns = None if estimate is None else estimate.measured_ns
         return LastReceived(
-            operator_ns=None if self._operator_ns is None else min(self._operator_ns, now_ns),
+            operator_ns=self._operator_ns and min(self._operator_ns, now_ns),
             command_ns=command_ns,
-            positioning_ns=None if estimate is None else estimate.measured_ns,
+            positioning_ns=measured_ns,
             federation_ns=arrival_ns if order.number else None,
         )
 

@@ -177,11 +177,9 @@ def _modes(text: str) -> dict[str, int]:
 # Main mode in bits 16-23, sub-mode in bits 24-31.
 _PX4_MAIN = _modes("- MANUAL ALTITUDE POSITION - ACRO OFFBOARD STABILIZED")
 _PX4_AUTO = _modes("- READY TAKEOFF HOLD MISSION RETURN LAND - FOLLOW PRECISION_LAND")
-_PX4 = {
-    **{name: main << 16 for name, main in _PX4_MAIN.items()},
-    **{name.replace("_", " "): 4 << 16 | sub << 24 for name, sub in _PX4_AUTO.items()},
-    "ORBIT": 3 << 16 | 1 << 24,
-}
+_PX4 = {name: main << 16 for name, main in _PX4_MAIN.items()}
+_PX4 |= {name.replace("_", " "): 4 << 16 | sub << 24 for name, sub in _PX4_AUTO.items()}
+_PX4["ORBIT"] = 3 << 16 | 1 << 24
 _COPTER = _modes(
     "STABILIZE ACRO ALT_HOLD AUTO GUIDED LOITER RTL CIRCLE - LAND - DRIFT - SPORT FLIP AUTOTUNE POSHOLD BRAKE THROW - "
     "GUIDED_NOGPS SMART_RTL FLOWHOLD FOLLOW ZIGZAG"

@@ -383,8 +383,12 @@ class StatusTexts:
             return ""
         if message.severity > mavlink.MAV_SEVERITY_ERROR or not text.strip():
             return ""
-        text = "".join(each if each.isprintable() else "?" for each in text.strip())
+        text = "".join(map(_shown, text.strip()))
         if text == self.last and now_ns - self._last_ns < REPEAT_NS:
             return ""
         self.last, self._last_ns = text, now_ns
         return text
+
+
+def _shown(letter: str) -> str:
+    return letter if letter.isprintable() else "?"

@@ -274,8 +274,12 @@ class Device:
         turning = self._w / robot.diff_factor  # mm/s, half the difference of the wheels
         heading = round(yaw / robot.angle_factor)
         goal = self.motion.heading
-        pinged = {number: max(0.0, min(metres, robot.sonar_max_m)) for number, metres in self._pinged.items()}
+        setpoint = heading if goal is None else round(goal / robot.angle_factor)
+        sonars = []
+        for number, metres in sorted(self._pinged.items()):
+            sonars.append((number, round(1e3 * max(0.0, min(metres, robot.sonar_max_m)) / robot.range_factor)))
         self._pinged = {}
+        array_flags = 0x1E if self._sonar_on else 0
         return Sip(
             kind=protocol.MOVING if self._v or self._w else protocol.STOPPED,
             x=round(1e3 * x / robot.dist_factor),
@@ -285,9 +289,9 @@ class Device:
             right=_int16((1e3 * self._v + turning) / robot.vel_factor),
             battery=round(10 * self.battery_v),
             stall=self._stall,
-            setpoint=heading if goal is None else round(goal / robot.angle_factor),
-            flags=self.motors_on | (0x1E if self._sonar_on else 0) | self.estop_pressed << 5,
-            sonars=tuple((number, round(1e3 * metres / robot.range_factor)) for number, metres in sorted(pinged.items())),
+            setpoint=setpoint,
+            flags=self.motors_on | array_flags | self.estop_pressed << 5,
+            sonars=tuple(sonars),
             battery_x10=round(10 * self.battery_v),
             charge_state=0,
             rotation=_int16(10 * math.degrees(self._w)),

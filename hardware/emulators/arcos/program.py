@@ -194,8 +194,9 @@ def device_of(name: str, chosen: RobotOptions, start: Vec3 | None) -> Device:
 def truth_of(device: Device) -> Truth:
     """True position of a tag on a robot."""
 
-    def truth() -> tuple[float, float, float, float] | None:
-        return standing(device.pose or ORIGIN)()
+    def truth() -> tuple[float, float, float, float]:
+        x, y, yaw = device.pose or ORIGIN
+        return x, y, 0.0, yaw
 
     return truth
 

@@ -15,7 +15,7 @@ from vcmvsp.cosim.errors import Interrupted, UsageError
 from vcmvsp.cosim.frames import rotate2
 from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.scenario.schema import Scenario, VehicleTable
-from vcmvsp.cosim.types import Measured, Odometry, Scan, Vec3, VehicleState, Velocity
+from vcmvsp.cosim.types import Measured, Odometry, Reading, Scan, Vec3, VehicleState, Velocity
 from vcmvsp.hardware.drivers.arcos.robot_parameters import Robot
 from vcmvsp.hardware.emulators.arcos.device import Wheels
 from vcmvsp.hardware.emulators.arcos.program import KINDS, Rig, RobotOptions, device_of, parameters
@@ -96,13 +96,16 @@ class VehicleSensors:
 
     def ranges(self, obs: Observation) -> list[float]:
         """Range of each sonar, m; infinite: no echo."""
-        readings = [obs.readings.get(name) for name in self._sonars]
-        return [max(0.0, float(each.ranges.min())) if isinstance(each, Scan) else math.inf for each in readings]
+        return [_range_m(obs.readings.get(name)) for name in self._sonars]
 
     def bumpers(self, obs: Observation) -> int:
         """Bits of pressed bumpers."""
         reading = obs.readings.get(self._bumper)
         return bumper_bits(list(reading.values.values())) if isinstance(reading, Measured) else 0
+
+
+def _range_m(reading: Reading | None) -> float:
+    return max(0.0, float(reading.ranges.min())) if isinstance(reading, Scan) else math.inf
 
 
 def bumper_bits(segments: Sequence[float]) -> int:

@@ -267,10 +267,6 @@ class Vehicle:
             raise ValueError(f"{self.autopilot.name} has no mode {mode}; modes: {', '.join(self.autopilot.modes)}")
         self._enter(mode)
 
-    def pilot_arms(self, armed: bool = True) -> None:
-        """Another transmitter arms or disarms it."""
-        self.armed = armed
-
     def say(self, text: str, severity: int = mavlink.MAV_SEVERITY_CRITICAL) -> None:
         """Send a text, in chunks of 50 characters."""
         data = text.encode("ascii", "replace")

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.errors import ScenarioError, UsageError
 from vcmvsp.cosim.transport import access_control, endpoints, key_names
-from vcmvsp.cosim.types import NonNegative, Positive, Vec3, Velocity
+from vcmvsp.cosim.types import NonNegative, Positive, Vec3
 from vcmvsp.cosim.util.codec import encode
 from vcmvsp.cosim.util.text import plain
 from vcmvsp.hardware.drivers.base import (
@@ -103,6 +103,7 @@ class ZenohDriver(ThreadedDriver):
     """
 
     _repeater: CommandState
+    _speeds = staticmethod(finite)
 
     def __init__(
         self,
@@ -159,10 +160,6 @@ class ZenohDriver(ThreadedDriver):
         self._run_name = secrets.token_hex(8)
         self._invited = False  # the user was informed
         self._refused = ""  # reason of the last rejection
-
-    @staticmethod
-    def _speeds(velocity: Velocity) -> Velocity:
-        return finite(velocity)
 
     def _was_read(self) -> None:
         self._sampler.clear_sonar()
@@ -377,10 +374,9 @@ class ZenohDriver(ThreadedDriver):
 
     def _waits(self, name: str, hello: RobotHello) -> str:
         """Reason not to accept an admitted robot now; empty: accept it."""
-        hello_before = self._hello
         if self._closing.is_set():
             return "the run is over"
-        if self._peer is not None and hello_before is not None and (self._peer.name, hello_before.robot) != (name, hello.robot):
+        if self._peer is not None and self._hello is not None and (self._peer.name, self._hello.robot) != (name, hello.robot):
             return f"another program already drives {self._vehicle}"
         return ""
 

@@ -227,7 +227,7 @@ def test_only_the_lost_vehicle_is_found_again_neither_switched_nor_armed() -> No
         eventually(lambda: any(each.what == "lost" for each in driver.notices()))
         with one.lock:
             one.vehicle.pilot_switches("LOITER")
-            one.vehicle.pilot_arms(False)
+            one.vehicle.armed = False
             one.vehicle.heard.clear()
         driver.write(Velocity(linear=(1.0, 0.0, 0.0)))
         rest(0.6)

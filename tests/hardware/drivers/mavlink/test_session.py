@@ -141,7 +141,7 @@ def test_commands_have_no_effect_while_disarmed_or_leaving() -> None:
     flight = Flight(Vehicle(mode="OFFBOARD"))
     flight.until_ready()
     flight.run(0.4, EAST)
-    flight.vehicle.pilot_arms()
+    flight.vehicle.armed = True
     flight.run(0.05)
     assert flight.vehicle.commanded() == Velocity()
     flight.run(1.2, EAST)  # after its next heartbeat
@@ -162,10 +162,10 @@ def test_disarming_stops_it() -> None:
     flight = Flight(Vehicle(mode="OFFBOARD", heartbeat_s=0.1, **FLYING))
     flight.until_ready()
     flight.run(0.5, EAST)
-    flight.vehicle.pilot_arms(False)
+    flight.vehicle.armed = False
     flight.run(0.2, EAST)
     assert "it has disarmed" in flight.causes()
-    flight.vehicle.pilot_arms()
+    flight.vehicle.armed = True
     flight.run(0.2)
     assert flight.vehicle.commanded() == Velocity()
 
