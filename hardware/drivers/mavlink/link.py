@@ -43,9 +43,8 @@ class UdpLink:
     """A UDP port. One that listens sends nothing before `answer`; one that does not receives from its target only."""
 
     def __init__(self, address: str, host: str, port: int, *, listens: bool) -> None:
-        self._to: Any = None  # an address of the operating system
         self._source = ""
-        self._sources: dict[str, Any] = {}
+        self._sources: dict[str, Any] = {}  # addresses of the operating system
         self._connected = not listens
         try:
             family, _, _, _, where = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
@@ -82,16 +81,14 @@ class UdpLink:
     def answer(self, source: str) -> None:
         """Exchange bytes with this source only from now on."""
         self._source = source
-        if not self._connected:
-            self._to = self._sources.get(source)
 
     def write(self, data: bytes) -> None:
         """Send to the source of `answer`, if there is one; datagrams may be lost."""
         with contextlib.suppress(OSError):
             if self._connected:
                 self._socket.send(data)
-            elif self._to is not None:
-                self._socket.sendto(data, self._to)
+            elif (to := self._sources.get(self._source)) is not None:
+                self._socket.sendto(data, to)
 
 
 MavlinkLink = StreamLink | UdpLink

@@ -19,7 +19,7 @@ from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import ORIGIN, Vec3, Velocity
 from vcmvsp.hardware.drivers.base import Driver, HandshakeError, LinkLost, PortError, Sample
 from vcmvsp.hardware.drivers.mavlink.driver import MavlinkDriver
-from vcmvsp.hardware.drivers.mavlink.link import open_link
+from vcmvsp.hardware.drivers.mavlink.link import SOURCES, open_link
 from vcmvsp.hardware.drivers.mavlink.protocol import mavlink
 from vcmvsp.hardware.emulators.device_server import UdpPort
 from vcmvsp.hardware.emulators.mavlink.server import MavlinkServer, serve
@@ -283,6 +283,24 @@ def test_garbage_and_other_senders_have_no_effect() -> None:
                 for sample in fly(driver, 0.01, 1.0, 0.0, 0.0):
                     assert abs(sample.state.position[0]) < 10.0  # type: ignore[union-attr]
             eventually(lambda: fly(driver, 0.1, 1.0, 0.0, 0.0)[-1].state.velocity[0] > 0.5)  # type: ignore[union-attr]
+
+
+def test_a_vehicle_is_answered_whose_address_other_senders_have_displaced() -> None:
+    port = free_ports(1)
+    link = open_link(f"udpin:127.0.0.1:{port}", 57_600)
+    with ExitStack() as stack:
+        stack.callback(link.close)
+        vehicle, *others = (stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(SOURCES + 2))
+        for sender in (vehicle, *others):
+            sender.connect(("127.0.0.1", port))
+            sender.send(b"here")
+        sources = [source for source, _ in link.read()]
+        link.answer(sources[0])
+        vehicle.send(b"here again")
+        assert link.read() == [(sources[0], b"here again")]
+        link.write(b"set-point")
+        vehicle.settimeout(20.0)
+        assert vehicle.recv(100) == b"set-point"
 
 
 def test_wrong_ids_and_addresses(stack: ExitStack) -> None:
