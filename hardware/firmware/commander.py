@@ -12,7 +12,7 @@ from vcmvsp.cosim.types import Vec3, VehicleState, Velocity, Waypoint
 from vcmvsp.cosim.util.polling import readable
 from vcmvsp.hardware.drivers.base import What
 from vcmvsp.hardware.drivers.mavlink.link import MavlinkLink, VehicleSearch, open_link
-from vcmvsp.hardware.drivers.mavlink.protocol import Encoder, MessageReader, Sender, heartbeat, mavlink, sender_of
+from vcmvsp.hardware.drivers.mavlink.protocol import Encoder, Sender, heartbeat, mavlink
 from vcmvsp.hardware.drivers.mavlink.session import MavlinkSampler, MavlinkSession, SessionOptions
 from vcmvsp.hardware.firmware.link import FirmwareLink
 
@@ -68,7 +68,7 @@ class MavlinkCommander:
         self._link = open_link(self._firmware.mavlink, BAUD)
         self._search_for = VehicleSearch(self._firmware.mavlink, 0, None)
         self._sampler = MavlinkSampler((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), self._firmware.plane)
-        self._reader, self._late_ns = MessageReader(), now_ns + READY_NS
+        self._late_ns = now_ns + READY_NS
 
     def _chunks(self) -> list[tuple[str, bytes]]:
         assert self._link is not None  # noqa: S101  it is open
@@ -89,13 +89,10 @@ class MavlinkCommander:
                 telemetry_hz=TELEMETRY_HZ, timeout_s=1.0, switch_mode=True, arm=True, takeoff_m=self._firmware.takeoff_m
             )
             self._sampler.connect()
-            self._session, self._peer = MavlinkSession(peer, orders, self._sampler, now_ns), peer
+            self._session = MavlinkSession(peer, orders, self._sampler, now_ns)
 
     def _converse(self, session: MavlinkSession, now_ns: int) -> None:
-        for _, data in self._chunks():
-            for message in self._reader.feed(data):
-                if sender_of(message) == self._peer.sender:
-                    session.receive(message, now_ns)
+        session.feed(self._chunks(), now_ns)
         if session.ready and now_ns >= self._repeat_ns:
             self._repeat_ns = now_ns + REPEAT_NS
             session.command(towards(self._command, self._sampler.state), now_ns)

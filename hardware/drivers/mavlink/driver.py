@@ -21,7 +21,7 @@ from vcmvsp.cosim.types import ORIGIN, NonNegative, Positive, Vec3, Velocity
 from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, CommandTimeout, HandshakeError, LinkLost, finite
 from vcmvsp.hardware.drivers.byte_link import OPEN_S
 from vcmvsp.hardware.drivers.mavlink.link import MavlinkLink, Peer, VehicleSearch, open_link
-from vcmvsp.hardware.drivers.mavlink.protocol import Encoder, MessageReader, Sender, heartbeat, mavlink, sender_of
+from vcmvsp.hardware.drivers.mavlink.protocol import Encoder, Sender, heartbeat, mavlink
 from vcmvsp.hardware.drivers.mavlink.session import MavlinkSampler, MavlinkSession, SessionOptions
 from vcmvsp.hardware.drivers.threaded import ReconnectingDriver
 
@@ -140,7 +140,6 @@ class MavlinkDriver(ReconnectingDriver):
         began_ns = time.monotonic_ns()
         peer = self._find(self._link, began_ns + seconds_to_ns(within_s), within_s)
         self._link.answer(peer.source)
-        self._reader = MessageReader()
         session = MavlinkSession(peer, orders, self._sampler, time.monotonic_ns())
         if peer.on_ground and orders.takeoff_m is not None:
             raise HandshakeError(self.device, f"{peer.name} does not fly", "leave takeoff_m out")
@@ -195,28 +194,21 @@ class MavlinkDriver(ReconnectingDriver):
 
     def _exchange(self, until_ns: int) -> tuple[int, int]:
         """Send what is due, and receive until this time; number of messages and of samples."""
-        link, session, peer = self._link, self._session, self.peer
-        assert link is not None and session is not None and peer is not None  # noqa: PT018, S101  it is connected
+        link, session = self._link, self._session
+        assert link is not None and session is not None  # noqa: PT018, S101  it is connected
         with self._lock:
             messages = session.advance(time.monotonic_ns())
             due_ns = session.due_ns
         if messages:
             link.write(self._encode(*messages))
-        count = samples = 0
-        if self._wait(link.fileno(), min(due_ns, until_ns)):
-            for _, data in link.read():
-                for message in self._reader.feed(data):
-                    if sender_of(message) == peer.sender:
-                        count += 1
-                        with self._lock:
-                            sample = session.receive(message, time.monotonic_ns())
-                            self._sample = sample or self._sample
-                        samples += sample is not None
+        chunks = link.read() if self._wait(link.fileno(), min(due_ns, until_ns)) else []
         with self._lock:
+            count, samples = session.feed(chunks, time.monotonic_ns())
+            self._sample = samples[-1] if samples else self._sample
             news, session.news = session.news, []
         for what, cause in news:
             self._notice(what, cause)
-        return count, samples
+        return count, len(samples)
 
     def _give_up(self) -> None:
         self._say_goodbye()  # a failed take-off ends in the air

@@ -18,8 +18,16 @@ from vcmvsp.cosim.frames import rotate2, wrap
 from vcmvsp.cosim.types import Odometry, Value, Vec3, VehicleState, Velocity
 from vcmvsp.hardware.drivers.base import Sample, What, finite
 from vcmvsp.hardware.drivers.mavlink import protocol
-from vcmvsp.hardware.drivers.mavlink.link import Peer
-from vcmvsp.hardware.drivers.mavlink.protocol import PERIOD_NS, STILL, Message, body_flipped, mavlink, world_flipped
+from vcmvsp.hardware.drivers.mavlink.link import Chunks, Peer
+from vcmvsp.hardware.drivers.mavlink.protocol import (
+    PERIOD_NS,
+    STILL,
+    Message,
+    MessageReader,
+    body_flipped,
+    mavlink,
+    world_flipped,
+)
 from vcmvsp.hardware.drivers.threaded import CommandRepeater
 
 ATTITUDE_NS = 500_000_000  # older attitudes are useless
@@ -161,7 +169,7 @@ class MavlinkSession:
         self._landed = mavlink.MAV_LANDED_STATE_UNDEFINED
         self._leaving = self._has_armed = False
         self._climb_to: float | None = None  # m, z in the world
-        self._refusal, self._texts = "", StatusTexts()
+        self._reader, self._refusal, self._texts = MessageReader(), "", StatusTexts()
         self._old_streams = False
         self._steps = deque(self._opening())
         self._request_ns: int | None = None
@@ -253,6 +261,17 @@ class MavlinkSession:
         if not self._steps:
             return due_ns
         return 0 if self._request_ns is None else min(due_ns, self._request_ns + ASK_NS)
+
+    def feed(self, chunks: Chunks, now_ns: int) -> tuple[int, list[Sample]]:
+        """Process received bytes; the number of messages of the vehicle, and the samples that they complete."""
+        count, samples = 0, []
+        for _, data in chunks:
+            for message in self._reader.feed(data):
+                if protocol.sender_of(message) == self._peer.sender:
+                    count += 1
+                    if (sample := self.receive(message, now_ns)) is not None:
+                        samples.append(sample)
+        return count, samples
 
     def receive(self, message: Message, now_ns: int) -> Sample | None:
         """Process a message of the vehicle; a sample, if it completes one."""

@@ -6,7 +6,6 @@ from typing import Any
 import pytest
 
 from vcmvsp.cosim.types import Velocity
-from vcmvsp.hardware.drivers.base import Sample
 from vcmvsp.hardware.drivers.mavlink.link import VehicleSearch
 from vcmvsp.hardware.drivers.mavlink.protocol import Encoder, Message, MessageReader, Sender, mavlink
 from vcmvsp.hardware.drivers.mavlink.session import ATTITUDE_NS, MavlinkSampler, MavlinkSession, SessionOptions
@@ -22,9 +21,8 @@ class Flight:
 
     def __init__(self, vehicle: Vehicle, **orders: Any) -> None:
         self.vehicle, self.now_ns = vehicle, 0
-        self.samples: list[Sample] = []
         self.sent: list[tuple[int, Message]] = []
-        self._encode, self._reader = Encoder(OURS), MessageReader()
+        self._encode = Encoder(OURS)
         search = VehicleSearch("line", 1, None)
         peer = None
         while peer is None:
@@ -42,10 +40,7 @@ class Flight:
                 self.pilot.command(command, self.now_ns)
             messages = self.pilot.advance(self.now_ns)
             self.sent += [(self.now_ns, each) for each in messages]
-            for message in self._reader.feed(self.vehicle.receive(self._encode(*messages), self.now_ns)):
-                sample = self.pilot.receive(message, self.now_ns)
-                if sample is not None:
-                    self.samples.append(sample)
+            self.pilot.feed([("", self.vehicle.receive(self._encode(*messages), self.now_ns))], self.now_ns)
 
     def until_ready(self) -> None:
         for _ in range(300):
