@@ -50,7 +50,7 @@ class Settings(Value, frozen=True, kw_only=True):
 
 
 class Handshake:
-    """One attempt to connect. Pass bytes and time, send the returned bytes, until it is `done` or raises.
+    """One attempt to connect. Pass bytes and time, send the returned bytes, until it `is_done` or raises.
 
     ``kind`` is the required subclass, such as ``amigo``, empty: any known one; ``baud`` is for messages, 0: none.
     """

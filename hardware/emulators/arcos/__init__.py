@@ -1,1 +1,1 @@
-"""Emulated ARCOS robot: a state machine without clock (`device`, `motion`), served at a port. No driver belongs here."""
+"""Emulated ARCOS robot: a state machine without clock (`device`), served at a port. No driver belongs here."""
