@@ -121,14 +121,10 @@ class _Refused(Exception):
 
 
 class Crazyflie:
-    """Answers of one aircraft to packets; ``order`` receives the orders in them.
-
-    Attributes:
-        refused: packets that were not followed, by cause.
-    """
+    """Answers of one aircraft to packets; ``order`` receives the orders in them."""
 
     def __init__(self, order: Callable[[Order], None]) -> None:
-        self.refused: Counter[str] = Counter()
+        self.refused: Counter[str] = Counter()  # packets that were not followed, by cause
         self._order = order
         self._names, self._log_names = [*PARAMETERS], [*LOG]
         self._values = {name: value for name, (_, value) in PARAMETERS.items()}

@@ -151,17 +151,12 @@ class _Step(NamedTuple):
 
 
 class MavlinkSession:
-    """Sends requests and set-points, and monitors the vehicle.
-
-    Attributes:
-        in_command: the vehicle is in the mode that follows set-points.
-        news: events for notices; the reader empties it.
-        interrupted: why preparation must end: the mode was changed, or the vehicle was stopped; empty: it continues.
-    """
+    """Sends requests and set-points, and monitors the vehicle."""
 
     def __init__(self, peer: Peer, orders: SessionOptions, sampler: MavlinkSampler, now_ns: int) -> None:
-        self.in_command, self.interrupted = False, ""
-        self.news: list[tuple[What, str]] = []
+        self.in_command = False  # the vehicle is in the mode that follows set-points
+        self.interrupted = ""  # why preparation must end: the mode was changed, or the vehicle was stopped; empty: it continues
+        self.news: list[tuple[What, str]] = []  # events for notices; the reader empties it
         self._peer, self._orders, self._sampler = peer, orders, sampler
         self._repeater = CommandRepeater((STILL, 0.0), orders.timeout_s, again_ns=PERIOD_NS, least_ns=PERIOD_NS)
         self._boot_ns = self._now_ns = now_ns

@@ -137,16 +137,7 @@ _SYNCED, _OPEN = 3, 4  # stages of a session: 0 to 2 is the SYNC that is awaited
 
 
 class Device:
-    """A Pioneer or AmigoBot. Times are nanoseconds of a monotonic clock; earlier times than before count as now.
-
-    Attributes:
-        heard: newest commands: time ns, number, argument; ``commands`` and ``packets`` count.
-        pose: in the frame of its start or of `moved`; None: not set yet.
-        now_ns: the time of its last tick.
-        baud: rate set by HOSTBAUD.
-        watchdog_stopped: stopped by the watchdog; any command lets it resume.
-        estop_pressed: the red button of larger robots, bit 5 of the flags: motors off, even if enabled.
-    """
+    """A Pioneer or AmigoBot. Times are nanoseconds of a monotonic clock; earlier times than before count as now."""
 
     def __init__(
         self,
@@ -162,12 +153,13 @@ class Device:
             raise ValueError(f"ping_ms must be a positive multiple of {TICK_NS // 1_000_000} ms, not {ping_ms}")
         self.robot, self.name = robot, name
         self.motion, self.reader = SetPoints(robot), PacketReader()
-        self.heard: deque[tuple[int, int, int | bytes | None]] = deque(maxlen=1000)
-        self.commands = self.packets = 0
-        self.baud, self.battery_v = robot.baud, 12.6
-        self.watchdog_stopped = self.estop_pressed = False
+        self.heard: deque[tuple[int, int, int | bytes | None]] = deque(maxlen=1000)  # commands: time ns, number, argument
+        self.commands = self.packets = 0  # counts
+        self.baud, self.battery_v = robot.baud, 12.6  # rate set by HOSTBAUD
+        self.watchdog_stopped = False  # any command lets it resume
+        self.estop_pressed = False  # the red button of larger robots, bit 5 of the flags: motors off, even if enabled
         self._wheels = Wheels(start) if start is not None else None
-        self.pose: Vec3 | None = start
+        self.pose: Vec3 | None = start  # in the frame of its start or of `moved`; None: not set yet
         self._origin = start or ORIGIN
         self._v = self._w = 0.0
         self._stall = 0
@@ -175,7 +167,7 @@ class Device:
         self._pinged: dict[int, float] = {}
         self._ping_ns, self._period_ns = ping_ms * 1_000_000, seconds_to_ns(robot.period_s)
         self._watchdog_ns = seconds_to_ns(robot.watchdog_s)
-        self.now_ns = self._heard_ns = self._bytes_ns = 0
+        self.now_ns = self._heard_ns = self._bytes_ns = 0  # the first: of its last tick
         self._stage = 0
         self._enabled = False
         self._sonar_on = True

@@ -75,16 +75,12 @@ TCP_PORT = 8101  # first port of MobileSim and ARIA; further robots have the nex
 
 
 class ArcosServer(DeviceServer):
-    """Serves a robot; access ``device`` with ``lock`` held.
-
-    Attributes:
-        unsent: bytes without a reader.
-        misread: bytes that became noise because of different baud rates, if bytes are paced.
-    """
+    """Serves a robot; access ``device`` with ``lock`` held."""
 
     def __init__(self, device: Device, line: Pty | TcpListener, faults: Faults, *, paced: bool) -> None:
         self.device, self.lock = device, threading.Lock()
-        self.unsent = self.misread = 0
+        self.unsent = 0  # bytes without a reader
+        self.misread = 0  # bytes that became noise because of different baud rates, if bytes are paced
         self._line, self._paced = line, paced
         baud = device.baud if paced else None
         self.up = Wire(faults, stream(faults.seed, "arcos/up"), baud)  # robot to client

@@ -25,21 +25,14 @@ _DEADMAN_NS = seconds_to_ns(DEADMAN_S)
 
 
 class DriverWatchdog:
-    """Drives the robot; without a given pose, the run defines the pose at its start.
-
-    Attributes:
-        run: name of the last run.
-        opened: number of openings.
-        failure: why it cannot continue; None: it can.
-        noticed: notices that the run acknowledged.
-    """
+    """Drives the robot; without a given pose, the run defines the pose at its start."""
 
     def __init__(self, driver: Driver, pose: Vec3 | None, tell: Callable[[str], None]) -> None:
         self._driver, self._pose, self._tell = driver, pose, tell
-        self.run = ""
+        self.run = ""  # name of the last run
         self.state: Literal["closed", "opening", "open"] = "closed"
-        self.opened = self.noticed = 0
-        self.failure: Failure | None = None
+        self.opened = self.noticed = 0  # openings, and notices that the run acknowledged
+        self.failure: Failure | None = None  # why it cannot continue; None: it can
         self._notices: deque[Notice] = deque(maxlen=KEPT)
         self._stood = False  # the run has commanded to stand since its link began
         self._stopped = NOT_YET  # reason to stand; empty: it drives

@@ -18,15 +18,11 @@ MOST_MISSED = 1_000_000  # samples between two received ones
 
 
 class RemoteSampler:
-    """Converts messages of a robot to samples and notices.
-
-    Attributes:
-        pose: newest pose by odometry; a reopened robot starts there.
-    """
+    """Converts messages of a robot to samples and notices."""
 
     def __init__(self, start: Vec3) -> None:
         self.clock = EchoClock(window=WINDOW)
-        self.pose, self.link = start, 0
+        self.pose, self.link = start, 0  # newest pose by odometry, where a reopened robot starts
         self.noticed = 0  # notices of this robot so far
         self._number = 0
         self._last: tuple[int, int, int] | None = None  # openings, link and number of the robot's newest sample
