@@ -41,12 +41,9 @@ def _samples(robot: Bench, clock: Clock, seconds: float, v: float, w: float, ste
             yield sample
 
 
-def test_is_a_driver() -> None:
-    assert isinstance(Bench(), Driver)
-
-
 def test_moves_as_commanded_within_its_acceleration() -> None:
     robot, samples, _ = drive(5.0)
+    assert isinstance(robot, Driver)
     assert robot.pose[0] == pytest.approx(0.3 * 5.0 - 0.3**2 / (2 * 0.3), abs=0.01)  # the ramp costs v2 / 2a
     assert samples[-1].odometry.v == pytest.approx(0.3)
     assert len(samples) in (49, 50)
@@ -95,8 +92,7 @@ def test_it_stops_without_commands() -> None:
     robot, _, clock = drive(3.0)
     before = robot.pose[0]
     clock.ns += 5000 * MS
-    sample = robot.read()
-    assert sample is not None
+    sample: Any = robot.read()
     assert sample.stopped == "no command for 0.5 s"
     assert sample.odometry.v == 0.0
     held = 0.5 - 0.02  # the last command is one step old

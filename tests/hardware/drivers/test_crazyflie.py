@@ -4,11 +4,10 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from tests.support.hardware.driver_runs import eventually, fly, open_driver
+from tests.support.hardware.driver_runs import eventually, fly, newest, open_driver
 from tests.support.paths import ROOT
 from vcmvsp.hardware.drivers.base import Driver, HandshakeError, LinkLost
 from vcmvsp.hardware.drivers.crazyflie import CrazyflieDriver
@@ -47,27 +46,20 @@ def run(port: int, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
         process.kill()
 
 
-def newest(driver: Driver) -> Any:
-    found: list[Any] = []
-    eventually(lambda: found.append(sample.state) if (sample := driver.read()) else found)
-    return found[-1]
-
-
 def test_it_takes_off_flies_and_lands(run: subprocess.Popen[str], port: int) -> None:
     with open_driver(CrazyflieDriver(uri=f"udp://127.0.0.1:{port}", takeoff_m=0.5, origin=(1.0, 2.0, 0.0))) as driver:
         assert isinstance(driver, Driver)
-        eventually(lambda: newest(driver).position == pytest.approx((1.0, 2.0, 0.5), abs=0.05))
+        eventually(lambda: newest(driver).state.position == pytest.approx((1.0, 2.0, 0.5), abs=0.05))
         samples = fly(driver, 2.0, 0.3, 0.1, 0.0)
-        assert samples[-1].state is not None
         x, y, z = samples[-1].state.position
         assert x - 1.0 == pytest.approx(3.0 * (y - 2.0), rel=0.1)
         assert 0.4 < x - 1.0 < 0.8
         assert z == pytest.approx(0.5, abs=0.05)
         assert samples[-1].state.velocity == pytest.approx((0.3, 0.1, 0.0), abs=0.05)
         driver.stop("geofence")
-        eventually(lambda: abs(newest(driver).velocity[0]) < 0.02)
+        eventually(lambda: abs(newest(driver).state.velocity[0]) < 0.02)
     with open_driver(CrazyflieDriver(uri=f"udp://127.0.0.1:{port}", origin=(1.0, 2.0, 0.0))) as driver:
-        assert newest(driver).position[2] < 0.05  # landed on close
+        assert newest(driver).state.position[2] < 0.05  # landed on close
         run.kill()
         with pytest.raises(LinkLost):
             eventually(lambda: driver.read() and False)

@@ -8,16 +8,17 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tests.support.cosim.run_processes import Forwarder
+from tests.support.cosim.secure_hub import issue_certificates
 from tests.support.hardware.driver_runs import eventually
-from vcmvsp.cosim.security import authority
 from vcmvsp.cosim.types import Velocity
 from vcmvsp.hardware.drivers.base import DriverError, HandshakeError, LinkLost, PortError, Sample
 from vcmvsp.hardware.remote_robot.run_side.driver import ZenohDriver
@@ -267,72 +268,17 @@ def test_the_robot_stops_if_its_run_dies_or_hangs(tmp_path: Path, port: int, num
         assert robot.told()[-1][1] == "close"
 
 
-class Proxy:
-    """Freezable TCP connection between a robot and its run."""
-
-    def __init__(self, port: int) -> None:
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.port = int(self._listener.getsockname()[1])
-        self._target, self._open = port, threading.Event()
-        self._open.set()
-        self._ends: list[socket.socket] = []
-        self._threads = [threading.Thread(target=self._accept, daemon=True)]
-        self._threads[0].start()
-
-    def freeze(self) -> None:
-        self._open.clear()
-
-    def thaw(self) -> None:
-        self._open.set()
-
-    def close(self) -> None:
-        self._listener.shutdown(socket.SHUT_RDWR)
-        self._listener.close()
-        self.thaw()
-        for end in self._ends:
-            with contextlib.suppress(OSError):
-                end.shutdown(socket.SHUT_RDWR)
-            end.close()
-        for thread in self._threads:
-            thread.join(PATIENCE_S)
-
-    def _accept(self) -> None:
-        with contextlib.suppress(OSError):
-            while True:
-                near, _ = self._listener.accept()
-                self._ends.append(near)
-                self._open.wait(PATIENCE_S)
-                try:
-                    far = socket.create_connection(("127.0.0.1", self._target), 1.0)
-                except OSError:
-                    near.close()
-                    continue
-                far.settimeout(None)
-                self._ends.append(far)
-                for pair in ((near, far), (far, near)):
-                    self._threads.append(threading.Thread(target=self._pump, args=pair, daemon=True))
-                    self._threads[-1].start()
-
-    def _pump(self, source: socket.socket, sink: socket.socket) -> None:
-        with contextlib.suppress(OSError):
-            while data := source.recv(65536):
-                self._open.wait(PATIENCE_S)
-                sink.sendall(data)
-        with contextlib.suppress(OSError):
-            sink.shutdown(socket.SHUT_RDWR)
-
-
 def test_after_a_frozen_link_zero_speed_comes_first(tmp_path: Path, port: int) -> None:
-    with contextlib.closing(Proxy(port)) as proxy, program(tmp_path, proxy.port) as robot:
+    with contextlib.closing(Forwarder(port)) as forwarder, program(tmp_path, forwarder.port) as robot:
         with driver(port, silence_s=1.0, reconnect_s=PATIENCE_S) as made:
             drive(made, lambda each: each.odometry.v > 0.1)
             made.notices()
-            proxy.freeze()
+            forwarder.hold()
             eventually(lambda: "lost" in [each.what for each in made.notices()])
             frozen = len(robot.when(lambda calls: calls[-1][1] == "stop"))
             made.write(Velocity(linear=(0.9, 0.0, 0.0)))  # dropped: no robot is connected
             made.read()
-            proxy.thaw()
+            forwarder.release()
             again = drive(made, lambda each: each.link >= 2 and each.odometry.v > 0.1)
             assert again.odometry.pose[0] > 1.0
             calls = robot.told()
@@ -407,11 +353,7 @@ def test_a_port_in_use(port: int) -> None:
 
 @pytest.fixture(scope="module")
 def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("robots") / "keys"
-    authority.init(folder)
-    for name in ("car2", "car3"):
-        authority.issue(folder, name, [name])
-    return folder
+    return issue_certificates(tmp_path_factory.mktemp("robots")).folder
 
 
 def test_with_its_certificate_it_is_driven(tmp_path: Path, port: int, keys: Path) -> None:
@@ -428,28 +370,19 @@ def test_with_its_certificate_it_is_driven(tmp_path: Path, port: int, keys: Path
 
 def test_the_wrong_certificate_is_named_at_both_ends(tmp_path: Path, port: int, keys: Path) -> None:
     made = ZenohDriver(listen=f"tls/127.0.0.1:{port}", keys=str(keys), vehicle="car3", open_deadline_s=PATIENCE_S)
-    failed: list[BaseException] = []
-
-    def open_error() -> None:
+    with ThreadPoolExecutor(1) as pool:
+        opening = pool.submit(made.open)
         try:
-            made.open()
-        except DriverError as error:
-            failed.append(error)
-
-    thread = threading.Thread(target=open_error)
-    thread.start()
-    try:
-        wait_for_listener(port)
-        with program(tmp_path, port, "--keys", str(keys / "car2.keys"), protocol="tls") as robot:
-            assert robot.process.wait(PATIENCE_S) == 2
-            robot.until("the certificate of 'car2' is for car2, not for car3")
-            assert not robot.log.exists()
-    finally:
-        made.close()
-        thread.join(PATIENCE_S)
+            wait_for_listener(port)
+            with program(tmp_path, port, "--keys", str(keys / "car2.keys"), protocol="tls") as robot:
+                assert robot.process.wait(PATIENCE_S) == 2
+                robot.until("the certificate of 'car2' is for car2, not for car3")
+                assert not robot.log.exists()
+        finally:
+            made.close()
+        assert isinstance(opening.exception(PATIENCE_S), HandshakeError)
     causes = [each.cause for each in made.notices()]
     assert "a robot was rejected: the certificate of 'car2' is for car2, not for car3" in causes
-    assert isinstance(failed[0], HandshakeError)
 
 
 def wait_for_listener(port: int) -> None:

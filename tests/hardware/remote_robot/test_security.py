@@ -1,17 +1,16 @@
 """Access to the robot of a vehicle: real certificates and sessions, and attempts by other machines."""
 
 import contextlib
-import json
 import queue
 import time
 from typing import Any
 
 import pytest
 import zenoh
-from zenoh.handlers import Callback
 
 from tests.support.cosim.run_processes import reserve_port
-from tests.support.hardware.driver_runs import PATIENCE_S, eventually
+from tests.support.cosim.secure_hub import bundle, dial, direct, issue_certificates, replies_of
+from tests.support.hardware.driver_runs import eventually
 from vcmvsp.cosim.security import authority, certificates
 from vcmvsp.cosim.transport import access_control, key_names
 from vcmvsp.cosim.types import Odometry
@@ -24,19 +23,13 @@ from vcmvsp.hardware.remote_robot.run_side.listener import LinkEnded, News, Peer
 
 pytestmark = pytest.mark.sockets
 
-HELLO = b"hello"
 ALL_GO = zenoh.CongestionControl.BLOCK  # otherwise Zenoh drops messages of a burst if its queue is full
 
 
 @pytest.fixture(scope="module")
 def keys(tmp_path_factory: pytest.TempPathFactory) -> certificates.Keys:
-    folder = tmp_path_factory.mktemp("doors") / "keys"
-    authority.init(folder)
-    for name in ("car2", "car3", "gone"):
-        authority.issue(folder, name, [name])
+    folder = issue_certificates(tmp_path_factory.mktemp("doors")).folder
     authority.issue(folder, "laptop", ["car3", "car4"])
-    authority.issue(folder, "anna")
-    authority.revoke(folder, "gone")
     return certificates.load(folder)
 
 
@@ -58,30 +51,17 @@ class ListenerHarness:
         return [self.news.get() for _ in range(self.news.qsize())]
 
     def dial(self, name: str) -> zenoh.Session:
-        bundle = certificates.load_bundle(self._keys.folder / f"{name}.keys")
-        own = {
-            "mode": "client",
-            "listen": {"endpoints": []},
-            "connect": {"endpoints": [self.endpoint], "timeout_ms": 0},
-            "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
-            "transport": {"shared_memory": {"enabled": False}},
-        }
-        config = json.dumps(access_control.merge(own, access_control.machine_security(bundle)))
-        return self._stack.enter_context(zenoh.open(zenoh.Config.from_json5(config)))
+        return self._stack.enter_context(dial(self.endpoint, bundle(self._keys, name)))
 
 
 def is_welcome(session: zenoh.Session, name: str) -> bool:
-    replies = session.get(key_names.greet_key(name), payload=HELLO, timeout=PATIENCE_S)
-    return any(messages.welcomes.decode(each.ok.payload.to_bytes()).run == "yes" for each in replies if each.ok)
+    replies = replies_of(session, key_names.greet_key(name), b"hello")
+    return any(messages.welcomes.decode(each).run == "yes" for each in replies)
 
 
 def received_texts(session: zenoh.Session, key: str) -> list[str]:
     got: list[str] = []
-
-    def on_sample(sample: zenoh.Sample) -> None:
-        got.append(sample.payload.to_string())
-
-    session.declare_subscriber(key, Callback(on_sample, indirect=False))
+    session.declare_subscriber(key, direct(lambda sample: got.append(sample.payload.to_string())))
     return got
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 import vcmvsp
+from tests.support.netsim.gateway_context import free_ports
 from tests.support.paths import ROOT
 from vcmvsp.cosim.errors import FederateError, ScenarioError
 from vcmvsp.cosim.hosts.remote_host import LinkError
@@ -24,22 +25,6 @@ from vcmvsp.hardware.stacks.trajectories import HEADER, PIECE, START
 UPLOAD = PIECE.pack(*range(32), 2.0) + START.pack(0, 0, 500, 0) + HEADER.pack(1, 1500) + b"\x64\0"
 MOTION_M_PER_S = 0.2  # speed of cflib's MotionCommander, which times distance / speed by the wall clock
 NAMES = ("cf1", "cf2", "cf3", "cf4")
-
-
-def free_ports() -> int:
-    """First of four consecutive free UDP ports."""
-    while True:
-        first = random.randrange(20000, 30000)
-        opened = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in NAMES]
-        try:
-            for number, each in enumerate(opened):
-                each.bind(("127.0.0.1", first + number))
-        except OSError:
-            continue
-        finally:
-            for each in opened:
-                each.close()
-        return first
 
 
 def scenario(first: int, duration_s: float, **more: Any) -> dict[str, Any]:
@@ -64,7 +49,7 @@ def program(name: str, *ports: int) -> "subprocess.Popen[str]":
 @pytest.mark.sockets
 @pytest.mark.slow
 def test_programs_of_cflib_fly_a_square_and_a_swarm() -> None:
-    first, started = free_ports(), list[subprocess.Popen[str]]()
+    first, started = free_ports(len(NAMES)), list[subprocess.Popen[str]]()
 
     def start(line: str) -> None:
         if "reach" in line:
@@ -86,7 +71,7 @@ def test_programs_of_cflib_fly_a_square_and_a_swarm() -> None:
 @pytest.mark.processes
 @pytest.mark.sockets
 def test_a_connection_brings_tables_and_flies_trajectories_and_a_second_program_is_refused() -> None:
-    first, started, lines = free_ports(), list[subprocess.Popen[str]](), list[str]()
+    first, started, lines = free_ports(len(NAMES)), list[subprocess.Popen[str]](), list[str]()
 
     def start(line: str) -> None:
         lines.append(line)
@@ -111,7 +96,7 @@ def test_a_connection_brings_tables_and_flies_trajectories_and_a_second_program_
 
 @pytest.mark.sockets
 def test_a_port_in_use_is_one_error() -> None:
-    first = free_ports()
+    first = free_ports(len(NAMES))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", first + 1))
         with pytest.raises(FederateError, match=rf"port {first + 1} of 127\.0\.0\.1 for cf2 cannot be opened.*set first_port"):

@@ -4,9 +4,7 @@ import contextlib
 import json
 import math
 import subprocess
-import sys
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
 
@@ -16,7 +14,7 @@ import zenoh.ext
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import vcmvsp
-from tests.support.paths import ROOT
+from tests.support.hardware.driver_runs import module_process
 from vcmvsp.cosim.errors import FederateError, ScenarioError
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.recording.mcap_reader import messages
@@ -34,15 +32,9 @@ GOALS = {"car1": (2.0, 1.0), "car2": (-2.0, 1.0)}
 STRING = "std_msgs/msg/String"
 
 
-@contextlib.contextmanager
-def node(port: int, vehicle: str, *options: str) -> Iterator[subprocess.Popen[str]]:
+def node(port: int, vehicle: str, *options: str) -> contextlib.AbstractContextManager["subprocess.Popen[str]"]:
     """A node in a process of its own that connects as soon as the run listens."""
-    words = [sys.executable, "-m", "tests.support.hardware.ros2_node", str(port), vehicle, *map(str, GOALS[vehicle]), *options]
-    with subprocess.Popen(words, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        try:
-            yield process
-        finally:
-            process.kill()
+    return module_process("ros2_node", port, vehicle, *GOALS[vehicle], *options)
 
 
 def scenario(port: int, *vehicles: str, duration_s: float = 8.0, **more: Any) -> dict[str, Any]:

@@ -3,9 +3,7 @@
 import contextlib
 import json
 import subprocess
-import sys
 import tomllib
-from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -15,8 +13,8 @@ import zenoh
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import vcmvsp
+from tests.support.hardware.driver_runs import module_process
 from tests.support.hardware.ros2_caller import MESSAGES, SERVICES, hash_of, with_packages
-from tests.support.paths import ROOT
 from vcmvsp.cosim.errors import Interrupted
 from vcmvsp.cosim.recording import ros_messages as ros
 from vcmvsp.cosim.recording.ros_services import register_service
@@ -49,16 +47,6 @@ def scenario(port: int, duration_s: float = 4.0) -> dict[str, Any]:
     }
 
 
-@contextlib.contextmanager
-def caller(port: int, *options: str) -> Iterator["subprocess.Popen[str]"]:
-    words = [sys.executable, "-m", "tests.support.hardware.ros2_caller", str(port), *options]
-    with subprocess.Popen(words, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        try:
-            yield process
-        finally:
-            process.kill()
-
-
 def answers_of(process: "subprocess.Popen[str]") -> list[tuple[str, Any]]:
     assert process.stdout
     line = next(each for each in process.stdout if each.startswith("["))  # other lines are radio messages received by its node
@@ -72,7 +60,7 @@ def stamp_ns(state: Any) -> int:
 def test_calls_pause_step_and_change_a_run_which_is_recorded_and_repeatable(port: int, tmp_path: Path) -> None:
     results, answers = [], []
     for number in range(2):
-        with caller(port) as process:
+        with module_process("ros2_caller", port) as process:
             results.append(vcmvsp.run(scenario(port), out=tmp_path / f"run{number}"))
             answers.append(answers_of(process))
     responses: list[tuple[str, Any]] = answers[0]
@@ -108,7 +96,7 @@ def test_calls_pause_step_and_change_a_run_which_is_recorded_and_repeatable(port
 
 
 def test_a_call_ends_a_run_like_an_operator(port: int) -> None:
-    with caller(port, "--quit") as process, pytest.raises(Interrupted) as ended:
+    with module_process("ros2_caller", port, "--quit") as process, pytest.raises(Interrupted) as ended:
         vcmvsp.run(scenario(port, 1000.0))
     assert ended.value.result is not None
     assert process.stdout

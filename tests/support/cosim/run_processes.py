@@ -101,11 +101,19 @@ class Forwarder:
         self._ends: list[socket.socket] = []
         threading.Thread(target=self._accept, daemon=True).start()
 
+    def hold(self) -> None:
+        """Hold all data back until `release`."""
+        self._whole.clear()
+
+    def release(self) -> None:
+        """Forward the data that were held back."""
+        self._whole.set()
+
     def freeze(self, seconds: float) -> None:
         """Hold all data back for a time, then forward them: a cable that is pulled and put back."""
-        self._whole.clear()
+        self.hold()
         time.sleep(seconds)
-        self._whole.set()
+        self.release()
 
     def reset(self, seconds: float) -> None:
         """Break all connections and refuse new ones for a time."""

@@ -1,14 +1,17 @@
 """A driver under test, open and commanded at wall-clock pace."""
 
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
+from tests.support.paths import ROOT
 from vcmvsp.cosim.types import ORIGIN, Vec3, Velocity
-from vcmvsp.hardware.drivers.base import Driver, Sample
+from vcmvsp.hardware.drivers.base import Driver, DriverError, Sample
 
 D = TypeVar("D", bound=Driver)
 
@@ -26,12 +29,12 @@ def open_driver(driver: D, start: Vec3 = ORIGIN) -> Iterator[D]:
         driver.close()
 
 
-def drive(driver: Driver, seconds: float, v: float = 0.0, w: float = 0.0) -> list[Sample]:
+def drive(driver: Driver, seconds: float, v: float = 0.0, w: float = 0.0) -> list[Any]:
     """Command a speed on the ground; returns the readings meanwhile."""
     return fly(driver, seconds, v, 0.0, 0.0, yaw_rate=w)
 
 
-def fly(driver: Driver, seconds: float, *linear: float, yaw_rate: float = 0.0) -> list[Sample]:
+def fly(driver: Driver, seconds: float, *linear: float, yaw_rate: float = 0.0) -> list[Any]:
     """Command every 20 ms, for a time and until there is a reading; returns the readings, at least one."""
     samples: list[Sample] = []
     end = time.monotonic() + seconds
@@ -51,6 +54,33 @@ def eventually(condition: Callable[[], object], seconds: float = PATIENCE_S) -> 
     while not condition():
         assert time.monotonic() < end, "it did not happen"
         time.sleep(0.01)
+
+
+def newest(driver: Driver) -> Any:
+    """The next sample."""
+    samples: list[Sample] = []
+    eventually(lambda: (sample := driver.read()) is not None and not samples.append(sample))  # type: ignore[func-returns-value]
+    return samples[-1]
+
+
+def error_of(driver: Driver) -> DriverError | None:
+    """Error that reading a driver raises, if it does."""
+    try:
+        driver.read()
+    except DriverError as error:
+        return error
+    return None
+
+
+@contextmanager
+def module_process(name: str, *words: object) -> Iterator["subprocess.Popen[str]"]:
+    """A module of these helpers in a process of its own, which is killed at the end."""
+    command = [sys.executable, "-m", f"tests.support.hardware.{name}", *map(str, words)]
+    with subprocess.Popen(command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
 def open_resources() -> set[str]:

@@ -106,9 +106,7 @@ class Run:
             StationOrder(number=self._number, sent_ns=now_ns, command=command, command_ns=now_ns, stop=stop, others=others)
         )
 
-    def until(
-        self, condition: Callable[[StationReport], object], v: float | None = None, seconds: float = 30.0
-    ) -> StationReport:
+    def until(self, condition: Callable[[StationReport], object], v: float | None = None, seconds: float = 30.0) -> Any:
         """Drive with this command (None: send none) until a report meets a condition."""
         end = time.monotonic() + seconds
         while True:

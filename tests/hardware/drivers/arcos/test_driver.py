@@ -6,8 +6,9 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import pytest
 
 from tests.support.cosim.run_processes import reserve_port
 from tests.support.hardware import driver_runs
-from tests.support.hardware.driver_runs import drive, eventually
+from tests.support.hardware.driver_runs import drive, error_of, eventually
 from tests.support.paths import ROOT
 from vcmvsp.cosim.types import ORIGIN, Vec3, Velocity
 from vcmvsp.hardware.drivers.arcos.driver import ArcosDriver
@@ -143,15 +144,8 @@ def test_unplugged_for_good(serve: Callable[[Device], ArcosServer]) -> None:
     with connected(served.url) as driver:
         drive(driver, 0.3, v=0.1)
         served.close()
-
-        def lost() -> bool:
-            try:
-                driver.read()
-            except LinkLost as error:
-                return served.url in str(error) and "; " in str(error)
-            return False
-
-        eventually(lost)
+        eventually(lambda: isinstance(error_of(driver), LinkLost))
+        assert str(error_of(driver)).startswith(f"robot at {served.url}: ")
         with pytest.raises(LinkLost):
             driver.write(Velocity())
         driver.stop("too late")  # does not raise
@@ -241,45 +235,19 @@ def test_the_wrong_robot() -> None:
             assert driver.robot is ROBOTS["p2dx"]
 
 
-@contextmanager
-def terminal(answer: Callable[[bytes], bytes]) -> Iterator[str]:
-    """A terminal with another device behind it."""
-    here, there = pty.openpty()
-
-    def run() -> None:
-        with suppress(OSError):
-            while True:
-                os.write(here, answer(os.read(here, 4096)))
-
-    thread = threading.Thread(target=run, daemon=True)
-    thread.start()
-    try:
-        yield os.ttyname(there)
-    finally:
-        os.close(there)
-        thread.join(5.0)
-        os.close(here)
-
-
 def test_closing_does_not_wait_for_a_robot_that_does_not_answer() -> None:
-    with terminal(lambda data: b"") as path:
-        driver = ArcosDriver(path, connect_s=60.0)
-        errors = []
-
-        def refuse() -> None:
-            try:
-                driver.open()
-            except HandshakeError as error:
-                errors.append(error.happened)
-
-        opening = threading.Thread(target=refuse, daemon=True)
-        opening.start()
+    ends = pty.openpty()
+    driver = ArcosDriver(os.ttyname(ends[1]), connect_s=60.0)
+    with ThreadPoolExecutor(1) as pool:
+        opening = pool.submit(driver.open)
         eventually(lambda: driver._thread is not None and driver._line is not None)
         begin = time.monotonic()
         driver.close()
         assert time.monotonic() - begin < driver.close_deadline_s
-        opening.join(5.0)
-        assert errors == ["the driver was closed while connecting"]
+        with pytest.raises(HandshakeError, match="the driver was closed while connecting"):
+            opening.result(5.0)
+    for end in ends:
+        os.close(end)
 
 
 def test_a_process_ends_without_close_and_its_robot_stops() -> None:

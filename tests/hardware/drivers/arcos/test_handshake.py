@@ -46,7 +46,7 @@ def commands(data: bytes) -> list[tuple[int, int | bytes | None]]:
     return [parse_command(each) for each in PacketReader().feed(data)]
 
 
-def test_connects_and_leaves_the_robot_standing_with_motors_on() -> None:
+def test_connects_and_leaves_the_robot_standing_with_motors_on_after_zero_speeds() -> None:
     robot, client = Device(ROBOTS["p2dx"], name="rosa"), handshake()
     sent = shake_hands(client, robot)
     assert client.robot is ROBOTS["p2dx"]
@@ -54,14 +54,11 @@ def test_connects_and_leaves_the_robot_standing_with_motors_on() -> None:
     assert robot.is_open
     assert robot.motors_on
     assert robot.odometry == (0.0, 0.0, 0.0)
-    numbers = [number for _, data in sent for number, _ in commands(data)]
-    assert [each for each in numbers if each not in (Command.VEL, Command.RVEL)] == [0, 1, 2, 1, Command.CONFIG, Command.ENABLE]
-
-
-def test_zero_speed_comes_first_and_again_before_the_motors() -> None:
-    sent = b"".join(data for _, data in shake_hands(handshake(), Device(ROBOTS["amigo"])))
-    assert sent.startswith(bytes.fromhex("fafb060b3b00000b3b fafb06153b0000153b fafb03000000"))
-    orders = commands(sent)
+    line = b"".join(data for _, data in sent)
+    assert line.startswith(bytes.fromhex("fafb060b3b00000b3b fafb06153b0000153b fafb03000000"))  # zero speed comes first
+    orders = commands(line)
+    others = [number for number, _ in orders if number not in (Command.VEL, Command.RVEL)]
+    assert others == [0, 1, 2, 1, Command.CONFIG, Command.ENABLE]
     enable = orders.index((Command.ENABLE, 1))
     assert orders[enable - 3 : enable - 1] == [(Command.VEL, 0), (Command.RVEL, 0)]
     assert all(argument == 0 for number, argument in orders if number in (Command.VEL, Command.RVEL))
@@ -118,9 +115,13 @@ def test_settings_are_sent_in_the_robots_units() -> None:
     assert (motion.max_yaw_rate, motion.yaw_accel, motion.yaw_decel) == pytest.approx((1.0, 2.0, 2.0), abs=0.01)
 
 
-def test_the_kind_must_match() -> None:
+def test_the_wrong_kind_and_motors_that_stay_off_are_named() -> None:
+    robot = Device(ROBOTS["amigo"], name="rosa")
     with pytest.raises(HandshakeError, match=r"/dev/x: the robot is of kind amigo \(rosa\), not p2dx; set robot = 'amigo'"):
-        shake_hands(handshake(kind="p2dx"), Device(ROBOTS["amigo"], name="rosa"))
+        shake_hands(handshake(kind="p2dx"), robot)
+    robot.estop_pressed = True
+    with pytest.raises(HandshakeError, match="its motors stay off; release the stop button"):
+        shake_hands(handshake(give_up_s=2.5), robot, start_ns=robot.now_ns)
 
 
 def test_kinds_are_compared_without_case_and_unknown_ones_are_named() -> None:
@@ -174,10 +175,3 @@ def test_any_packets_connect_or_give_an_error(packets: list[bytes]) -> None:
                 client.receive(frame(data), now)
                 client.advance(now)
             assert not client.is_done or client.robot is not None
-
-
-def test_motors_that_stay_off_are_named() -> None:
-    robot = Device(ROBOTS["amigo"])
-    robot.estop_pressed = True
-    with pytest.raises(HandshakeError, match="its motors stay off; release the stop button"):
-        shake_hands(handshake(give_up_s=2.5), robot)

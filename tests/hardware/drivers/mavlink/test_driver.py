@@ -12,12 +12,12 @@ import pytest
 from tests.support import requirements
 from tests.support.cosim.run_processes import reserve_port
 from tests.support.hardware import driver_runs
-from tests.support.hardware.driver_runs import eventually, fly, rest
+from tests.support.hardware.driver_runs import eventually, fly, newest, rest
 from tests.support.netsim.gateway_context import free_ports
 from vcmvsp.cosim.config.binding import call
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import ORIGIN, Vec3, Velocity
-from vcmvsp.hardware.drivers.base import Driver, HandshakeError, LinkLost, PortError, Sample
+from vcmvsp.hardware.drivers.base import Driver, HandshakeError, LinkLost, PortError
 from vcmvsp.hardware.drivers.mavlink.driver import MavlinkDriver
 from vcmvsp.hardware.drivers.mavlink.link import SOURCES, open_link
 from vcmvsp.hardware.drivers.mavlink.protocol import mavlink
@@ -34,12 +34,6 @@ GUIDED: dict[str, Any] = {"autopilot": "ardupilot", "mode": "GUIDED", "armed": T
 
 def connected(address: str, start: Vec3 = ORIGIN, **options: Any) -> AbstractContextManager[MavlinkDriver]:
     return driver_runs.open_driver(MavlinkDriver(address=address, **{"system_id": 1, **options}), start)
-
-
-def newest(driver: Driver) -> Sample:
-    samples: list[Sample] = []
-    eventually(lambda: (sample := driver.read()) is not None and not samples.append(sample))  # type: ignore[func-returns-value]
-    return samples[-1]
 
 
 def commands(served: MavlinkServer, number: int) -> list[Any]:
@@ -71,12 +65,10 @@ def test_px4_is_switched_armed_lifted_flown_east_and_left_holding() -> None:
         with connected(f"udpin:127.0.0.1:{port}", start=(0.0, 0.0, 0.0), **options) as driver:
             assert isinstance(driver, Driver)
             first = newest(driver)
-            assert first.state is not None
             assert first.state.position[2] > 0.3
             began, t0 = first.state.position, first.measured_ns
             samples = fly(driver, 1.2, 1.0, 0.0, 0.0)
             last = samples[-1]
-            assert last.state is not None
             seconds = 1e-9 * (last.measured_ns - t0)
             assert last.state.position[0] - began[0] == pytest.approx(seconds, abs=0.3 + 0.2 * seconds)  # lag of 0.3 s
             assert last.state.position[1] == pytest.approx(4.0, abs=0.05)
@@ -167,7 +159,7 @@ def test_the_pilot_takes_over_and_gives_back() -> None:
         with served.lock:
             served.vehicle.pilot_switches("GUIDED")
         eventually(lambda: fly(driver, 0.1, 0.0, 1.0, 0.0)[-1].stopped == "")
-        eventually(lambda: fly(driver, 0.1, 0.0, 1.0, 0.0)[-1].state.velocity[1] > 0.8)  # type: ignore[union-attr]
+        eventually(lambda: fly(driver, 0.1, 0.0, 1.0, 0.0)[-1].state.velocity[1] > 0.8)
         with served.lock:
             served.vehicle.pilot_switches("LOITER")
         eventually(lambda: "LOITER" in newest(driver).stopped)
@@ -281,8 +273,8 @@ def test_garbage_and_other_senders_have_no_effect() -> None:
                 stranger.send(noise)
                 stranger.send(forged)
                 for sample in fly(driver, 0.01, 1.0, 0.0, 0.0):
-                    assert abs(sample.state.position[0]) < 10.0  # type: ignore[union-attr]
-            eventually(lambda: fly(driver, 0.1, 1.0, 0.0, 0.0)[-1].state.velocity[0] > 0.5)  # type: ignore[union-attr]
+                    assert abs(sample.state.position[0]) < 10.0
+            eventually(lambda: fly(driver, 0.1, 1.0, 0.0, 0.0)[-1].state.velocity[0] > 0.5)
 
 
 def test_a_vehicle_is_answered_whose_address_other_senders_have_displaced() -> None:
@@ -331,12 +323,10 @@ def test_a_rover_takes_forward_speed_and_sends_global_positions() -> None:
         }
         with connected(served.url, **options) as driver:
             first = newest(driver)
-            assert first.state is not None
             assert first.state.position == pytest.approx((105.0, 206.0, 0.0), abs=0.05)
             eventually(lambda: newest(driver).motors)
             eventually(lambda: fly(driver, 0.1, 0.8, 0.0, 0.0)[-1].odometry.v > 0.75)
             last = fly(driver, 0.3, 0.8, 0.0, 0.0)[-1]
-            assert last.state is not None
             assert last.state.velocity[1] == pytest.approx(0.8, abs=0.15)  # it faces north
             assert last.odometry.v == pytest.approx(0.8, abs=0.1)
             eventually(lambda: fly(driver, 0.1, 0.0, 0.0, 0.0, yaw_rate=0.5)[-1].odometry.w > 0.45)

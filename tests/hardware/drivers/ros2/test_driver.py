@@ -1,9 +1,10 @@
 """Ros2Driver against the simulated robot, over Zenoh sessions on this machine."""
 
+import contextlib
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import AbstractContextManager
+from concurrent.futures import ThreadPoolExecutor
 from math import cos, hypot, nan, sin
 from typing import Any
 
@@ -11,7 +12,7 @@ import msgspec
 import pytest
 
 from tests.support.hardware import driver_runs
-from tests.support.hardware.driver_runs import drive, eventually, rest
+from tests.support.hardware.driver_runs import drive, error_of, eventually, rest
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import Vec3, Velocity
 from vcmvsp.hardware.drivers.base import Driver, DriverError, HandshakeError, LinkLost, PortError, Sample
@@ -38,24 +39,8 @@ def no_sessions_left() -> Iterator[None]:
     eventually(lambda: set(threading.enumerate()) <= before)
 
 
-def connected(endpoint: str, start: Vec3 = START, **options: Any) -> AbstractContextManager[Ros2Driver]:
+def connected(endpoint: str, start: Vec3 = START, **options: Any) -> contextlib.AbstractContextManager[Ros2Driver]:
     return driver_runs.open_driver(Ros2Driver(endpoint=endpoint, **options), start)
-
-
-def lost(driver: Driver) -> bool:
-    try:
-        driver.read()
-    except LinkLost:
-        return True
-    return False
-
-
-def failed(driver: Driver) -> str:
-    try:
-        driver.read()
-    except DriverError as error:
-        return error.happened
-    return ""
 
 
 def notices_of(driver: Driver) -> list[tuple[str, str]]:
@@ -102,30 +87,18 @@ def test_it_drives_from_the_start_pose(endpoint: str, mapping: Any, stamped: boo
 
 def test_it_is_the_router_by_option(endpoint: str) -> None:
     driver = Ros2Driver(endpoint=endpoint, mode="listen", reconnect_s=60.0, connect_s=30.0)
-    failure: list[DriverError] = []
-
-    def open_it() -> None:
-        try:
-            driver.open()
-        except DriverError as error:
-            failure.append(error)
-
-    opening = threading.Thread(target=open_it)
-    opening.start()
     deadline = time.monotonic() + 20.0
-    while True:
-        try:
-            robot = Ros2Robot(endpoint=endpoint, mode="connect").__enter__()
-            break
-        except PortError:
-            assert time.monotonic() < deadline
-    try:
-        opening.join(40.0)
-        assert not failure
+    with ThreadPoolExecutor(1) as pool, contextlib.ExitStack() as stack:
+        opening = pool.submit(driver.open)
+        while True:
+            try:
+                robot = stack.enter_context(Ros2Robot(endpoint=endpoint, mode="connect"))
+                break
+            except PortError:
+                assert time.monotonic() < deadline
+        stack.callback(driver.close)
+        opening.result(40.0)
         eventually(lambda: drive(driver, 0.05, v=0.2) is not None and is_moving(robot))
-    finally:
-        driver.close()
-        robot.__exit__()
 
 
 @pytest.mark.parametrize("cause", ["geofence", "no command for 0.2 s"])
@@ -154,13 +127,13 @@ def test_silence_is_a_loss_and_a_return_a_new_link(endpoint: str) -> None:
     ):
         eventually(lambda: any(distance_m(each) > 0.0 for each in drive(driver, 0.1, v=0.3)))
         robot.silent = True
-        eventually(lambda: lost(driver))
+        eventually(lambda: isinstance(error_of(driver), LinkLost))
         with pytest.raises(LinkLost, match=r"no odometry on odom for 0\.8 s"):
             driver.write(Velocity(linear=(0.5, 0.0, 0.0)))
         eventually(lambda: not is_moving(robot))  # the robot still receives
         count = len(robot.heard)
         robot.silent = False
-        eventually(lambda: not lost(driver))
+        eventually(lambda: error_of(driver) is None)
         samples = drive(driver, 0.3, v=0.1)
         assert samples[-1].link == 2
         assert distance_m(samples[-1]) > 0.0  # same node: the distance travelled is kept
@@ -171,20 +144,15 @@ def test_silence_is_a_loss_and_a_return_a_new_link(endpoint: str) -> None:
 
 def test_a_restarted_robot_gets_zero_first(endpoint: str) -> None:
     """Its router ends with it; the session reconnects by itself."""
-    with Ros2Robot(endpoint=endpoint, name="one") as old:
-        driver = Ros2Driver(endpoint=endpoint, silence_s=0.3, reconnect_s=60.0)
-        driver.open()
-        try:
-            drive(driver, 0.4, v=0.3)
-            old.__exit__()
-            eventually(lambda: any(kind == "lost" for kind, _ in notices_of(driver)))
-            with Ros2Robot(endpoint=endpoint, name="two") as robot:
-                driver.write(Velocity(linear=(0.3, 0.0, 0.0)))
-                eventually(lambda: (sample := driver.read()) is not None and sample.link >= 2)
-                eventually(lambda: drive(driver, 0.05, v=0.2) and any(twist.linear[0] == 0.2 for _, twist in robot.heard))
-                assert robot.heard[0][1].linear[0] == 0.0
-        finally:
-            driver.close()
+    with Ros2Robot(endpoint=endpoint, name="one") as old, connected(endpoint, silence_s=0.3, reconnect_s=60.0) as driver:
+        drive(driver, 0.4, v=0.3)
+        old.__exit__()
+        eventually(lambda: any(kind == "lost" for kind, _ in notices_of(driver)))
+        with Ros2Robot(endpoint=endpoint, name="two") as robot:
+            driver.write(Velocity(linear=(0.3, 0.0, 0.0)))
+            eventually(lambda: (sample := driver.read()) is not None and sample.link >= 2)
+            eventually(lambda: drive(driver, 0.05, v=0.2) and any(twist.linear[0] == 0.2 for _, twist in robot.heard))
+            assert robot.heard[0][1].linear[0] == 0.0
 
 
 def test_bad_messages_are_counted_with_one_notice(endpoint: str) -> None:
@@ -270,7 +238,8 @@ def test_any_end_of_its_thread_is_a_driver_error(endpoint: str, monkeypatch: pyt
     with Ros2Robot(endpoint=endpoint, watchdog_s=60.0) as robot, connected(endpoint, command_timeout_s=60.0) as driver:
         eventually(lambda: drive(driver, 0.05, v=0.3) is not None and is_moving(robot))
         monkeypatch.setattr(driver, "_decode_odometry", fails)
-        eventually(lambda: failed(driver) == "the driver failed (LookupError: boom)")
+        eventually(lambda: error_of(driver))
+        assert "the driver failed (LookupError: boom)" in str(error_of(driver))
         eventually(lambda: not is_moving(robot))
     monkeypatch.setattr(Node, "hear", fails)
     with pytest.raises(DriverError, match=r"the driver failed \(LookupError: boom\)"):
