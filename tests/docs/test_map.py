@@ -129,8 +129,7 @@ SHOWN = {
     ],
     "firmware": [
         "hardware/firmware/test_protocols.py::test_other_datagrams_are_refused",
-        "hardware/firmware/test_flights.py::test_datagrams_of_another_protocol_are_counted_and_named",
-        "hardware/firmware/test_betaflight.py::test_datagrams_of_another_version_are_counted_and_named",
+        "hardware/firmware/test_flights.py::test_data_of_another_protocol_are_counted_and_named",
     ],
     "nodes": [
         "hardware/stacks/test_ros2.py::test_a_second_publisher_and_other_types_are_refused_by_name",

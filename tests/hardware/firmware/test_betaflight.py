@@ -2,7 +2,6 @@
 
 import math
 import shutil
-import socket
 import struct
 import subprocess
 import sys
@@ -14,7 +13,8 @@ from typing import Any
 import pytest
 
 import vcmvsp
-from tests.hardware.firmware.test_flights import is_free, track
+from tests.hardware.firmware import test_flights
+from tests.hardware.firmware.test_flights import track
 from tests.support.paths import ROOT
 from tests.support.requirements import installed_apart
 from vcmvsp.cosim.errors import FederateError, ScenarioError
@@ -30,22 +30,7 @@ STAND_IN = f"{sys.executable} {PROGRAM}"
 
 
 def scenario(count: int = 1, duration_s: float = 2.0, command: str = STAND_IN, **more: Any) -> dict[str, Any]:
-    vehicles: list[dict[str, Any]] = [
-        {
-            "name": f"uav{k}",
-            "kind": "quadrotor",
-            "position": [3.0 * k, 0.0, 0.0],
-            "firmware": {"kind": "betaflight", "command": command, **more},
-        }
-        for k in range(count)
-    ]
-    return {
-        "name": "betaflight",
-        "duration_s": duration_s,
-        "physics": {"kind": "bullet", "rate_hz": 250.0},
-        "agents": {"deadline_s": 60.0},
-        "vehicle": vehicles,
-    }
+    return test_flights.scenario("betaflight", [0] * count, duration_s, command=command, **more)
 
 
 @pytest.fixture(scope="module")
@@ -119,21 +104,6 @@ def test_several_share_port_numbers_and_an_ended_one_falls() -> None:
 def test_a_missing_program_is_an_error() -> None:
     with pytest.raises(FederateError, match="no-such-firmware cannot be started"):
         vcmvsp.run(scenario(command="no-such-firmware"))
-
-
-@pytest.mark.processes
-@pytest.mark.sockets
-def test_datagrams_of_another_version_are_counted_and_named() -> None:
-    if not is_free(9001, socket.SOCK_DGRAM):
-        pytest.skip("UDP port 9001 is used")
-    talk = "import socket, time; s = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)\n"
-    talk += "while True:\n s.sendto(bytes(40), ('127.0.0.1', 9001)); time.sleep(0.1)"
-    with subprocess.Popen([sys.executable, "-c", talk]) as process:
-        try:
-            with pytest.raises(FederateError, match=r"there were \d+ datagrams of another protocol"):
-                vcmvsp.run(scenario(command="", start_s=1.0))
-        finally:
-            process.kill()
 
 
 CONFIGURATION = ("aux 0 0 0 1700 2100 0 0", "aux 1 1 1 1700 2100 0 0", "set acc_calibration = 0,0,0,1", "save")

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import vcmvsp
+from tests.support.netsim.gateway_context import free_ports
 from tests.support.paths import ROOT
 from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.runs.result import Result
@@ -24,7 +25,25 @@ pytestmark = [pytest.mark.processes, pytest.mark.sockets]
 
 PROGRAM = ROOT / "tests" / "support" / "hardware" / "scripted_autopilot.py"
 KINDS = ("ardupilot", "px4")
-PORTS = {"ardupilot": (9002, 10, socket.SOCK_DGRAM), "px4": (4560, 1, socket.SOCK_STREAM)}
+PORTS = {
+    "ardupilot": (9002, 10, socket.SOCK_DGRAM),
+    "betaflight": (9001, 0, socket.SOCK_DGRAM),
+    "px4": (4560, 1, socket.SOCK_STREAM),
+}
+DATAGRAMS = """import socket, time
+link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+while True:
+    link.sendto(bytes(40), ("127.0.0.1", {port}))
+    time.sleep(0.1)"""
+REQUEST = """import socket, time
+while True:
+    try:
+        link = socket.create_connection(("127.0.0.1", {port}))
+        break
+    except OSError:
+        time.sleep(0.01)
+link.sendall(b"GET / HTTP/1.1" * 10)
+time.sleep(30)"""
 STEPS_HZ = 250.0
 
 
@@ -45,12 +64,6 @@ def instances(kind: str, count: int = 1) -> list[int]:
     first, step, sort = PORTS[kind]
     free = (number for number in _taken if is_free(first + step * number, sort))
     return [next(free) for _ in range(count)]
-
-
-def free_udp_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def command(kind: str, *options: str) -> str:
@@ -105,33 +118,6 @@ def test_four_take_off_fly_to_way_points_and_land(kind: str) -> None:
     assert np.abs(end[["vx", "vy", "vz"]].to_numpy()).max() < 0.02  # on the floor, rotors off
 
 
-def test_px4_gets_readings_at_250_hz_at_quicker_physics() -> None:
-    table = scenario("px4", instances("px4"), duration_s=8.0)
-    table["physics"]["rate_hz"] = 500.0
-    at = track(vcmvsp.run(table), "uav0")
-    assert at(4.0) == pytest.approx([0.0, 0.0, 3.04], abs=0.2)
-    assert at(8.0) == pytest.approx([0.0, 4.0, 3.04], abs=0.2)
-
-
-def test_a_program_of_another_protocol_at_px4s_port_is_named() -> None:
-    (number,) = instances("px4")
-    talk = f"""import socket, time
-while True:
-    try:
-        link = socket.create_connection(("127.0.0.1", {4560 + number}))
-        break
-    except OSError:
-        time.sleep(0.01)
-link.sendall(b"GET / HTTP/1.1" * 10)
-time.sleep(30)"""
-    with subprocess.Popen([sys.executable, "-c", talk]) as process:
-        try:
-            with pytest.raises(FederateError, match="there were 140 bytes without a MAVLink message"):
-                vcmvsp.run(scenario("px4", [number], command="", start_s=2.0))
-        finally:
-            process.kill()
-
-
 def test_equal_firmware_gives_equal_bytes(tmp_path: Path) -> None:
     numbers = instances("ardupilot", 2)
     for name in ("one", "two"):
@@ -169,9 +155,9 @@ def test_a_vehicle_without_firmware_falls_or_holds_and_the_others_fly_on(on_lost
 
 
 @contextmanager
-def by_hand(kind: str, number: int) -> Iterator["subprocess.Popen[bytes]"]:
-    """Autopilot process, started by hand."""
-    with subprocess.Popen([sys.executable, PROGRAM, kind, "--instance", str(number)]) as process:
+def started(*words: str | Path) -> Iterator["subprocess.Popen[bytes]"]:
+    """A Python process, killed at the end."""
+    with subprocess.Popen([sys.executable, *words]) as process:
         try:
             yield process
         finally:
@@ -182,7 +168,7 @@ def by_hand(kind: str, number: int) -> Iterator["subprocess.Popen[bytes]"]:
 def test_hanging_firmware_started_by_hand_times_out(kind: str) -> None:
     (number,) = instances(kind)
     table = scenario(kind, [number], command="", timeout_s=0.5)
-    with by_hand(kind, number) as process:
+    with started(PROGRAM, kind, "--instance", str(number)) as process:
 
         def hang(event: Any) -> None:
             if event.time_ns > 1_000_000_000:
@@ -212,16 +198,24 @@ def test_a_missing_program_and_a_used_port_are_errors() -> None:
             vcmvsp.run(scenario("ardupilot", [number]))
 
 
-def test_datagrams_of_another_protocol_are_counted_and_named() -> None:
-    (number,) = instances("ardupilot")
-    send = f"s.sendto(b'x' * 40, ('127.0.0.1', {9002 + 10 * number}))"
-    talk = f"import socket, time; s = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)\nwhile True:\n {send}\n time.sleep(0.1)"
-    with subprocess.Popen([sys.executable, "-c", talk]) as process:
-        try:
-            with pytest.raises(FederateError, match=r"there were \d+ datagrams of another protocol"):
-                vcmvsp.run(scenario("ardupilot", [number], command="", start_s=2.0))
-        finally:
-            process.kill()
+@pytest.mark.parametrize(
+    ("kind", "program", "refused"),
+    [
+        ("ardupilot", DATAGRAMS, r"\d+ datagrams of another protocol"),
+        ("betaflight", DATAGRAMS, r"\d+ datagrams of another protocol"),
+        ("px4", REQUEST, "140 bytes without a MAVLink message"),
+    ],
+)
+def test_data_of_another_protocol_are_counted_and_named(kind: str, program: str, refused: str) -> None:
+    first, step, sort = PORTS[kind]
+    if kind == "betaflight" and not is_free(first, sort):
+        pytest.skip(f"UDP port {first} is used")
+    (number,) = instances(kind)
+    with (
+        started("-c", program.format(port=first + step * number)),
+        pytest.raises(FederateError, match=f"there were {refused}"),
+    ):
+        vcmvsp.run(scenario(kind, [number], command="", start_s=2.0))
 
 
 class ToPlace(vcmvsp.Agent):
@@ -237,7 +231,7 @@ class ToPlace(vcmvsp.Agent):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_an_agent_commands_firmware_over_mavlink(kind: str) -> None:
-    port = free_udp_port()
+    port = free_ports(1)
     options = {"command": command(kind, "--commanded", str(port)), "mavlink": f"udpin:127.0.0.1:{port}", "takeoff_m": 2.0}
     table = scenario(kind, instances(kind), duration_s=40.0, **options)
     result = vcmvsp.run({**table, "vehicle": [{**table["vehicle"][0], "agent": {}}]}, agents={"uav0": ToPlace()})

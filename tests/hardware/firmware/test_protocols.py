@@ -114,11 +114,13 @@ def test_sensor_messages_are_250_hz_at_most_without_loss() -> None:
     with here, there:
         link._line, link._encode = here, protocol.Encoder(protocol.Sender(system=1, component=1))
         link.started = True
+        here.setblocking(False)
         for step in range(12):
             field = (1.0, 2.0, 3.0) if step == 5 else None
             fix = Fix(time_ns=0, position=(0.0, 0.0, 0.0), sigma_m=1.0) if step == 6 else None
             values = readings()
             link.send(msgspec.structs.replace(values, now_ns=step * 1_000_000, field_ut=field, fix=fix, height_m=2.0))
+            assert link.receive() == bool(step % 4)  # a step without a message keeps the last outputs
         messages = protocol.MessageReader().feed(there.recv(65536))
     sensors = [each for each in messages if each.get_type() == "HIL_SENSOR"]
     assert [each.time_usec for each in sensors] == [1000, 5000, 9000]
