@@ -8,25 +8,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.hardware.safety.test_ground_laws import FENCES, RADIUS, STARTS, limits, room
+from tests.hardware.safety.test_ground_laws import FENCES, PERIOD_NS, RADIUS, STARTS, heard, limits, room
 from tests.support.hardware.supervised_flight import Flight, flight_of, safety_of
 from vcmvsp.cosim.types import Velocity
 from vcmvsp.hardware.safety.aerial_supervisor import AerialSupervisor
-from vcmvsp.hardware.safety.obstacles import Others, Polygon
-from vcmvsp.hardware.safety.supervisor import Cause, LastReceived, Limits, Safety
+from vcmvsp.hardware.safety.obstacles import Others
+from vcmvsp.hardware.safety.supervisor import Cause, Limits, Safety
 
 pytestmark = pytest.mark.slow
 
-SECOND = 10**9
-PERIOD_NS = SECOND // 10
 QUAD = Limits(max_speed=2.0, max_yaw_rate=1.5, accel=1.5, decel=2.0, yaw_accel=3.0, yaw_decel=3.0)
-SQUARE = Polygon([(0, 0), (4, 0), (4, 3), (0, 3)])
+APART = safety_of(QUAD, max_climb=1.0, radius_m=0.2, separation_m=0.3)
 reals = st.floats(-4.0, 4.0) | st.sampled_from([0.0, 1.0, -1.0])
 commands = st.tuples(reals, reals, reals, reals)
-
-
-def all_received(now: int) -> LastReceived:
-    return LastReceived(operator_ns=now, command_ns=now, positioning_ns=now, federation_ns=now)
 
 
 def velocity_of(command: Flight) -> Velocity:
@@ -50,7 +44,7 @@ def fly(
     supervisor, now, speeds, pieces = AerialSupervisor(parameters), 0, (0.0, 0.0, 0.0, 0.0), []
     for command, periods in orders:
         for _ in range(periods):
-            decision = supervisor.step(now, velocity_of(command), place, others, all_received(now))
+            decision = supervisor.step(now, velocity_of(command), place, others, heard(now))
             sent: Flight = (*decision.command.linear, decision.command.yaw_rate)
             for each in flight_of(place, speeds, sent, 0.1, parameters, ideal=ideal):
                 place, speeds = each
@@ -64,28 +58,26 @@ def flights(most: int) -> st.SearchStrategy[list[tuple[Flight, int]]]:
 
 
 def test_it_flies_over_another_and_does_not_come_down_on_it() -> None:
-    parameters = safety_of(QUAD, max_climb=1.0, radius_m=0.2, separation_m=0.3)
     other = others_at([(3.0, 0.0, 1.0)])
-    over = fly(parameters, (0.0, 0.0, 2.0, 0.0), [((1.5, 0.0, 0.0, 0.0), 40)], other)
+    over = fly(APART, (0.0, 0.0, 2.0, 0.0), [((1.5, 0.0, 0.0, 0.0), 40)], other)
     assert over[-1][0][0] > 5.0
     assert all(decision.causes == () for _, _, decision in over[60:])
-    down = fly(parameters, (3.1, 0.1, 2.5, 0.0), [((0.0, 0.0, -1.0, 0.0), 40)], other)
+    down = fly(APART, (3.1, 0.1, 2.5, 0.0), [((0.0, 0.0, -1.0, 0.0), 40)], other)
     assert down[-1][0][2] == pytest.approx(1.7, abs=1e-2)
     assert down[-1][2].causes[-1] is Cause.SEPARATION
-    beside = fly(parameters, (0.0, 0.0, 1.0, 0.0), [((1.5, 0.0, 0.0, 0.0), 40)], other)
+    beside = fly(APART, (0.0, 0.0, 1.0, 0.0), [((1.5, 0.0, 0.0, 0.0), 40)], other)
     assert beside[-1][0][0] == pytest.approx(2.3, abs=1e-2)
-    away = fly(parameters, (0.0, 0.0, 2.0, 0.0), [((0.0, 0.0, -1.0, 0.0), 40)], other)
+    away = fly(APART, (0.0, 0.0, 2.0, 0.0), [((0.0, 0.0, -1.0, 0.0), 40)], other)
     assert away[-1][0][2] < -1.0  # far to the side, every height is free
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_slanting_flight_misses_another(sign: float) -> None:
     """Distance is kept above, beside and in between, and used up to 1 cm."""
-    parameters = safety_of(QUAD, max_climb=1.0, radius_m=0.2, separation_m=0.3)
     other, nearest = others_at([(3.0, 0.0, 0.0)]), []
     for tenth in range(10, 40):
         slant = [((1.5, 0.0, -sign, 0.0), 40)]
-        pieces = fly(parameters, (0.0, 0.0, 0.1 * tenth * sign, 0.0), slant, other)
+        pieces = fly(APART, (0.0, 0.0, 0.1 * tenth * sign, 0.0), slant, other)
         gaps = [max(math.hypot(x - 3.0, y), abs(z)) - 0.7 for (x, y, z, _), _, _ in pieces]
         assert min(gaps) >= -1e-6
         nearest.append(min(gaps))
@@ -95,17 +87,15 @@ def test_a_slanting_flight_misses_another(sign: float) -> None:
 @pytest.mark.parametrize("inside", [0.0, 1e-12, 0.05])
 def test_a_vehicle_slightly_too_near_comes_no_nearer(inside: float) -> None:
     """Poses have errors: a vehicle below another one must not pass through it because it is 1 mm too near."""
-    parameters = safety_of(QUAD, max_climb=1.0, radius_m=0.2, separation_m=0.3)
     other, z = others_at([(0.0, 0.0, 1.7)]), 1.0 + inside
-    assert fly(parameters, (0.1, 0.0, z, 0.0), [((0.0, 0.0, 1.0, 0.0), 20)], other)[-1][0][2] == pytest.approx(z, abs=1e-9)
-    assert fly(parameters, (0.1, 0.0, z, 0.0), [((0.0, 0.0, -1.0, 0.0), 20)], other)[-1][0][2] < 0.0
-    assert fly(parameters, (0.1, 0.0, z, 0.0), [((1.0, 0.0, 0.0, 0.0), 20)], other)[-1][0][0] > 1.0
+    assert fly(APART, (0.1, 0.0, z, 0.0), [((0.0, 0.0, 1.0, 0.0), 20)], other)[-1][0][2] == pytest.approx(z, abs=1e-9)
+    assert fly(APART, (0.1, 0.0, z, 0.0), [((0.0, 0.0, -1.0, 0.0), 20)], other)[-1][0][2] < 0.0
+    assert fly(APART, (0.1, 0.0, z, 0.0), [((1.0, 0.0, 0.0, 0.0), 20)], other)[-1][0][0] > 1.0
 
 
 def test_without_others_it_flies() -> None:
-    parameters = safety_of(QUAD, max_climb=1.0, radius_m=0.2, separation_m=0.3)
     nobody = Others(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
-    assert fly(parameters, (0.0, 0.0, 1.0, 0.0), [((1.5, 0.0, 0.0, 0.0), 40)], nobody)[-1][0][0] > 4.0
+    assert fly(APART, (0.0, 0.0, 1.0, 0.0), [((1.5, 0.0, 0.0, 0.0), 40)], nobody)[-1][0][0] > 4.0
 
 
 @settings(max_examples=40)
@@ -118,7 +108,7 @@ def test_it_stands_before_an_approaching_one_at_the_distance(keep: Limits, ideal
     at[axis], going[axis], ask[axis] = 5.0 * sign, -c * sign, 3.0 * sign
     while sign * (at[axis] - place[axis]) - RADIUS - 0.2 >= 0.3:
         command = Velocity(linear=(ask[0], ask[1], ask[2]))
-        sent = supervisor.step(now, command, place, others_at([at], [going]), all_received(now)).command
+        sent = supervisor.step(now, command, place, others_at([at], [going]), heard(now)).command
         place, speeds = list(flight_of(place, speeds, (*sent.linear, 0.0), 0.1, keep, ideal=ideal))[-1]
         at, now = at + 0.1 * going, now + PERIOD_NS
     assert sign * (at[axis] - place[axis]) - RADIUS - 0.2 >= 0.3 - 0.1 * c - 1e-6

@@ -32,7 +32,6 @@ FENCES = {
     "thin corner": Polygon([(0, 0), (6, 1.5), (0, 3)]),
 }
 STARTS = {"square": (2, 1.5), "L, clockwise": (1, 1), "star": (0, 0), "thin corner": (1.5, 1.5)}
-HERE = {"operator_ns": 0, "command_ns": 0, "positioning_ns": 0, "federation_ns": 0}
 
 reals = st.floats(-3.0, 3.0) | st.sampled_from([0.0, 1.0, -1.0])
 commands = st.tuples(reals, reals)
@@ -46,16 +45,13 @@ limits = st.builds(
     yaw_decel=st.floats(0.5, 10.0),
 )
 AMIGO = Limits(max_speed=0.75, max_yaw_rate=1.74, accel=0.3, decel=0.75, yaw_accel=2.0, yaw_decel=2.0)
-
-
 P2DX = Limits(max_speed=0.75, max_yaw_rate=1.74, accel=0.3, decel=0.6, yaw_accel=1.0, yaw_decel=1.0)
-
 HARD = Limits(max_speed=1.3, max_yaw_rate=1.0, accel=1.77, decel=2.98, yaw_accel=1.0, yaw_decel=2.0)
 
 
-def heard(now: int, **ages: int | None) -> LastReceived:
-    """All inputs received at ``now``, except those with an age, ns."""
-    return LastReceived(**{name: now - (ages.get(name, 0) or 0) for name in HERE})
+def heard(now: int) -> LastReceived:
+    """All inputs received at ``now``, ns."""
+    return LastReceived(operator_ns=now, command_ns=now, positioning_ns=now, federation_ns=now)
 
 
 def room(fence: Polygon, x: float, y: float) -> float:

@@ -6,14 +6,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.hardware.safety.test_ground_laws import AMIGO, heard
 from tests.support.hardware.supervised_flight import safety_of
 from vcmvsp.cosim.types import Velocity
 from vcmvsp.hardware.safety.obstacles import Polygon
-from vcmvsp.hardware.safety.supervisor import Cause, Deadman, GroundSupervisor, LastReceived, Limits, clamp
+from vcmvsp.hardware.safety.supervisor import Cause, Deadman, GroundSupervisor, LastReceived, clamp
 
 pytestmark = pytest.mark.slow
 
-AMIGO = Limits(max_speed=0.75, max_yaw_rate=1.74, accel=0.3, decel=0.75, yaw_accel=2.0, yaw_decel=2.0)
 FENCE = Polygon([(-9, -9), (9, -9), (9, 9), (-9, 9)])
 SOURCES = ("operator", "command", "positioning", "federation")
 
@@ -31,11 +31,10 @@ def test_a_time_out_must_be_a_time(wrong: float) -> None:
 
 
 def test_a_missing_command_or_pose_stops_and_is_named() -> None:
-    received = LastReceived(operator_ns=0, command_ns=0, positioning_ns=0, federation_ns=0)
     supervisor = GroundSupervisor(safety_of(AMIGO, radius_m=0.18, fence=FENCE))
-    assert supervisor.step(0, None, None, None, received).causes == (Cause.COMMAND, Cause.POSITIONING)
+    assert supervisor.step(0, None, None, None, heard(0)).causes == (Cause.COMMAND, Cause.POSITIONING)
     unfenced = GroundSupervisor(safety_of(AMIGO, radius_m=0.18))
-    assert unfenced.step(0, Velocity(), None, None, received).causes == ()
+    assert unfenced.step(0, Velocity(), None, None, heard(0)).causes == ()
 
 
 reals = st.floats(-5.0, 5.0)
