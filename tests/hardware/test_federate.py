@@ -44,12 +44,14 @@ def vehicle(**changes: Any) -> RealVehicle:
     return real_vehicle(**{"safety": SAFETY, **changes})
 
 
-def federate(*, period_ns: int = TENTH, log: Log = lambda *_: None, **changes: Any) -> tuple[Hardware, FakeStation]:
+def federate(
+    *, period_ns: int = TENTH, log: Log = lambda *_: None, radius_m: float = 0.3, **changes: Any
+) -> tuple[Hardware, FakeStation]:
     """A federate connected to a fake station, at time 0."""
-    station, radius_m = FakeStation(), {"car2": 0.3}
+    station, radii_m, ticks = FakeStation(), {"car2": radius_m}, Instants(Ticks(period_ns))
     vehicles = (vehicle(**changes),)
-    made = Hardware(vehicles, run="test", clock=WallClock(), radius_m=radius_m, tell=lambda _: None, log=log, connect=False)
-    info = RunInfo(scenario="test", seed=0, duration_ns=10 * SECOND_NS, vehicles=("car1", "car2"), instants=(each(period_ns),))
+    made = Hardware(vehicles, run="test", clock=WallClock(), radius_m=radii_m, tell=lambda _: None, log=log, connect=False)
+    info = RunInfo(scenario="test", seed=0, duration_ns=10 * SECOND_NS, vehicles=("car1", "car2"), instants=(ticks,))
     made.start(info)
     made._connect = True
     made._proxies["car1"].station = station  # type: ignore[assignment]
@@ -57,8 +59,11 @@ def federate(*, period_ns: int = TENTH, log: Log = lambda *_: None, **changes: A
     return made, station
 
 
-def each(period_ns: int) -> Instants:
-    return Instants(Ticks(period_ns))
+def hardware_of(content: dict[str, Any]) -> Hardware:
+    """The federate of a scenario."""
+    with assemble(*loader.load(content)) as assembled:
+        (made,) = [each for each in assembled.federates if isinstance(each, Hardware)]
+    return made
 
 
 def world(time_ns: int, x: float, v: float) -> Event:
@@ -96,37 +101,24 @@ def test_a_station_gets_current_positions_of_others() -> None:
     seen_ns = made._clock.logical_ns(time.monotonic_ns()) - SECOND_NS // 2
     made.step(0, [world(seen_ns, x=2.0, v=-1.0)])
     longest_s = (made._clock.logical_ns(time.monotonic_ns()) - seen_ns) / SECOND_NS
-    others = station.orders[-1].others
-    assert others is not None
+    others: Any = station.orders[-1].others
     ((x, y, z, vx, vy, vz, radius),) = others.tolist()
     assert 2.0 - min(longest_s, KNOWN_S) - 1e-6 <= x <= 1.5 + 1e-6  # extrapolated by 0.5 s plus the duration of this test
     assert (y, z, vx, vy, vz, radius) == (0.0, 0.0, -1.0, 0.0, 0.0, 0.3)
     made.step(TENTH, [world(seen_ns - 100 * SECOND_NS, x=2.0, v=-1.0)])
     others = station.orders[-1].others
-    assert others is not None
     assert others[0, 0] == pytest.approx(2.0 - KNOWN_S)
 
 
-@pytest.mark.parametrize("radius_m", [{}, {"car2": 0.0}, {"car2": float("nan")}, {"car2": float("inf")}])
-def test_others_without_a_radius_are_refused(radius_m: dict[str, float]) -> None:
-    made = Hardware(
-        (vehicle(),),
-        run="test",
-        clock=WallClock(),
-        radius_m=radius_m,
-        tell=lambda _: None,
-        log=lambda *_: None,
-        connect=False,
-    )
-    info = RunInfo(scenario="test", seed=0, duration_ns=SECOND_NS, vehicles=("car1", "car2"))
+@pytest.mark.parametrize("radius_m", [0.0, math.nan, math.inf])
+def test_others_without_a_radius_are_refused(radius_m: float) -> None:
     with pytest.raises(ScenarioError, match=r"vehicle\.car2\.kind: car2 has a radius of .*, so real vehicles cannot avoid it"):
-        made.start(info)
+        federate(radius_m=radius_m)
 
 
 def test_robots_keep_away_from_the_circle_around_the_body_of_another() -> None:
     two = scenario(vehicle=[BENCH["vehicle"][0], {"name": "car2", "kind": "p2dx", "pose": [3.0, 0.0, 0.0]}])
-    with assemble(*loader.load(two)) as assembled:
-        (robots,) = [each for each in assembled.federates if isinstance(each, Hardware)]
+    robots = hardware_of(two)
     half_length_m, half_width_m = 0.5 * 0.511 + 0.04, 0.5 * 0.425  # the axle is ahead of the centre
     assert robots._radius_m["car2"] == pytest.approx(math.hypot(half_length_m, half_width_m))
 
@@ -149,9 +141,8 @@ def test_an_operator_stop_between_instants_is_recorded_and_ends_the_run() -> Non
     stopped = Notice(time_ns=time.monotonic_ns(), what="stopped", cause=OPERATOR_STOP)
     station.saying = [report(notices=(stopped,), causes=(OPERATOR_STOP,))]
     (event,) = made.step(TENTH // 2, ()).events
-    assert event.key == "car1/incident"
-    assert isinstance(event.value, Incident)
-    assert event.value.cause == OPERATOR_STOP
+    incident: Any = event.value
+    assert (event.key, incident.cause) == ("car1/incident", OPERATOR_STOP)
     with pytest.raises(Interrupted, match="car1 stands: operator's stop"):
         made.step(TENTH, ())
 
@@ -162,9 +153,8 @@ def test_the_last_report_is_recorded_before_a_failure_ends_the_run() -> None:
     lost = Notice(time_ns=time.monotonic_ns(), what="lost", cause="unplugged")
     station.saying, station.failing = [report(notices=(lost,))], StationError("car1", "unplugged", "plug it in")
     assert made.step(TENTH // 2, ()).events == []
-    (event,) = made.step(TENTH, ()).events
-    assert isinstance(event.value, Incident)
-    assert (event.value.what, event.value.cause) == ("lost", "unplugged")
+    (incident,) = [event.value for event in made.step(TENTH, ()).events]
+    assert incident == Incident(what="lost", cause="unplugged", happened_ns=made._clock.logical_ns(lost.time_ns))
     with pytest.raises(StationError, match="unplugged; plug it in"):
         made.step(3 * TENTH // 2, ())
 
@@ -178,16 +168,14 @@ def test_a_run_may_continue_without_a_lost_robot(on_lost: str) -> None:
     made.step(0, ())
     station.failing = StationError("car1", "unplugged", "plug it in")
     events = {event.key: event.value for event in made.step(TENTH, ()).events}
-    incident = events["car1/incident"]
-    assert isinstance(incident, Incident)
+    incident: Any = events["car1/incident"]
     assert (incident.what, "unplugged; plug it in" in incident.cause) == ("lost", True)
     assert ("operator/outage" in events) == ("car1/follows" in events) == (on_lost == "remove")
     assert ("car1/outage" in dict(logged)) == (on_lost == "remove")  # a replay repeats it
     order_count = len(station.orders)
     event = Event("car1/command", 2 * TENTH, Velocity(linear=(0.4, 0.0, 0.0)))
     later = [made.step(k * TENTH, [event] if k == 2 else ()).events for k in range(2, 9)]
-    (status,) = [each.value for each in later[-1] if each.key == "car1/real"]
-    assert isinstance(status, RealStatus)
+    status: Any = next(each.value for each in later[-1] if each.key == "car1/real")
     assert status.causes == ("its robot is lost",)
     assert len(station.orders) == order_count  # no further orders
     made._clock._origin -= 3 * SECOND_NS  # 3 s later
@@ -201,9 +189,7 @@ def test_a_lost_robot_has_the_policy_of_its_agent() -> None:
     own = {**BENCH["vehicle"][0], "agent": {**BENCH["vehicle"][0]["agent"], "on_lost": "remove"}}
     held, removed = scenario(agents={"on_lost": "hold"}), scenario(vehicle=[own])
     for content, policy in ((held, "hold"), (removed, "remove"), (BENCH, "stop")):
-        with assemble(*loader.load(content)) as assembled:
-            (robots,) = [each for each in assembled.federates if isinstance(each, Hardware)]
-            assert robots._proxies["car1"].vehicle.on_lost == policy
+        assert hardware_of(content)._proxies["car1"].vehicle.on_lost == policy
 
 
 def test_a_station_silent_during_listening_hangs(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,7 +17,7 @@ from vcmvsp.cosim.frames import arc, quaternion_from_yaw, wrap
 from vcmvsp.cosim.types import Fix, Measured, Odometry, RealStatus, VehicleState, Velocity, Waypoint
 from vcmvsp.hardware.drivers.base import Notice
 from vcmvsp.hardware.federate import VehicleProxy
-from vcmvsp.hardware.station.messages import OPERATOR_STOP, StationReport
+from vcmvsp.hardware.station.messages import StationReport
 
 START_NS = 1_000 * SECOND_NS  # monotonic clock at logical time 0
 speeds = st.floats(-2.0, 2.0)
@@ -181,11 +181,3 @@ def test_a_real_vehicle_takes_no_way_points() -> None:
     made, _ = connected_proxy(flies=True)
     with pytest.raises(FederateError, match="car1: received a Waypoint"):
         made.command(Event("car1/command", 0, Waypoint(position=(0.0, 0.0, 1.0))))
-
-
-def test_an_operator_stop_ends_the_run_after_recording() -> None:
-    made, station = connected_proxy()
-    stopped = Notice(time_ns=START_NS, what="stopped", cause=OPERATOR_STOP)
-    station.saying = [report(0.1, None, notices=(stopped,), causes=(OPERATOR_STOP,))]
-    assert events(made, 0.1)["car1/incident"][0].cause == OPERATOR_STOP
-    assert str(made.over) == f"car1 stands: {OPERATOR_STOP}"

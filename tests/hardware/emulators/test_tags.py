@@ -71,15 +71,12 @@ def test_fixes_come_at_their_rate_and_late_by_the_latency() -> None:
     assert all(ms * 1_000_000 - (source or 0) == 300_000_000 for ms, source in arrivals)
 
 
-def test_a_delayed_tag_does_not_repeat_missed_fixes() -> None:
+def test_a_delayed_tag_does_not_repeat_missed_fixes_and_sends_none_without_a_true_pose() -> None:
     tag = Tag("A1", Errors(fix_hz=10.0), seed=0)
     assert len(tag.advance(0, standing((0.0, 0.0, 0.0)))) == 1
     assert len(tag.advance(5 * SECOND_NS, standing((0.0, 0.0, 0.0)))) == 1
     assert tag.due_ns == 5_100_000_000
-
-
-def test_nothing_is_sent_without_a_true_pose() -> None:
-    assert Tag("A1", Errors(), seed=0).advance(0, lambda: None) == []
+    assert tag.advance(tag.due_ns, lambda: None) == []
 
 
 @pytest.mark.parametrize("radius", [2.0, -2.0])

@@ -19,6 +19,7 @@ import zenoh
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.hardware.localisation.test_readers import GGA, HEIGHT, LAT, LON
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.config.binding import call
 from vcmvsp.cosim.errors import ScenarioError
@@ -36,8 +37,7 @@ from vcmvsp.hardware.localisation.ubisense import Ubisense
 pytestmark = pytest.mark.sockets
 
 DEADLINE_S = 20.0  # generous: some ms without load
-GGA = b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r\n"
-HERE: dict[str, Any] = {"latitude_deg": 48.0 + 7.038 / 60.0, "longitude_deg": 11.0 + 31.0 / 60.0, "height_m": 545.4 + 46.9}
+HERE: dict[str, Any] = {"latitude_deg": LAT, "longitude_deg": LON, "height_m": HEIGHT}
 
 
 def wait(poll: Callable[[], Any]) -> Any:

@@ -25,8 +25,6 @@ TAG = PartSpec(group="localisation", kind="a test's", params={})
 class ScriptedDriver:
     """Driver with samples set by a test."""
 
-    device, open_deadline_s, close_deadline_s = "test", 1.0, 1.0
-
     def __init__(self) -> None:
         self.next: Sample | None = None
         self.sent: list[Velocity] = []
@@ -47,18 +45,12 @@ class ScriptedDriver:
     def notices(self) -> list[Notice]:
         return []
 
-    def close(self) -> None: ...
-
 
 class Tag:
     """Positioning system with fixes set by a test."""
 
-    device = "tag"
-
     def __init__(self) -> None:
         self.fixes: list[Fix] = []
-
-    def open(self) -> None: ...
 
     def read(self, now_ns: int) -> list[Fix]:
         fixes, self.fixes = self.fixes, []
@@ -67,13 +59,11 @@ class Tag:
     def notices(self) -> list[Notice]:
         return []
 
-    def close(self) -> None: ...
-
 
 class Station:
     """A station on a manual clock, and a run that sends it orders every 100 ms."""
 
-    def __init__(self, station_mission: StationMission, driver: Any = None, tag: Tag | None = None) -> None:
+    def __init__(self, station_mission: StationMission, driver: Any = None, tag: Any = None) -> None:
         self.ns = 7_000_000_000
         self.driver: Any = driver or Bench(now=self.now, latency_s=0.02, accel=2.0, decel=2.0)
         self.driver.open(station_mission.start)
@@ -94,7 +84,7 @@ class Station:
         others: Array | None = None,
         stop: str = "",
         each: Callable[[], None] = lambda: None,
-    ) -> StationReport:
+    ) -> Any:
         """Advances by ``seconds``; the run is silent if v is None."""
         for turn in range(round(1000 * seconds / TURN_MS)):
             self.ns += TURN_MS * MS
@@ -127,22 +117,12 @@ class Station:
 def test_a_robot_follows_commands_and_the_station_reports_its_pose() -> None:
     station = Station(mission())
     report = station.drive(3.0, v=0.3, w=0.4)
-    assert report.state is not None
     assert report.state.position[:2] == pytest.approx(station.driver.pose[:2], abs=0.002)
     assert report.state.yaw == pytest.approx(station.driver.pose[2], abs=0.002)
     v, yaw = 0.3, report.state.yaw
     assert report.state.velocity == pytest.approx((v * math.cos(yaw), v * math.sin(yaw), 0.0), abs=1e-9)
     assert report.causes == ()
     assert station.stops == []  # no stop before the first order
-
-
-def test_limits_and_ramps_hold_for_any_command() -> None:
-    station = Station(mission(max_speed=0.2, accel=0.5))
-    report = station.drive(2.0, v=9.0)
-    speeds = [each.sent.linear[0] for each in station.reports if each.sent is not None]
-    assert max(speeds) == pytest.approx(0.2)
-    assert max(np.diff(speeds)) <= 0.5 * TURN_MS / 1000 + 1e-9
-    assert report.causes == ("limits",)
 
 
 def test_others_keep_their_distance() -> None:
@@ -299,12 +279,10 @@ def test_a_state_of_the_robot_is_extrapolated_until_too_old() -> None:
     )
     driver.next = sample(1, station.ns, state=state)
     report = station.drive(0.2, v=0.1)
-    assert report.state is not None
     assert report.state.position == pytest.approx((1.1, 2.0, 2.9))
     assert yaw_of(report.state.attitude) == pytest.approx(0.3 + 0.16)
     assert driver.sent[-1].linear[0] == pytest.approx(0.1)
     later = station.drive(0.5, v=0.1).state
-    assert later is not None
     assert later.velocity == (0.0, 0.0, 0.0)  # extrapolation ends
     assert station.drive(0.5, v=0.1).causes == ("positioning",)
 
@@ -366,20 +344,17 @@ class TaggedRobot:
             place = (x + dx + self.offset[0], y + dy + self.offset[1], 0.0)
             self.tag.fixes.append(Fix(time_ns=self.station.ns, position=place, sigma_m=self.sigma_m))
 
-    def drive(self, seconds: float, v: float, w: float = 0.0) -> StationReport:
+    def drive(self, seconds: float, v: float, w: float = 0.0) -> Any:
         return self.station.drive(seconds, v, w, each=self.each)
 
 
 def test_positions_and_odometry_are_fused() -> None:
     guided = TaggedRobot()
     report = guided.drive(20.0, v=0.3, w=0.2)
-    assert report.state is not None
-    assert report.covariance is not None
     x, y, yaw = guided.station.driver.pose
     assert math.dist(report.state.position[:2], (x, y)) < 0.1
     assert math.remainder(report.state.yaw - yaw, math.tau) == pytest.approx(0.0, abs=0.1)
     assert math.sqrt(report.covariance[0, 0]) < 0.05
-    assert report.fix_age_s is not None
     assert report.fix_age_s <= 0.2
     fixes = [fix for each in guided.station.reports for fix in each.fixes]
     assert len(fixes) == 100
@@ -434,7 +409,6 @@ def test_a_small_jump_of_positions_is_omitted_then_accepted_with_a_notice() -> N
     guided.offset = (0.9, 0.0)
     assert guided.drive(0.6, v=0.3).gated >= 2
     report = guided.drive(8.0, v=0.3)
-    assert report.state is not None
     assert report.state.position[0] == pytest.approx(guided.station.driver.pose[0] + 0.9, abs=0.15)
     assert report.state.yaw == pytest.approx(0.0, abs=0.3)
     assert [kind for kind, cause in guided.station.notices if "jumped" in cause] == ["warned"]
@@ -444,7 +418,7 @@ def test_motion_during_a_loss_is_not_taken_for_standstill() -> None:
     driver, tag = ScriptedDriver(), Tag()
     station = Station(msgspec.structs.replace(mission(), localisation=TAG), driver, tag)
 
-    def turn(x: float, link: int, fix: float | None = None) -> StationReport:
+    def turn(x: float, link: int, fix: float | None = None) -> Any:
         def tell() -> None:
             driver.next = sample(1, station.ns, pose=(x, 0.0, 0.0), link=link)
             if fix is not None:
@@ -454,16 +428,13 @@ def test_motion_during_a_loss_is_not_taken_for_standstill() -> None:
 
     for number in range(100):
         report = turn(0.01 * number, 1, fix=0.01 * number)
-    assert report.covariance is not None
     before = math.sqrt(report.covariance[0, 0])
     station.drive(1.0, v=0.0)  # the link is lost, and the robot coasts on for 0.5 m
     report = turn(0.99, 2)
-    assert report.covariance is not None
     assert math.sqrt(report.covariance[0, 0]) > 5.0 * before
     for _ in range(4):
         report = turn(0.99, 2, fix=1.5)
     assert report.gated == 0
-    assert report.state is not None
     assert report.state.position[0] == pytest.approx(1.5, abs=0.05)
 
 

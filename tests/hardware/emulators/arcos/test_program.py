@@ -1,5 +1,7 @@
 """Command line options of emulated devices."""
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -33,26 +35,12 @@ def test_ports(text: str, port: PtyPort | HostPort) -> None:
     assert options.port_of(text) == port
 
 
-@pytest.mark.parametrize("text", ["robot", "", "udp://127.0.0.1:5", "http://x/", "tcp://x:70000", "tcp://x:y", "tcp://x:1/y"])
-def test_no_ports(text: str) -> None:
-    with pytest.raises(UsageError, match=r"port|nothing behind"):
-        options.port_of(text)
-
-
-def test_addresses_of_datagrams() -> None:
+def test_addresses_of_datagrams_and_faults() -> None:
     assert options.udp_of("udp://127.0.0.1:5000", "--ubisense") == HostPort("127.0.0.1", 5000)
-    for text in ("udp://127.0.0.1", "udp://:5000", "127.0.0.1:5000", "tcp://127.0.0.1:5000", "udp://127.0.0.1:0"):
-        with pytest.raises(UsageError, match=r"--ubisense .*udp://HOST:PORT"):
-            options.udp_of(text, "--ubisense")
-
-
-def test_faults() -> None:
     faults = options.faults_of("drop=0.01,flip=0.001,split=0.2,gap_ms=5", 3)
     assert (faults.drop, faults.flip, faults.split, faults.gap_ns, faults.seed) == (0.01, 0.001, 0.2, 5_000_000, 3)
     assert options.faults_of("", 0).drop == 0.0
-    for text in ("drop", "drop=x", "drop=1.5", "flip=-0.1", "drip=0.1", "drop=nan", "gap_ms=-1", "seed=1"):
-        with pytest.raises(UsageError, match="--faults"):
-            options.faults_of(text, 0)
+    assert options.tag_of("11ce0000a1") == "00000011CE0000A1"
 
 
 @given(NUMBERS.filter(bool), NUMBERS)
@@ -60,17 +48,33 @@ def test_circles(radius_m: float, speed: float) -> None:
     assert options.circle_of(f"{radius_m},{speed}") == (radius_m, speed)
 
 
-@pytest.mark.parametrize("text", ["0,1", "1", "1,2,3", "x,1"])
-def test_no_circles(text: str) -> None:
-    with pytest.raises(UsageError, match="--circle"):
-        options.circle_of(text)
-
-
-def test_tags_have_16_digits() -> None:
-    assert options.tag_of("11ce0000a1") == "00000011CE0000A1"
-    for text in ("", "xyz", "-1", "1" * 17):
-        with pytest.raises(UsageError, match="--tag"):
-            options.tag_of(text)
+@pytest.mark.parametrize(
+    ("parse", "texts", "error_text"),
+    [
+        (
+            options.port_of,
+            ("robot", "", "udp://127.0.0.1:5", "http://x/", "tcp://x:70000", "tcp://x:y", "tcp://x:1/y"),
+            "--port",
+        ),
+        (
+            partial(options.udp_of, option="--ubisense"),
+            ("udp://127.0.0.1", "udp://:5000", "127.0.0.1:5000", "tcp://127.0.0.1:5000", "udp://127.0.0.1:0"),
+            "--ubisense .*udp://HOST:PORT",
+        ),
+        (
+            partial(options.faults_of, seed=0),
+            ("drop", "drop=x", "drop=1.5", "flip=-0.1", "drip=0.1", "drop=nan", "gap_ms=-1", "seed=1"),
+            "--faults",
+        ),
+        (options.circle_of, ("0,1", "1", "1,2,3", "x,1"), "--circle"),
+        (options.tag_of, ("", "xyz", "-1", "1" * 17), "--tag"),
+    ],
+    ids=["port", "datagrams", "faults", "circle", "tag"],
+)
+def test_other_texts_are_refused(parse: Callable[[str], object], texts: tuple[str, ...], error_text: str) -> None:
+    for text in texts:
+        with pytest.raises(UsageError, match=error_text):
+            parse(text)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from vcmvsp import Observation, Odometry, Radio, VehicleState, quaternion_from_y
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.scenario.schema import Scenario
-from vcmvsp.cosim.types import Measured, Scan
+from vcmvsp.cosim.types import Measured, Scan, Vec3
 from vcmvsp.hardware.drivers.arcos.protocol import Command, command
 from vcmvsp.hardware.drivers.arcos.robot_parameters import ROBOTS
 from vcmvsp.hardware.emulators.arcos.device import Device
@@ -36,14 +36,19 @@ PERIOD_S = 0.025
 FAR = Scan(ranges=np.full(5, np.inf, np.float32), angle_min=0.0, angle_step=0.1, range_max=5.0)
 
 
+def raw_of(**more: Any) -> dict[str, Any]:
+    vehicles = [{"name": "car1", "kind": "amigobot", "agent": {}}, {"name": "car2", "kind": "p2dx", "agent": {}}]
+    return {"name": "two", "duration_s": 1.0, "vehicle": vehicles, **more}
+
+
 def scenario_of(**more: Any) -> Scenario:
-    raw = {
-        "name": "two",
-        "duration_s": 1.0,
-        "vehicle": [{"name": "car1", "kind": "amigobot", "agent": {}}, {"name": "car2", "kind": "p2dx", "agent": {}}],
-        **more,
-    }
-    return loader.load(raw)[0]
+    return loader.load(raw_of(**more))[0]
+
+
+def changed(pose: Vec3 | None = None, **more: Any) -> Scenario:
+    """The scenario in which the emulated robot is its first vehicle."""
+    before = scenario_of(**more)
+    return loader.load(raw_of(**more), settings=changes_of(before, before.vehicle[0], AMIGO, 0.025, pose))[0]
 
 
 def test_the_only_vehicle_of_its_kind_is_used() -> None:
@@ -73,17 +78,9 @@ def test_its_period_fits_the_rate_of_physics(rate_hz: float, period_s: float) ->
     ],
 )
 def test_its_agent_has_its_own_period_beside_any_others(vehicles: list[dict[str, Any]], agents: dict[str, Any]) -> None:
-    raw = {
-        "name": "two",
-        "duration_s": 1.0,
-        "agents": agents,
-        "vehicles": {"kind": "amigobot"},
-        "vehicle": [{"name": f"car{number}", **each} for number, each in enumerate(vehicles)],
-    }
-    before = loader.load(raw)[0]
-    after = loader.load(raw, settings=changes_of(before, before.vehicle[0], AMIGO, 0.025, None))[0]
-    agent = after.vehicle[0].agent
-    assert agent is not None
+    named = [{"name": f"car{number}", **each} for number, each in enumerate(vehicles)]
+    after = changed(agents=agents, vehicles={"kind": "amigobot"}, vehicle=named)
+    agent: Any = after.vehicle[0].agent
     assert agent.period_s == 0.025
     assert (agent.kind or after.agents.defaults["kind"]) == "vcmvsp.hardware.emulators.arcos.scenario:DeviceAgent"
     others = after.vehicle[1].agent
@@ -92,18 +89,13 @@ def test_its_agent_has_its_own_period_beside_any_others(vehicles: list[dict[str,
 
 @pytest.mark.parametrize("start", [{"pose": [1.0, 2.0, 0.5]}, {"position": [1.0, 2.0, 0.0], "heading": 0.5}, {}])
 def test_its_start_pose_replaces_any_of_the_scenario(start: dict[str, Any]) -> None:
-    raw = {"name": "one", "duration_s": 1.0, "vehicle": [{"name": "car", "kind": "amigobot", **start}]}
-    before = loader.load(raw)[0]
-    after = loader.load(raw, settings=changes_of(before, before.vehicle[0], AMIGO, 0.025, (5.0, 6.0, 0.7)))[0]
+    after = changed((5.0, 6.0, 0.7), vehicle=[{"name": "car", "kind": "amigobot", **start}])
     assert after.vehicle[0].start == ((5.0, 6.0, 0.0), 0.7)
 
 
 def test_real_vehicles_are_simulated() -> None:
     real = {"driver": {"kind": "arcos", "port": "/dev/ttyUSB0"}, "localisation": {"kind": "ubisense"}, "pose_source": "fusion"}
-    raw = {"name": "two", "duration_s": 1.0, "vehicles": {"kind": "amigobot"}}
-    raw |= {"vehicle": [{"name": name, **real} for name in ("car1", "car2")]}
-    before = loader.load(raw)[0]
-    after = loader.load(raw, settings=changes_of(before, before.vehicle[0], AMIGO, 0.025, None))[0]
+    after = changed(vehicles={"kind": "amigobot"}, vehicle=[{"name": name, **real} for name in ("car1", "car2")])
     assert [(each.driver or {}).get("kind") for each in after.vehicle] == ["none"] * 2
     assert after.real == ()
     assert [each.pose_source for each in after.vehicle] == ["truth"] * 2
@@ -152,12 +144,11 @@ class AgentHarness:
             attitude=quaternion_from_yaw(yaw),
             angular_velocity=(0.0, 0.0, w),
         )
-        velocity = None
+        velocity: Any = None
         for _ in range(round(seconds / PERIOD_S)):
             self.time_ns += round(PERIOD_S * 1e9)
             obs = Observation(vehicle="car", time_ns=self.time_ns, state=state, readings=readings)
             velocity = self.agent.act(obs, Radio("car", ("car",)))
-        assert velocity is not None
         return velocity.linear[0], velocity.yaw_rate
 
     @property
@@ -220,8 +211,7 @@ def test_a_sonar_measures_the_nearest_in_its_cone_and_bumpers_press() -> None:
 
 def test_it_requests_exactly_the_sensors_in_use() -> None:
     agent = AgentHarness(eye={"kind": "camera"}, skirt={"kind": "bumper"}).agent
-    assert agent.sensors is not None
-    assert set(agent.sensors) == {"odometry", "skirt", *(f"sonar{number}" for number in range(8))}
+    assert {*(agent.sensors or ())} == {"odometry", "skirt", *(f"sonar{number}" for number in range(8))}
 
 
 def test_robots_by_the_names_of_vehicles() -> None:
