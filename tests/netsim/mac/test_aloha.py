@@ -70,12 +70,12 @@ def test_a_radio_that_sends_receives_nothing() -> None:
     assert reports[0].outcome[reports[0].receivers.index("v1")] == "receiver transmitting"
 
 
-PAIR: Any = (("v0", "v1"), np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]]))
+NEAR = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]])
 
 
 def test_the_duty_cycle_keeps_a_radio_silent() -> None:
     channel, sizes = aloha(2, {}, duty_cycle=0.1), [20, 100, 5, 5]
-    reports = play(channel, *PAIR, [(0, "v0", None, size) for size in sizes])
+    reports = play(channel, ("v0", "v1"), NEAR, [(0, "v0", None, size) for size in sizes])
     starts = [each.sent_ns + each.queue_ns + each.access_ns for each in reports]
     assert np.diff(starts).tolist() == [10 * channel.phy.air_time_ns(size) for size in sizes[:-1]]
 
@@ -83,6 +83,6 @@ def test_the_duty_cycle_keeps_a_radio_silent() -> None:
 def test_the_modem_of_the_preset_holds_one_packet() -> None:
     channel = make_channel("lora-sf7", vehicles=["v0", "v1"], mac={"kind": "aloha"})
     times_ns = (0, 1, 10**9, 2 * 10**9)  # on the air, during it, silent, silent with one that waits
-    reports = play(channel, *PAIR, [(time_ns, "v0", None) for time_ns in times_ns], SIZE)
+    reports = play(channel, ("v0", "v1"), NEAR, [(time_ns, "v0", None) for time_ns in times_ns], SIZE)
     outcomes = [each.outcome[0] for each in sorted(reports, key=lambda each: each.frame)]
     assert outcomes == ["received", "queue full", "received", "queue full"]
