@@ -57,7 +57,8 @@ def of_scenario(
         return ProgramFederates(programs, None, None)
     from vcmvsp.netsim.bridge.federate import Bridge, BridgeRadio
 
-    of_radio, members = {name: air for air in airs for name in air.networks}, scenario.radio_members
+    of_radio = {name: air for air in airs for name in air.networks}
+    radios = {name: BridgeRadio(own, of_radio[name].levels_dbm) for name, own in scenario.radio_members.items()}
     bridge = Bridge(
         doors,
         run=scenario.name,
@@ -69,7 +70,7 @@ def of_scenario(
         tell=tell,
         log=log,
         connect=connect,
-        radios={name: BridgeRadio(members[name], of_radio[name].levels_dbm) for name in members},
+        radios=radios,
     )
     return ProgramFederates(programs, bridge, None)
 
@@ -90,10 +91,7 @@ def doors_of(scenario: Scenario, source: Source, resolution: Resolution) -> "lis
         if not isinstance(content, dict):
             if name in builtin_kinds.KINDS["door"]:
                 raise source.error(f"must be a table, not {binding.show(content)}", key)
-            allowed = [
-                *(each for each in binding.parameters(type(scenario.bridge)) if each != "doors"),
-                *builtin_kinds.KINDS["door"],
-            ]
+            allowed = {*binding.parameters(type(scenario.bridge)), *builtin_kinds.KINDS["door"]} - {"doors"}
             raise source.error(binding.unknown("key", name, allowed), key)
         kind = kind_of(name, content)
         own = {name: value for name, value in content.items() if name != "radio" or not scenario.radios}

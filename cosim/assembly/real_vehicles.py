@@ -6,15 +6,18 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from vcmvsp.cosim.assembly.resolved import Resolution
+from vcmvsp.cosim.assembly.resolved import Resolution, complete_positioning
+from vcmvsp.cosim.clock import WallClock
 from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.endpoints import with_slash
+from vcmvsp.cosim.federate import Log
 from vcmvsp.cosim.recording.external_inputs import Input
 from vcmvsp.cosim.scenario.schema import SIMULATED, RealVehicle, SafetyTable, Scenario, VehicleTable
 from vcmvsp.cosim.util.text import Tell
 
 if TYPE_CHECKING:
+    from vcmvsp.hardware.federate import Hardware
     from vcmvsp.hardware.playback import Playback
     from vcmvsp.physics.vehicles.specification import Vehicle
 
@@ -84,7 +87,7 @@ def _described(
         start=start,
         height_m=position[2],
         flies=flying,
-        positioning=_twin(vehicle),
+        positioning=complete_positioning(vehicle.positioning),
         seed=scenario.seed,
         on_lost=(vehicle.agent and vehicle.agent.on_lost) or scenario.agents.on_lost,
     )
@@ -93,6 +96,24 @@ def _described(
     except ValueError as error:
         raise source.error(str(error), f"{key}.safety" if "fence" in vehicle.safety else "safety") from error
     return described
+
+
+def robots(
+    real: tuple[RealVehicle, ...],
+    models: "Mapping[str, Vehicle]",
+    *,
+    run: str,
+    clock: WallClock,
+    tell: Tell,
+    log: Log,
+    connect: bool,
+) -> "Hardware":
+    """The federate `hardware` that drives these vehicles, which keep clear of all others."""
+    from vcmvsp.hardware.federate import Hardware
+    from vcmvsp.physics.vehicles.specification import body_of
+
+    radius_m = {name: body_of(model).radius_m for name, model in models.items()}
+    return Hardware(real, run=run, clock=clock, radius_m=radius_m, tell=tell, log=log, connect=connect)
 
 
 def playback(scenario: Scenario, inputs: Sequence[Input], tell: Tell) -> "Playback | None":
@@ -143,7 +164,6 @@ def _safety(shared: SafetyTable, vehicle: VehicleTable, model: "Vehicle", source
     """``[safety]`` of a vehicle: the shared table, the vehicle's own keys, the limits of its kind."""
     key = f"vehicle.{vehicle.name}.safety"
     own = binding.call(SafetyTable, vehicle.safety, key=key, origin=source)
-    values = {name: getattr(own if name in vehicle.safety else shared, name) for name in SafetyTable.__struct_fields__}
     length, width, _ = model.hull.size
     ahead, aside, _ = model.hull.offset
     at_most = {
@@ -154,13 +174,8 @@ def _safety(shared: SafetyTable, vehicle: VehicleTable, model: "Vehicle", source
         "yaw_accel": getattr(model, "yaw_accel", YAW_ACCEL),
         "radius_m": math.hypot(0.5 * length + abs(ahead), 0.5 * width + abs(aside)),
     }
-    full = {name: at_most.get(name) if value is None else value for name, value in values.items()}
-    return msgspec.convert(binding.plain(full), SafetyTable)
-
-
-def _twin(vehicle: VehicleTable) -> dict[str, Any] | None:
-    if vehicle.positioning is None:
-        return None
-    from vcmvsp.physics.sensors.positioning import Positioning
-
-    return binding.complete(Positioning, vehicle.positioning)
+    values = {}
+    for name in SafetyTable.__struct_fields__:
+        value = getattr(own if name in vehicle.safety else shared, name)
+        values[name] = at_most.get(name) if value is None else value
+    return msgspec.convert(binding.plain(values), SafetyTable)

@@ -4,67 +4,41 @@ It does not say where agents ran, which changes no result. Shared defaults of ag
 still change them in one place.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.config import binding, registry
-from vcmvsp.cosim.config import registry as component
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.scenario.schema import BatteryTable, ClockTable, Scenario, StationTable, VehicleTable
+from vcmvsp.cosim.scenario.schema import AgentTable, BatteryTable, ClockTable, Scenario, StationTable, VehicleTable
 from vcmvsp.cosim.util import limits
 from vcmvsp.cosim.vehicle_clock import VehicleClock
 
+Tables = dict[str, dict[str, Any]]
 
+
+@dataclass(eq=False)
 class Resolution:
-    """Collects the complete tables and files while a scenario is assembled.
+    """Collects the complete tables and files while a scenario is assembled."""
 
-    Attributes:
-        tables: the resolved ``[physics]``, ``[world]`` and ``[radio]``.
-        vehicles: the parameters of each vehicle's kind, complete.
-        sensors: the tables of each vehicle's sensors, complete.
-        real: the tables of each real vehicle, complete.
-        firmware: the table of each vehicle with firmware, complete.
-        metrics: the tables of own metrics, complete.
-        files: present content of the files that the scenario uses, by their name beside the resolved scenario.
-    """
+    _scenario: Scenario
+    _source: Source
+    tables: dict[str, Any] = field(default_factory=dict)  # the resolved ``[physics]``, ``[world]`` and ``[radio]``
+    vehicles: Tables = field(default_factory=dict)  # parameters of each vehicle's kind
+    sensors: Tables = field(default_factory=dict)  # tables of each vehicle's sensors
+    real: Tables = field(default_factory=dict)  # tables of each real vehicle
+    firmware: Tables = field(default_factory=dict)  # table of each vehicle with firmware
+    metrics: Tables = field(default_factory=dict)  # tables of own metrics
+    files: dict[str, bytes] = field(default_factory=dict)  # present content, by name beside the resolved scenario
+    _paths: dict[str, Path] = field(default_factory=dict)
 
-    def __init__(self, scenario: Scenario, source: Source) -> None:
-        self._scenario, self._source = scenario, source
-        self.tables: dict[str, Any] = {}
-        self.vehicles: dict[str, dict[str, Any]] = {}
-        self.sensors: dict[str, dict[str, Any]] = {}
-        self.real: dict[str, dict[str, Any]] = {}
-        self.firmware: dict[str, dict[str, Any]] = {}
-        self.metrics: dict[str, dict[str, Any]] = {}
-        self.files: dict[str, bytes] = {}
-        self._paths: dict[str, Path] = {}
-
-    def component(
-        self,
-        group: str,
-        content: Mapping[str, Any],
-        key: str,
-        *,
-        arguments: Mapping[str, Any] | None = None,
-        offered: Mapping[str, Any] | None = None,
-        guard: Callable[[Any], Any] = lambda kind: kind,
-    ) -> tuple[Any, dict[str, Any]]:
+    def component(self, group: str, content: Mapping[str, Any], key: str, **options: Any) -> tuple[Any, dict[str, Any]]:
         """Build the object of a table and keep its files; returns object and complete table (`cosim.config.registry.build`)."""
-        return component.build(
-            group,
-            content,
-            key=key,
-            source=self._source,
-            portable=self.portable,
-            arguments=arguments,
-            offered=offered,
-            keep=self.keep,
-            guard=guard,
-        )
+        return registry.build(group, content, key=key, source=self._source, portable=self.portable, keep=self.keep, **options)
 
     def portable(self, kind: str, *, foreign: bool = False) -> str:
         """The kind without a folder; keeps the Python file that it names.
@@ -109,33 +83,32 @@ class Resolution:
             foreign: vehicles with remote hosts.
         """
         scenario, agents = self._scenario, self._scenario.agents
-        info_of, files = {info.vehicle: info for info in infos}, {name for info in infos for name in info.files}
         shared, of_agents = self._shared_by_vehicles(), self._shared_by_agents(infos)
-        agent_of = {
-            each.name: self._agent(each, info_of.get(each.name), of_agents, host_kinds, each.name in foreign)
-            for each in scenario.vehicle
+        info_of = {info.vehicle: info for info in infos}
+        agent_of = {}
+        for each in scenario.vehicle:
+            agent_of[each.name] = self._agent(each, info_of.get(each.name), of_agents, host_kinds, each.name in foreign)
+        full = {"name": scenario.name, "duration_s": scenario.duration_s, "seed": scenario.seed, **self.tables}
+        files = {name for info in infos for name in info.files}
+        full["agents"] = {
+            **_present(period_s=agents.period_s, latency_s=agents.latency_s, on_lost=agents.on_lost, hold_s=agents.hold_s),
+            **{name: self._keep_files_of(value, files) for name, value in of_agents.items()},
         }
-        placed = [each for each in scenario.vehicle if each.name in self._source.stations]
-        return {
-            "name": scenario.name,
-            "duration_s": scenario.duration_s,
-            "seed": scenario.seed,
-            **self.tables,
-            "agents": {
-                **_present(period_s=agents.period_s, latency_s=agents.latency_s, on_lost=agents.on_lost, hold_s=agents.hold_s),
-                **{name: self._keep_files_of(value, files) for name, value in of_agents.items()},
-            },
-            **({"clock": binding.plain(scenario.clock)} if scenario.clock != ClockTable() else {}),
-            **({"safety": binding.plain(scenario.safety)} if any("driver" in each for each in self.real.values()) else {}),
-            "vehicles": shared,
-            "record": binding.plain(scenario.record),
-            "metrics": _present(from_s=scenario.metrics.from_s, to_s=scenario.metrics.to_s, own=self.metrics or None),
-            **({"study": binding.plain(scenario.study)} if scenario.study.vary else {}),
-            "vehicle": [
-                {**self._vehicle(each, shared), **agent_of[each.name]} for each in scenario.vehicle if each not in placed
-            ],
-            **({"station": [{**self._station(each), **agent_of[each.name]} for each in placed]} if placed else {}),
-        }
+        if scenario.clock != ClockTable():
+            full["clock"] = binding.plain(scenario.clock)
+        if any("driver" in each for each in self.real.values()):
+            full["safety"] = binding.plain(scenario.safety)
+        full["vehicles"] = shared
+        full["record"] = binding.plain(scenario.record)
+        full["metrics"] = _present(from_s=scenario.metrics.from_s, to_s=scenario.metrics.to_s, own=self.metrics or None)
+        if scenario.study.vary:
+            full["study"] = binding.plain(scenario.study)
+        stations = [each for each in scenario.vehicle if each.name in self._source.stations]
+        vehicles = [each for each in scenario.vehicle if each not in stations]
+        full["vehicle"] = [{**self._vehicle(each, shared), **agent_of[each.name]} for each in vehicles]
+        if stations:
+            full["station"] = [{**self._station(each), **agent_of[each.name]} for each in stations]
+        return full
 
     def _shared_by_agents(self, infos: Sequence[AgentInfo]) -> dict[str, Any]:
         """Defaults for all agents; tables among them are completed as in the first agent that takes them."""
@@ -150,7 +123,7 @@ class Resolution:
         if "kind" in shared:
             shared["kind"] = self.portable(shared["kind"])
         if "positioning" in shared:
-            shared["positioning"] = _sensor(shared["positioning"])
+            shared["positioning"] = complete_positioning(shared["positioning"])
         shared.pop("sensors", None)  # the vehicles' own tables are complete
         if "radio" in shared and not self._scenario.radios:
             shared["radio"] = self._radio(shared["radio"])
@@ -166,20 +139,16 @@ class Resolution:
             kind=self.portable(vehicle.kind),
             **_present(pose=vehicle.pose) or _present(position=vehicle.position, heading=vehicle.heading),
             pose_source=vehicle.pose_source,
-            positioning=None if vehicle.positioning is None else _sensor(vehicle.positioning),
-            radio=self._radio_of(vehicle),
+            positioning=complete_positioning(vehicle.positioning),
+            radio=vehicle.radio if self._scenario.radios else self._radio(vehicle.radio),  # of several radios: unchanged
             radios=vehicle.radios,
-            battery=None if vehicle.battery is None else binding.plain(vehicle.battery),
-            clock=None if vehicle.clock is None else binding.plain(vehicle.clock),
+            battery=vehicle.battery,
+            clock=vehicle.clock,
             sensors=self.sensors[vehicle.name] or None,
             firmware=self.firmware.get(vehicle.name),
         )
         full |= self.vehicles[vehicle.name] | self.real.get(vehicle.name, {})
         return {name: value for name, value in full.items() if name not in shared or value != shared[name]}
-
-    def _radio_of(self, vehicle: VehicleTable) -> dict[str, Any]:
-        """The table ``radio`` of a vehicle: complete, but unchanged in a scenario with several radios."""
-        return binding.plain(vehicle.radio) if self._scenario.radios else self._radio(vehicle.radio)
 
     def _radio(self, content: Mapping[str, Any]) -> dict[str, Any]:
         """A radio table, complete, with its file kept."""
@@ -204,23 +173,24 @@ class Resolution:
         """``agent = {...}`` of a vehicle without the shared defaults, with the kind that ran."""
         if info is None:
             return {}
-        agents, own = self._scenario.agents, vehicle.agent
-        kind = host_kinds.get(vehicle.name) or (own and own.kind) or shared.get("kind") or info.agent
+        own = vehicle.agent or AgentTable()
+        kind = host_kinds.get(vehicle.name) or own.kind or shared.get("kind") or info.agent
+        period_s = None
+        if self._scenario.agents.period_s is None or own.period_s:
+            period_s = float(info.ticks.period / SECOND_NS)
         full = _present(
             kind=None if kind == shared.get("kind") else self.portable(kind, foreign=foreign),
-            period_s=float(info.ticks.period / SECOND_NS) if agents.period_s is None or (own and own.period_s) else None,
-            latency_s=own.latency_s if own else None,
-            fails_s=own.fails_s if own else None,
-            on_lost=own.on_lost if own else None,
-            hold_s=own.hold_s if own else None,
+            period_s=period_s,
+            latency_s=own.latency_s,
+            fails_s=own.fails_s,
+            on_lost=own.on_lost,
+            hold_s=own.hold_s,
         )
         inherited = {name for name in info.taken if name in shared and info.params.get(name) == shared[name]}
-        params = {
-            name: self._keep_files_of(value, info.files, foreign)
-            for name, value in info.params.items()
-            if name not in inherited
-        }
-        return {"agent": {**full, **params}}
+        for name, value in info.params.items():
+            if name not in inherited:
+                full[name] = self._keep_files_of(value, info.files, foreign)
+        return {"agent": full}
 
     def _keep_files_of(self, value: Any, files: Collection[str] = (), foreign: bool = False) -> Any:
         """A parameter of an agent; keeps the Python files (``file.py:Class``) and members of ``files`` that it names."""
@@ -238,7 +208,10 @@ class Resolution:
         return not any(path.resolve().is_relative_to(each.resolve()) for each in (self._source.folder, registry.SHIPPED))
 
 
-def _sensor(content: Mapping[str, Any]) -> dict[str, Any]:
+def complete_positioning(content: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """The complete table of a positioning sensor; None: the vehicle carries none."""
+    if content is None:
+        return None
     from vcmvsp.physics.sensors.positioning import Positioning
 
     return binding.complete(Positioning, content)

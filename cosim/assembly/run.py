@@ -35,7 +35,6 @@ from vcmvsp.cosim.scenario.schema import Scenario
 from vcmvsp.cosim.util.text import Tell
 
 if TYPE_CHECKING:
-    from vcmvsp.agents.stack_host import StackHost
     from vcmvsp.hardware.federate import Hardware
     from vcmvsp.netsim.bridge.federate import Bridge
     from vcmvsp.netsim.federate import RadioFederate
@@ -125,22 +124,14 @@ class AssembledRun:
         """The resolved scenario (`cosim.assembly.resolved`) with the interventions so far."""
         foreign = {vehicle for vehicle, place in self.where.items() if place == "zenoh"}
         resolved = self.resolution.scenario(self.agents, self.hosts.kinds, foreign)
-        interventions = [msgspec.to_builtins(each) for each in self.operator.all]
-        return {**resolved, **({"intervention": interventions} if interventions else {})}
+        if interventions := self.operator.all:
+            resolved["intervention"] = msgspec.to_builtins(interventions)
+        return resolved
 
     @property
     def has_outside(self) -> bool:
         """Whether robots, stacks or programs in wall time take part."""
         return self.robots is not None or self.bridge is not None or bool(self.stacks)
-
-    @property
-    def files(self) -> Mapping[str, bytes]:
-        """Files that the scenario uses, by their name beside the resolved scenario."""
-        return self.resolution.files
-
-    def keep(self, path: Path) -> None:
-        """Add a file to `files`."""
-        self.resolution.keep(path)
 
 
 class Parts(NamedTuple):
@@ -189,9 +180,6 @@ def assemble(
         ScenarioError: the scenario cannot be run as it is.
         FederateError: a host or an agent failed.
     """
-    from vcmvsp.agents.driven_host import DrivenHost
-    from vcmvsp.agents.federate import AgentHost
-
     resolution, inputs = Resolution(scenario, source), InputLog()
     clock = clock or SimClock()
     wall = clock if isinstance(clock, WallClock) else WallClock()  # unused when a scenario is only checked
@@ -209,20 +197,15 @@ def assemble(
     real = real_vehicles.of_scenario(scenario, source, resolution, fleet.models)
     robots = None
     if real and playback is None:
-        from vcmvsp.hardware.federate import Hardware
-        from vcmvsp.physics.vehicles.specification import body_of
-
-        around = {name: body_of(model).radius_m for name, model in fleet.models.items()}
-        robots = Hardware(real, run=scenario.name, clock=wall, radius_m=around, tell=tell, log=inputs.on, connect=connect)
+        robots = real_vehicles.robots(
+            real, fleet.models, run=scenario.name, clock=wall, tell=tell, log=inputs.on, connect=connect
+        )
     outside = playback or robots
     programs = bridge.of_scenario(
         scenario, source, resolution, airs=airs, clock=wall, bridged=bridged, tell=tell, log=inputs.on, connect=connect
     )
     flown = firmware.of_scenario(scenario, source, resolution, fleet.models, tell=tell)
-    arguments: dict[str, Any] = {"world": world, "vehicles": fleet.specs(), "outside": outside}
-    if flown is not None:  # a kind of the user's own need not know it
-        arguments["firmware"] = flown
-    physics = _physics(scenario, resolution, tell, **arguments)
+    physics = _physics(scenario, resolution, tell, world=world, vehicles=fleet.specs(), outside=outside, firmware=flown)
     operator = _operator(scenario, source, physics, airs)
     energy = _energy(scenario, source, fleet, getattr(physics, "gravity", GRAVITY))
     metrics = _own_metrics(scenario, source, resolution)
@@ -231,11 +214,7 @@ def assemble(
     about = {"scenario": scenario.name, "seed": scenario.seed, "duration_s": scenario.duration_s, "vehicles": [*radius_m]}
     hosts = Hosts(
         scenario.agents,
-        {
-            "inprocess": AgentHost,
-            "driven": DrivenHost,
-            **_stack_hosts(stacked.by_place, inputs, bridged if bridged or connect else ()),
-        },
+        _local_hosts(stacked.by_place, inputs, bridged if bridged or connect else ()),
         kinds=placement.kinds,
         listen=listen,
         keys=keys,
@@ -277,13 +256,15 @@ def assemble(
     )
 
 
-def _stack_hosts(
+def _local_hosts(
     by_place: Mapping[str, Stack], inputs: InputLog, recorded: Sequence[Input] | None
-) -> "dict[str, Callable[..., StackHost]]":
-    """Makers of the hosts of stacks, or of what earlier ones answered, by place."""
+) -> dict[str, Callable[..., Any]]:
+    """Makers of the hosts in this process by place: of agents, and of stacks or of what earlier ones answered."""
+    from vcmvsp.agents.driven_host import DrivenHost
+    from vcmvsp.agents.federate import AgentHost
     from vcmvsp.agents.stack_host import RecordedStack, StackHost
 
-    makers: dict[str, Callable[..., StackHost]] = {}
+    makers: dict[str, Callable[..., Any]] = {"inprocess": AgentHost, "driven": DrivenHost}
     for place, stack in by_place.items():
         used = stack if recorded is None else RecordedStack(stack.vehicles, recorded)
         makers[place] = partial(StackHost, stack=used, log=inputs.on)
@@ -333,7 +314,9 @@ def default_engine() -> str:
     return "mujoco" if find_spec("pybullet") is None and find_spec("mujoco") is not None else "bullet"
 
 
-def _physics(scenario: Scenario, resolution: Resolution, tell: Tell, **arguments: object) -> Federate:
+def _physics(scenario: Scenario, resolution: Resolution, tell: Tell, *, firmware: object, **arguments: object) -> Federate:
+    if firmware is not None:  # a kind of the user's own need not know it
+        arguments["firmware"] = firmware
     content = {"kind": default_engine(), **scenario.physics}
     if "kind" not in scenario.physics and content["kind"] != "bullet":
         tell(f'PyBullet is not installed: physics.kind is "{content["kind"]}"')
@@ -397,17 +380,20 @@ def _info(scenario: Scenario, fleet: Fleet, agents: Sequence[AgentInfo]) -> RunI
     from vcmvsp.physics.vehicles.station import FixedStation
 
     read = {f"{info.vehicle}/{name}" for info in agents for name in info.sensors}
+    periods_s = {info.vehicle: float(info.ticks.period) / SECOND_NS for info in agents}
+    clocks = {each.name: each.clock for each in scenario.vehicle if each.clock is not None}
+    stations = [name for name, model in fleet.models.items() if isinstance(model, FixedStation)]
     return RunInfo(
         scenario=scenario.name,
         seed=scenario.seed,
         duration_ns=seconds_to_ns(scenario.duration_s),
-        vehicles=tuple(each.name for each in scenario.vehicle),
+        vehicles=tuple(fleet.models),
         instants=_instants(scenario, agents),
         wanted=tuple(sorted(read | fleet.recorded())),
-        periods_s={info.vehicle: float(info.ticks.period) / SECOND_NS for info in agents},
-        clocks={each.name: each.clock for each in scenario.vehicle if each.clock is not None},
+        periods_s=periods_s,
+        clocks=clocks,
         radios=scenario.radio_members,
-        stations=tuple([name for name, model in fleet.models.items() if isinstance(model, FixedStation)]),
+        stations=tuple(stations),
     )
 
 

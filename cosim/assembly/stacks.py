@@ -53,8 +53,9 @@ def of_scenario(
             raise source.error(binding.unknown("stack", kind, KINDS["stack"]), key)
         if not isinstance(content, dict):
             raise source.error(f"must be a table, not {binding.show(content)}", key)
+        flying = [name for name, model in models.items() if flies(model)]
         offered = {
-            "flying": frozenset(name for name, model in models.items() if flies(model)),
+            "flying": frozenset(flying),
             "mounts": {f"{name}/{sensor}": _mount(each) for name, own in sensors.items() for sensor, each in own.items()},
             "deadline_s": scenario.agents.deadline_s,
             "join_timeout_s": scenario.agents.join_timeout_s,

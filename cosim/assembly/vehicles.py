@@ -60,11 +60,11 @@ class Fleet:
 
     def _class(self, vehicle: VehicleTable) -> "type[Vehicle]":
         """The class of a vehicle's kind, cached so that a file is executed once."""
-        if vehicle.kind not in self._classes:
+        kind, source = vehicle.kind, self._source
+        if kind not in self._classes:
             key = f"vehicle.{vehicle.name}.kind"
-            vehicle_class = registry.find("vehicle", vehicle.kind, folder=self._source.folder, key=key, origin=self._source)
-            self._classes[vehicle.kind] = vehicle_class
-        return self._classes[vehicle.kind]
+            self._classes[kind] = registry.find("vehicle", kind, folder=source.folder, key=key, origin=source)
+        return self._classes[kind]
 
     def _own(self, vehicle: VehicleTable) -> dict[str, Any]:
         """The parameters of a vehicle; defaults of ``[vehicles]`` apply only to kinds that take them."""
@@ -78,13 +78,10 @@ class Fleet:
         content = self._own(vehicle)
         if vehicle.firmware is not None and "frame" in binding.parameters(kind):
             content = {"frame": "x", **content}
-        own, also = (
-            registry.with_real_paths(kind, content, self._source, key),
-            {*binding.parameters(VehicleTable)} - {"params"},
-        )
-        self._resolution.vehicles[vehicle.name] = registry.with_kept_files(
-            kind, binding.complete(kind, own), self._resolution.keep
-        )
+        own = registry.with_real_paths(kind, content, self._source, key)
+        full = binding.complete(kind, own)
+        self._resolution.vehicles[vehicle.name] = registry.with_kept_files(kind, full, self._resolution.keep)
+        also = {*binding.parameters(VehicleTable)} - {"params"}
         return binding.call(kind, own, key=key, origin=self._source, also=also)
 
     def _fit(self, vehicle: VehicleTable) -> "dict[str, Sensor]":
@@ -232,24 +229,26 @@ class Placement:
 
         agents, own = self._scenario.agents, vehicle.agent
         fate = own or AgentTable()
-        kind = self._kind(vehicle)
+        kind, key = self._kind(vehicle), f"vehicle.{vehicle.name}.agent.kind"
         if vehicle.name in self.objects:
             agent_class = type(self.objects[vehicle.name])
-            key = f"vehicle.{vehicle.name}.agent.kind"
             target = registry.target("agent", kind, key=key, origin=self._source) if kind else ""
             if target.rpartition(":")[2] != agent_class.__qualname__:
                 self.kinds[vehicle.name] = kind = f"{agent_class.__module__}:{agent_class.__qualname__}"
                 own = None  # the scenario's table belongs to another class
         if not kind and where != "zenoh":
-            key = f"vehicle.{vehicle.name}.agent.kind"
             raise self._source.error("is missing, and [agents] has no kind for all", key)
         defaults = {name: value for name, value in agents.defaults.items() if name != "kind"}
         params = self._source.parameters(own.params, f"vehicle.{vehicle.name}.agent", ()) if own else {}
         if own and len(params) < len(own.params):  # not the file's class: only parameters that it takes
             defaults |= {name: value for name, value in own.params.items() if name not in params}
-        parameters = ((f"agents.{n}", n) for n in defaults), ((f"vehicle.{vehicle.name}.agent.{n}", n) for n in params)
-        replaced = {n: names for each in parameters for key, n in each if (names := self._source.replaced(key)) is not None}
-        latency = agents.latency_s if fate.latency_s is None else fate.latency_s
+        replaced = {}
+        for prefix, table in (("agents", defaults), (f"vehicle.{vehicle.name}.agent", params)):
+            for name in table:
+                if (names := self._source.replaced(f"{prefix}.{name}")) is not None:
+                    replaced[name] = names
+        latency_s = agents.latency_s if fate.latency_s is None else fate.latency_s
+        hold_s = agents.hold_s if fate.hold_s is None else fate.hold_s
         sensors = self._fleet.sensors[vehicle.name]
         battery = () if vehicle.battery is None else (BATTERY,)
         return AgentSpec(
@@ -260,7 +259,7 @@ class Placement:
             defaults=defaults,
             replaced=replaced,
             period_s=fate.period_s or agents.period_s,
-            latency_s=latency,
+            latency_s=latency_s,
             source=self._source.name,
             sensors=(*sensors, *battery),
             battery=bool(battery),
@@ -272,5 +271,5 @@ class Placement:
             body=body_of(self._fleet.models[vehicle.name]),
             fails_s=fate.fails_s,
             on_lost=fate.on_lost or agents.on_lost,
-            hold_s=agents.hold_s if fate.hold_s is None else fate.hold_s,
+            hold_s=hold_s,
         )

@@ -5,7 +5,7 @@ a run, with more rows. So only what does not couple rows across worlds can be co
 (``physics.kind`` is ``kinematic`` or ``flight``), wind without gusts, and radios without contention.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +23,6 @@ from vcmvsp.cosim.scenario.schema import Scenario
 
 if TYPE_CHECKING:
     from vcmvsp.netsim.channel.side_by_side import Broadcasts
-    from vcmvsp.physics.dynamics.engine import BodyMotion
     from vcmvsp.physics.dynamics.free_flight import FreeFlightEngine
     from vcmvsp.physics.dynamics.kinematic import AerialEngine, GroundEngine
 
@@ -119,40 +118,35 @@ class WorldBatch:
         """Position (w, n, 3) m, velocity (w, n, 3) m/s, attitude (w, n, 4), and yaw rate (w, n) rad/s of all vehicles."""
         whole = tuple(np.zeros((*self._shape, width)) for width in (3, 3, 4, 3))
         for engine, rows in self._engines:
-            for target, source in zip(whole, _first_four(engine.read()), strict=True):
+            motion = engine.read()
+            sources = motion.position, motion.velocity, motion.attitude, motion.angular_velocity
+            for target, source in zip(whole, sources, strict=True):
                 target[:, rows] = source.reshape(len(target), len(rows), -1)
         position, velocity, attitude, spin = whole
         return position, velocity, attitude, spin[..., 2]
 
 
-def _first_four(motion: "BodyMotion") -> tuple[Floats, Floats, Floats, Floats]:
-    return motion.position, motion.velocity, motion.attitude, motion.angular_velocity
-
-
-def _unbatchable(scenario: Scenario, fleet: Fleet) -> "list[tuple[str, str]]":
+def _unbatchable(scenario: Scenario, fleet: Fleet) -> Iterator[tuple[str, str]]:
     """Keys and descriptions of what needs a run of its own."""
     from vcmvsp.physics.vehicles.models import GroundVehicle, Point, Quadrotor
 
-    reasons = []
     if scenario.physics.get("kind") not in ("kinematic", "flight"):
-        reasons.append(("physics.kind", 'vehicles have bodies unless physics.kind is "kinematic" or "flight"'))
+        yield "physics.kind", 'vehicles have bodies unless physics.kind is "kinematic" or "flight"'
     if scenario.world.get("kind", "empty") != "empty" or "wind" in scenario.world:
-        reasons.append(("world", "a world with obstacles or wind"))
+        yield "world", "a world with obstacles or wind"
     programs = scenario.bridge.doors, scenario.sockets.vehicles, scenario.stack
     if any((scenario.routing, scenario.radios, scenario.intervention, *programs)):
-        reasons.append(("routing", "routing, several radios, interventions and external programs"))
+        yield "routing", "routing, several radios, interventions and external programs"
     if scenario.agents.latency_s:
-        reasons.append(("agents.latency_s", "a latency of commands"))
+        yield "agents.latency_s", "a latency of commands"
     for each in scenario.vehicle:
         key = f"vehicle.{each.name}"
         if each.pose_source != "truth":
-            reasons.append((f"{key}.pose_source", "an estimated pose"))
+            yield f"{key}.pose_source", "an estimated pose"
         if each.is_real or each.sensors or each.clock or each.battery or each.firmware:
-            reasons.append((f"{key}.sensors", "sensors, clocks, batteries, firmware and real vehicles"))
+            yield f"{key}.sensors", "sensors, clocks, batteries, firmware and real vehicles"
         if each.agent is not None:
-            reasons.append((f"{key}.agent", "an agent of the scenario"))
-        if not isinstance(fleet.models[each.name], GroundVehicle | Point | Quadrotor) or getattr(
-            fleet.models[each.name], "downwash", False
-        ):
-            reasons.append((f"{key}.kind", "a vehicle of this kind"))
-    return reasons
+            yield f"{key}.agent", "an agent of the scenario"
+        model = fleet.models[each.name]
+        if not isinstance(model, GroundVehicle | Point | Quadrotor) or getattr(model, "downwash", False):
+            yield f"{key}.kind", "a vehicle of this kind"

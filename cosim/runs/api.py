@@ -317,7 +317,7 @@ class Simulation:
     def _write_scenario(self, folder: Path) -> None:
         """Write the scenario and its files, for readers of an unfinished or killed run's recording."""
         write_whole(folder / "scenario.toml", tomli_w.dumps(self._resolved))
-        for name, content in self._run.files.items():
+        for name, content in self._run.resolution.files.items():
             write_whole(folder / name, content)
 
     def result(
@@ -329,7 +329,7 @@ class Simulation:
             raise failure or VcmvspError("the run did not begin")
         resolved = run.resolved() if run.operator.done else self._resolved  # with live interventions
         metrics = finite(recorder.metrics(window=(resolved["metrics"]["from_s"], resolved["metrics"].get("to_s"))))
-        files = dict(run.files)
+        files = dict(run.resolution.files)
         if content := run.inputs.content:  # kept in memory
             files[FILE] = content
         if run.bridge is not None:
@@ -506,7 +506,7 @@ def run(
             ) as assembled,
         ):
             if recorded is not None:
-                assembled.keep(recorded)  # so that a replay can be replayed
+                assembled.resolution.keep(recorded)  # so that a replay can be replayed
             simulation = Simulation(
                 assembled,
                 folder,

@@ -279,7 +279,7 @@ def _check(plan: Plan, base: Base, point: tuple[Any, ...]) -> Mapping[str, bytes
             raise UsageError(f"a study cannot drive real vehicles ({', '.join(parsed.real)}): simulate them with --twin")
         with assemble(parsed, source, runs="inprocess" if _by_hand(parsed) else "here") as assembled:
             assembled.resolved()  # only now all files are known
-            files = assembled.files
+            files = assembled.resolution.files
             kernel = Kernel(assembled.info, assembled.federates)
             assembled.start(kernel)
             kernel.close()
