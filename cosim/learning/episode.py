@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
     from vcmvsp.cosim.view.live.session import Viewing
 
 RECEIVED = "received"
+MOTION = ("position", "velocity", "attitude", "angular_velocity")
+"""Names of the motion of vehicles, in `States` and in `VehicleState`."""
 
 
 class TaskScenario:
@@ -44,7 +47,8 @@ class TaskScenario:
         parsed = scenarios.load(self._content, settings=self._settings).scenario
         self.names = tuple(each.name for each in parsed.vehicle)
         self._is_posed = [each.pose is not None for each in parsed.vehicle]
-        self._poses = np.array([[*position, heading] for position, heading in (each.start for each in parsed.vehicle)])
+        starts = [each.start for each in parsed.vehicle]
+        self._poses = np.array([[*position, heading] for position, heading in starts])
         self.poses_are_true = all(each.pose_source == "truth" for each in parsed.vehicle)
         self.seed, self.period_s = parsed.seed, parsed.agents.period_s or Agent.period
         duration_s = parsed.duration_s if max_cycles is None else max_cycles * self.period_s
@@ -125,23 +129,12 @@ class Episode:
             self._mail.put(self.run.received, self._row)
         self.frames = counted(self.reports, self._row)
         rest: dict[str, Any] = {**self._mail.ages(now_ns), "time_s": np.array([now_ns / 1e9]), "memory": self.memory}
-        self.true = Worlds(
-            position=states.position[None],
-            velocity=states.velocity[None],
-            yaw=yaw_of_attitude(states.attitude)[None],
-            yaw_rate=states.angular_velocity[None, :, 2],
-            **rest,
-        )
-        self.observed = self.true
+        self.true = self.observed = _world({name: getattr(states, name)[None] for name in MOTION}, rest)
         if not self._scenario.poses_are_true:
-            own = [observations[name].state for name in self.names]
-            self.observed = Worlds(
-                position=np.array([[each.position for each in own]]),
-                velocity=np.array([[each.velocity for each in own]]),
-                yaw=yaw_of_attitude(np.array([[each.attitude for each in own]])),
-                yaw_rate=np.array([[each.angular_velocity[2] for each in own]]),
-                **rest,
-            )
+            own, motion = [observations[name].state for name in self.names], {}
+            for name in MOTION:
+                motion[name] = np.array([[getattr(each, name) for each in own]])
+            self.observed = _world(motion, rest)
         return goes_on
 
     def _observe(self, event: Event) -> None:
@@ -151,17 +144,19 @@ class Episode:
             self.reports.append(event.value)  # type: ignore[arg-type]  # the value of this key
 
 
+def _world(motion: Mapping[str, Floats], rest: Mapping[str, Any]) -> Worlds:
+    """One world with this motion (1, n, ...) of its vehicles."""
+    yaw, yaw_rate = yaw_of_attitude(motion["attitude"]), motion["angular_velocity"][..., 2]
+    return Worlds(position=motion["position"], velocity=motion["velocity"], yaw=yaw, yaw_rate=yaw_rate, **rest)
+
+
+@dataclass
 class FrameCount:
-    """Frames of one vehicle that were decided within a tick.
+    """Frames of one vehicle that were decided within a tick."""
 
-    Attributes:
-        sent: frames.
-        received: receptions of them, at all receivers.
-        lost: receivers that did not get them, by cause.
-    """
-
-    def __init__(self) -> None:
-        self.sent, self.received, self.lost = 0, 0, Counter[str]()
+    sent: int = 0  # frames
+    received: int = 0  # receptions of them, at all receivers
+    lost: Counter[str] = field(default_factory=Counter)  # receivers that did not get them, by cause
 
     def info(self) -> dict[str, Any]:
         """The counts as a dictionary."""

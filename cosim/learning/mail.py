@@ -71,13 +71,15 @@ class Mail:
 
 def vectors_of(messages: Sequence[Message], floats: int) -> Floats:
     """Numbers of messages in [-1, 1], (k, floats): of bytes as float32, of a mapping by keys; the rest is 0."""
-    bodies = [message.body if isinstance(message.body, bytes) else _packed(message.body) for message in messages]
     size = 4 * floats
-    whole = np.frombuffer(b"".join([body[:size].ljust(size, b"\0") for body in bodies]), "<f4").reshape(-1, floats)
+    bodies = [_packed(message.body)[:size].ljust(size, b"\0") for message in messages]
+    whole = np.frombuffer(b"".join(bodies), "<f4").reshape(-1, floats)
     return np.minimum(np.maximum(np.where(np.isfinite(whole), whole, 0.0), -1.0), 1.0).astype(float)
 
 
-def _packed(body: Mapping[str, Any]) -> bytes:
+def _packed(body: Mapping[str, Any] | bytes) -> bytes:
+    if isinstance(body, bytes):
+        return body
     numbers = [body[key] for key in sorted(body) if isinstance(body[key], int | float)]
     return np.array(numbers, "<f4").tobytes()
 

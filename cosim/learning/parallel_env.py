@@ -105,10 +105,9 @@ class VehiclesEnv(ParallelEnv[str, Vector, Vector]):  # type: ignore[misc]  # Pe
         self._ticks = 0
         self._begin(self._next_seed, shows=False)  # the first episode tells the sizes
         first = self._now.observed
-        self._sensors = SensorVector(task.sensors, self._now.readings()) if task.sensors else None
-        feature_count, readings = task.features(first).shape[-1], 0 if self._sensors is None else self._sensors.size
-        self.layout = Layout(len(self.possible_agents), task.message_floats, feature_count, readings)
-        self._bounds = self.layout.bounds(task, None if self._sensors is None else self._sensors.bounds)
+        self._sensors, feature_count = SensorVector(task.sensors, self._now.readings()), task.features(first).shape[-1]
+        self.layout = Layout(len(self.possible_agents), task.message_floats, feature_count, self._sensors.size)
+        self._bounds = self.layout.bounds(task, self._sensors.bounds)
         actions = task.action_size
         self._observation_spaces = {each: Box(*self._bounds, dtype=np.float32) for each in self.possible_agents}
         self._action_spaces = {each: Box(-1.0, 1.0, (actions,), np.float32) for each in self.possible_agents}
@@ -220,7 +219,7 @@ class VehiclesEnv(ParallelEnv[str, Vector, Vector]):  # type: ignore[misc]  # Pe
     def _observations(self) -> dict[str, Vector]:
         observed = self._now.observed
         values = self.layout.observations(observed, self.task.features(observed), self._bounds)[0]
-        if self._sensors is not None:
+        if self._sensors.size:
             readings = self._now.readings()
             for row, name in enumerate(self.possible_agents):
                 values[row, self.layout.sensors] = self._sensors.values(readings[name].readings)

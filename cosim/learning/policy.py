@@ -183,7 +183,7 @@ class Policy(Agent):
             self._task = task_of_meta(self._network.meta, self.task_class)
         except (UsageError, ValueError) as error:
             raise ScenarioError(str(error).removeprefix(f"{file}: "), key="file") from error
-        self.sensors = self._task.sensors or ()
+        self.sensors = self._task.sensors
 
     def start(self, info: VehicleInfo) -> None:
         """Prepare; the vehicles of the run must be as many as in the training."""
@@ -200,7 +200,7 @@ class Policy(Agent):
         self._mail = Mail(1, n, task.message_floats)
         self._layout: Layout | None = None
         self._bounds: Any = None
-        self._sensors: SensorVector | None = None
+        self._sensors: SensorVector
 
     def act(self, obs: Observation, radio: Radio) -> Velocity:
         """The command of the network's action; the message is sent if it says so."""
@@ -211,12 +211,11 @@ class Policy(Agent):
             task.step(worlds)
         features = task.features(worlds)
         if self._layout is None:
-            self._sensors = SensorVector(task.sensors, {obs.vehicle: obs}) if task.sensors else None
-            size, bounds = (0, None) if self._sensors is None else (self._sensors.size, self._sensors.bounds)
-            self._layout = Layout(len(self._names), task.message_floats, features.shape[-1], size)
-            self._bounds = self._layout.bounds(task, bounds)
+            self._sensors = SensorVector(task.sensors, {obs.vehicle: obs})
+            self._layout = Layout(len(self._names), task.message_floats, features.shape[-1], self._sensors.size)
+            self._bounds = self._layout.bounds(task, self._sensors.bounds)
         observation = self._layout.observations(worlds, features, self._bounds)[0, row]
-        if self._sensors is not None:
+        if self._sensors.size:
             observation[self._layout.sensors] = self._sensors.values(obs.readings)
         action = self._network(observation).astype(np.float32)
         if action.shape != (task.action_size,):

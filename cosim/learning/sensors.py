@@ -30,7 +30,7 @@ class SensorVector:
 
     def __init__(self, names: Sequence[str], first: Mapping[str, Observation]) -> None:
         self._sizes: dict[str, int] = {}
-        bounds: list[Floats] = []
+        bounds: list[Floats] = [np.zeros((2, 0))]
         for name in names:
             for vehicle, observation in first.items():
                 reading = observation.readings.get(name)

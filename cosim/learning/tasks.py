@@ -10,23 +10,6 @@ import numpy as np
 from vcmvsp.cosim.learning.task import Bools, Floats, Observed, Task, Worlds
 
 PERIOD_S = 0.1
-
-
-def _vehicles(count: int, kind: str) -> list[dict[str, Any]]:
-    return [{"name": f"v{number}", "kind": kind, "position": [0.0, 2.0 * number, 0.0]} for number in range(count)]
-
-
-def _scenario(name: str, vehicles: int, kind: str, duration_s: float, radio: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        "name": name,
-        "duration_s": duration_s,
-        "physics": {"kind": "kinematic"},
-        "radio": radio,
-        "agents": {"period_s": PERIOD_S},
-        "vehicle": _vehicles(vehicles, kind),
-    }
-
-
 LOSSY: Mapping[str, Any] = {
     "loss": {"kind": "bernoulli", "probability": 0.3},
     "delay": {"kind": "fixed", "seconds": 0.2, "jitter_s": 0.02},
@@ -34,8 +17,28 @@ LOSSY: Mapping[str, Any] = {
 """Radio of the built-in tasks: 30 % of all messages are lost, the others arrive two or three ticks late."""
 
 
+class _Team(Task):
+    """A number of vehicles of one kind, with the radio `LOSSY`."""
+
+    duration_s: ClassVar[float]
+    vehicles: int
+    kind: str
+
+    def scenario(self) -> Mapping[str, Any]:
+        """The scenario."""
+        places = [[0.0, 2.0 * number, 0.0] for number in range(self.vehicles)]
+        return {
+            "name": self.name,
+            "duration_s": self.duration_s,
+            "physics": {"kind": "kinematic"},
+            "radio": LOSSY,
+            "agents": {"period_s": PERIOD_S},
+            "vehicle": [{"name": f"v{n}", "kind": self.kind, "position": place} for n, place in enumerate(places)],
+        }
+
+
 @dataclass
-class Formation(Task):
+class Formation(_Team):
     """Keep slots around a point that moves on a circle, which only the first vehicle sees; the others learn of it by radio.
 
     Each vehicle observes its own slot relative to the point, and the first one the point itself. The reward of a vehicle is the
@@ -43,16 +46,13 @@ class Formation(Task):
     """
 
     name: ClassVar[str] = "formation"
+    duration_s: ClassVar[float] = 20.0
     vehicles: int = 3
     kind: str = "inertial"
     flies: bool = False  # the kind, 2 m above the ground
     max_speed: float = 0.75
     spacing_m: float = 1.5  # between neighbouring slots
     reach_m: float = 20.0
-
-    def scenario(self) -> Mapping[str, Any]:
-        """The scenario."""
-        return _scenario(self.name, self.vehicles, self.kind, 20.0, LOSSY)
 
     def starts(self, rng: np.random.Generator) -> Floats:
         """Around the point's start, with headings at random, (n, 4)."""
@@ -134,7 +134,7 @@ CELLS = 8
 
 
 @dataclass
-class Search(Task):
+class Search(_Team):
     """Fly over all cells of a square; what others have seen is known from their messages only.
 
     A vehicle observes which of the cells it has seen itself. Each cell that no vehicle has seen before gives every vehicle the
@@ -142,6 +142,7 @@ class Search(Task):
     """
 
     name: ClassVar[str] = "search"
+    duration_s: ClassVar[float] = 40.0
     vehicles: int = 3
     kind: str = "point"
     flies: bool = True
@@ -151,10 +152,6 @@ class Search(Task):
     max_climb: float = 1.0
     reach_m: float = 50.0
     message_floats: int = 4
-
-    def scenario(self) -> Mapping[str, Any]:
-        """The scenario."""
-        return _scenario(self.name, self.vehicles, self.kind, 40.0, LOSSY)
 
     def starts(self, rng: np.random.Generator) -> Floats:
         """Over different cells, (n, 4); 64 vehicles at most."""
@@ -219,7 +216,7 @@ class Search(Task):
 
 
 @dataclass
-class Gates(Task):
+class Gates(_Team):
     """Pass three gates in order, without coming nearer than 1 m to another vehicle, whose place is known by radio only.
 
     Each vehicle observes the way to its next gate and the one after it. The reward is the progress, m, towards the next gate,
@@ -227,6 +224,7 @@ class Gates(Task):
     """
 
     name: ClassVar[str] = "gates"
+    duration_s: ClassVar[float] = 30.0
     vehicles: int = 3
     kind: str = "point"
     flies: bool = True
@@ -236,10 +234,6 @@ class Gates(Task):
     max_speed: float = 3.0
     max_climb: float = 2.0
     reach_m: float = 60.0
-
-    def scenario(self) -> Mapping[str, Any]:
-        """The scenario."""
-        return _scenario(self.name, self.vehicles, self.kind, 30.0, LOSSY)
 
     def starts(self, rng: np.random.Generator) -> Floats:
         """In a line across, 2 m apart, (n, 4)."""

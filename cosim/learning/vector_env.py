@@ -53,6 +53,7 @@ class WorldsEnv:
         self._batch = WorldBatch(loaded.scenario, loaded.source, self.scenario.period_s)
         self.worlds: Worlds
         self._done: Bools
+        self._memory: dict[str, Any]
         self._frames: tuple[tuple[str, ...], NDArray[np.int64]]
         self._begin(self._next_seed)  # tells the sizes
         self._next_seed -= num_envs
@@ -109,7 +110,9 @@ class WorldsEnv:
         self._next_seed, self._ticks = seed + self.num_envs, 0
         episodes = [self.scenario.begin(each) for each in seeds]
         poses = np.stack([starts for starts, _ in episodes])
-        self._memory = {name: np.stack([np.asarray(memory[name]) for _, memory in episodes]) for name in episodes[0][1]}
+        self._memory = {}
+        for name in episodes[0][1]:
+            self._memory[name] = np.stack([memory[name] for _, memory in episodes])
         self._done = np.zeros(self.num_envs, np.bool_)
         self._frames = _NO_FRAMES
         self._mail = Mail(self.num_envs, len(self.names), self.task.message_floats)
