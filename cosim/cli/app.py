@@ -1,13 +1,9 @@
-"""The command line ``vcmvsp``: all commands, and `main`. Commands only parse and call the Python API.
-
-Each module of this package holds the commands of one subject and loads heavy modules inside functions.
-"""
+"""All commands of ``vcmvsp``, and `main`."""
 
 import atexit
 import contextlib
 import functools
 import gc
-import itertools
 import os
 import signal
 import sys
@@ -140,12 +136,14 @@ def _interruptible(command: Callable[..., None]) -> Callable[..., None]:
     return call
 
 
-PANELS = {panel: [name for name, *_ in commands] for panel, commands in _COMMANDS.items()}
-for _name, _target, _summary, _epilog in itertools.chain.from_iterable(_COMMANDS.values()):
-    if isinstance(_target, typer.Typer):
-        app.add_typer(_target, name=_name, short_help=_summary)
-    else:
-        app.command(_name, short_help=_summary, epilog=_epilog)(_interruptible(_target))
+PANELS: dict[str, list[str]] = {}
+for _panel, _commands in _COMMANDS.items():
+    PANELS[_panel] = [name for name, *_ in _commands]
+    for _name, _target, _summary, _epilog in _commands:
+        if isinstance(_target, typer.Typer):
+            app.add_typer(_target, name=_name, short_help=_summary)
+        else:
+            app.command(_name, short_help=_summary, epilog=_epilog)(_interruptible(_target))
 
 
 @functools.cache
@@ -212,10 +210,9 @@ def _with_values(arguments: list[str]) -> list[str]:
     """``--realtime`` alone means ``--realtime 1``, ``--foxglove`` alone its usual port."""
     full: list[str] = []
     ours = arguments.index("--") if "--" in arguments else len(arguments)  # arguments after it belong to another program
-    for position, argument in enumerate(arguments[:ours]):
+    for argument, following in zip(arguments[:ours], [*arguments[1:], "--"], strict=False):
         full.append(argument)
         if argument in ALONE:
-            following = arguments[position + 1] if position + 1 < len(arguments) else "--"
             try:
                 float(following)
             except ValueError:

@@ -186,8 +186,10 @@ def _content(ctx: typer.Context) -> dict[str, Any]:
 
 
 def _tables(content: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
-    value = content.get(name)
-    return [each for each in value if isinstance(each, dict)] if isinstance(value, list) else []
+    listed = content.get(name)
+    if not isinstance(listed, list):
+        return []
+    return [each for each in listed if isinstance(each, dict)]
 
 
 def _mapping(value: object) -> dict[str, Any]:
@@ -200,6 +202,9 @@ def _files(incomplete: str, suffix: str) -> list[str]:
         inside = sorted(Path(f"{folder}{slash}" or ".").iterdir())
     except OSError:
         return []
-    matches = [each for each in inside if each.name.startswith(prefix) and not each.name.startswith(".")]
-    names = {each: f"{folder}{slash}{each.name}" for each in matches}
-    return [f"{name}/" if each.is_dir() else name for each, name in names.items() if each.is_dir() or each.suffix == suffix]
+    names = []
+    for each in inside:
+        end = "/" if each.is_dir() else ""
+        if each.name.startswith(prefix) and not each.name.startswith(".") and (end or each.suffix == suffix):
+            names.append(f"{folder}{slash}{each.name}{end}")
+    return names

@@ -237,9 +237,12 @@ def _show(emulate: "Callable[[Ready], Mapping[str, Any]]", *, as_json: bool, dri
     out = _own_stdout()
 
     def say(about: Mapping[str, Any]) -> None:
-        out(json.dumps(about) + "\n" if as_json else "".join(f"{url}\n" for url in _urls(about)))
-        if driver and not as_json:
-            sys.stderr.write("".join(f"{line}\n" for line in _of_scenario(driver, about)))
+        if as_json:
+            out(json.dumps(about) + "\n")
+            return
+        out("".join(f"{url}\n" for url in _urls(about)))
+        if driver:
+            sys.stderr.writelines(f"{line}\n" for line in _of_scenario(driver, about))
 
     with stdout_to_stderr():
         happened = emulate(say)

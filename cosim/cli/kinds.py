@@ -4,6 +4,7 @@
 for a scenario, ``PART.py.tmpl``. The result runs, and its test passes, without changes.
 """
 
+import functools
 import importlib.util
 import inspect
 import keyword
@@ -109,7 +110,7 @@ def reference_command(
     on_terminal = sys.stdout.isatty()
     width = shutil.get_terminal_size().columns if on_terminal else None
     for number, each in enumerate(tree.sections_of(section)):
-        lines = tree.lines(each, width, _strong if on_terminal else str)
+        lines = tree.lines(each, width, functools.partial(typer.style, bold=True) if on_terminal else str)
         typer.echo(("\n" if number else "") + "\n".join(lines))
 
 
@@ -133,16 +134,16 @@ def world_command(
     built, name = worlds.world_of(world, scenarios.settings_of(set_ or []))
     about = worlds.describe(built, name)
     if mitsuba is not None:
-        meshes = worlds.write_mitsuba(built, mitsuba, **worlds.ground_of(world))
-        facts = {**about, "meshes": meshes, "scene": str(mitsuba / "scene.xml")}
-        sys.stdout.write(to_json(facts) if json else "".join(f"{key:<10} {value}\n" for key, value in facts.items()))
-        return
-    target = png or Path(f"{name}.png")
-    worlds.draw(built, target)
-    if json:
-        sys.stdout.write(to_json({**about, "png": str(target)}))
+        about["meshes"] = worlds.write_mitsuba(built, mitsuba, **worlds.ground_of(world))
+        about["scene"] = str(mitsuba / "scene.xml")
     else:
-        sys.stdout.writelines(f"{key:<10} {value}\n" for key, value in {**about, "picture": target}.items())
+        target = png or Path(f"{name}.png")
+        worlds.draw(built, target)
+        about["png" if json else "picture"] = str(target)
+    if json:
+        sys.stdout.write(to_json(about))
+    else:
+        sys.stdout.writelines(f"{key:<10} {value}\n" for key, value in about.items())
 
 
 def parameters_of(group: str, kind: str | None) -> dict[str, Any]:
@@ -159,7 +160,7 @@ def parameters_of(group: str, kind: str | None) -> dict[str, Any]:
     parameters = {
         name: {
             "type": describe.type_of(name, parameter.annotation),
-            "default": None if parameter.required else binding.plain(parameter.default),
+            "default": binding.plain(parameter.default),
             "required": parameter.required,
             "meaning": meanings.get(name, ""),
         }
@@ -178,10 +179,6 @@ def _text(about: dict[str, Any]) -> str:
 
     rows = [(name, default(each), each["type"], each["meaning"]) for name, each in about["parameters"].items()]
     return "\n".join([f"{about['kind']}: {about['summary']}", "", *aligned(rows), ""])
-
-
-def _strong(word: str) -> str:
-    return typer.style(word, bold=True)
 
 
 TEMPLATES = Path(__file__).resolve().parent / "templates"
@@ -279,7 +276,9 @@ def _refuse_taken(part: str, snake: str, camel: str, folder: Path) -> None:
     command = f"vcmvsp new {part} {snake}"
     layers = [group for group, verb in builtin_kinds.VERBS.items() if "frame" in verb or "paths" in verb]
     groups = {"channel": layers, "scenario": [], "task": []}.get(part, [part])
-    built_in = scenarios.names() if part == "scenario" else [kind for group in groups for kind in builtin_kinds.KINDS[group]]
+    built_in = [kind for group in groups for kind in builtin_kinds.KINDS[group]]
+    if part == "scenario":
+        built_in = scenarios.names()
     if snake in {each.replace("-", "_") for each in built_in}:
         raise UsageError(f"{command}: a built-in {part} has this name; choose another one, such as my-{snake}")
     if part == "scenario":

@@ -62,7 +62,8 @@ def pose_of(text: str | None) -> "Vec3 | None":
 
 def show_names(about: Mapping[str, str], *, json: bool) -> None:
     """Print names with their descriptions."""
-    sys.stdout.write(to_json(about) if json else "".join(f"{line}\n" for line in aligned(about.items())))
+    text = "".join(f"{line}\n" for line in aligned(about.items()))
+    sys.stdout.write(to_json(about) if json else text)
 
 
 def say(text: str) -> None:

@@ -146,13 +146,14 @@ def channel_command(
     waypoints = channel_trial.read_positions(positions)
     if to is not None and to not in waypoints.names:
         raise UsageError(f"--to: {binding.unknown('vehicle', to, waypoints.names)}")
+    share = 0.1 if jitter is None else jitter
     plan = channel_trial.TrialTraffic(
         waypoints=waypoints,
         rate_hz=1.0 if rate is None else binding.convert(rate, Rate, key="--rate"),
         size_bytes=_payload(size),
         duration_s=binding.convert(duration, Duration, key="--duration"),
         kind=traffic.value,
-        jitter=binding.convert(0.1 if jitter is None else jitter, Probability, key="--jitter"),
+        jitter=binding.convert(share, Probability, key="--jitter"),
         to=to,
         seed=binding.convert(seed, Seed, key="--seed"),
     )
@@ -423,8 +424,9 @@ def calibrate_command(
         sys.stdout.write(to_json({**msgspec.to_builtins(calibration), "radio": calibration.table()}))
         return
     sys.stdout.write(f"{calibration.summary()}\n\n{calibration.toml()}")
-    for name in ("radio.toml", *(("calibration.png",) if figure else ())) if out is not None else ():
-        sys.stdout.write(f"{Path(out or '') / name}\n")
+    if out is not None:
+        names = ["radio.toml", "calibration.png"] if figure else ["radio.toml"]
+        sys.stdout.writelines(f"{out / name}\n" for name in names)
 
 
 def write_calibration(folder: Path, calibration: "Calibration | RayCalibration", figure_data: dict[str, Any] | None) -> None:

@@ -173,7 +173,11 @@ def _number(number: float) -> str:
 
 
 def _pairs(values: Fields) -> str:
-    return "  ".join(f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}" for name, value in values.items())
+    return "  ".join(f"{name} {_short(value)}" for name, value in values.items())
+
+
+def _short(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else f"{value}"
 
 
 def _state(value: Fields) -> str:
@@ -302,7 +306,7 @@ def report(checks: "Iterable[Check]", *, as_json: bool = False) -> int:
         from vcmvsp.cosim.util.files import to_json
 
         sys.stdout.write(to_json(results))
-    return 0 if all(check["ok"] for check in results) else 1
+    return int(not all(check["ok"] for check in results))
 
 
 def installation() -> "Iterator[Check]":

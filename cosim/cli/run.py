@@ -395,10 +395,9 @@ def study_command(
 
 def _table(points: Sequence[Mapping[str, Any]], keys: Sequence[str], metrics: Sequence[str]) -> str:
     lines = [[*keys, "n", *metrics]]
-    lines += [
-        [*(str(point[key]) for key in keys), str(point["n"]), *(_band(point[name]) for name in metrics)]
-        for point in points[:SHOWN]
-    ]
+    for point in points[:SHOWN]:
+        values = [str(point[key]) for key in (*keys, "n")]
+        lines.append([*values, *(_band(point[name]) for name in metrics)])
     text = "".join(f"{line}\n" for line in aligned(lines))
     return text + (f"... and {len(points) - SHOWN} more points, in summary.csv\n" if len(points) > SHOWN else "")
 

@@ -224,7 +224,8 @@ def toml(value: object) -> str:
     if isinstance(value, float):
         return _short(Decimal(repr(value)).normalize().to_eng_string() if abs(value) >= 1e5 else repr(value))
     if isinstance(value, dict):
-        return f"{{ {', '.join(f'{name} = {toml(each)}' for name, each in value.items())} }}" if value else "{}"
+        pairs = ", ".join(f"{name} = {toml(each)}" for name, each in value.items())
+        return f"{{ {pairs} }}" if value else "{}"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(map(toml, value)) + "]"
     return json.dumps(value)
@@ -271,7 +272,7 @@ def keys_of(target: Described, common: type | None = None) -> Iterator[tuple[Key
             unit=unit_of(name),
             schema=schema_of(parameter.annotation),
             required=parameter.required,
-            default=None if parameter.required else binding.plain(changed(parameter.default)),
+            default=binding.plain(changed(parameter.default)),
             without=markdown(without),
             meaning=markdown(meaning),
         )

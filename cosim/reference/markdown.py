@@ -80,7 +80,8 @@ def tables(*paths: str, kinds: Collection[str] = ()) -> str:
 
 def _are_alike(first: Section, second: Section) -> bool:
     """Whether two sections are the same table at two places, or kinds of one table with half of all keys in common."""
-    first_keys, second_keys = ({key.name for key in each.keys} for each in (first, second))
+    first_keys = {key.name for key in first.keys}
+    second_keys = {key.name for key in second.keys}
     if first.path != second.path:
         return (first_keys, first.kind, first.about) == (second_keys, second.kind, second.about)
     return 2 * len(first_keys & second_keys) >= len(first_keys | second_keys)
@@ -97,10 +98,8 @@ def _table(sections: Sequence[Section]) -> str:
     lines = "\n".join(f"- {_name(each)}: {each.about}" for each in sections)
     if not rows:
         return lines
-    columns = dict.fromkeys(each.kind or "default" for each in sections)
-    cells = [
-        [f"`{name}`", kind, *(row.get(each, ABSENT) for each in columns), means] for (name, kind, means), row in rows.items()
-    ]
+    columns = dict.fromkeys((each.kind or "default" for each in sections), ABSENT)
+    cells = [[f"`{name}`", kind, *(columns | row).values(), means] for (name, kind, means), row in rows.items()]
     return f"{lines}\n\n{grid(['key', 'type, unit', *columns, 'meaning'], cells)}"
 
 
@@ -109,7 +108,8 @@ def _name(section: Section) -> str:
     kind, table = f"`{section.kind}`", f"`[[{section.path}]]`" if section.listed else f"`{section.path}`"
     if not section.kind:
         return table
-    return kind if section.path in {place.path for place in places()} else f"{table}, kind {kind}"
+    is_place = any(section.path == place.path for place in places())
+    return kind if is_place else f"{table}, kind {kind}"
 
 
 def radio() -> str:
@@ -158,9 +158,9 @@ BLOCKS: Mapping[str, Callable[[], str]] = {
     "safety": lambda: tables("safety"),
     "clock": lambda: tables("clock"),
     "routing": lambda: tables("routing"),
-    "doors": lambda: tables(*(f"bridge.{kind}" for kind in tree.DOORS)),
+    "doors": lambda: tables(*tree.DOORS),
     "sockets": lambda: tables("sockets"),
-    "stacks": lambda: tables(*(f"stack.{kind}" for kind in tree.STACKS)),
+    "stacks": lambda: tables(*tree.STACKS),
     "metrics": metrics,
 }
 PAGES: Mapping[str, Collection[str]] = {
@@ -191,12 +191,16 @@ def _layers() -> str:
 def _presets() -> str:
     """Keys that each preset sets beyond the defaults of its kinds, and its range."""
     tables = {name: preset(name) for name in PRESETS}
-    first = tables[PRESETS[0]]
-    alike = [layer for layer in LAYERS if all(each[layer] == first[layer] for each in tables.values())]
-    differ = [layer for layer in LAYERS if layer not in alike]
+    first, *others = tables.values()
+
+    def differs(layer: str) -> bool:
+        return any(each[layer] != first[layer] for each in others)
+
+    differ = list(filter(differs, LAYERS))
     rows = []
     for name, content in tables.items():
         rows.append([f"`{name}`", *(_setting(layer, content[layer]) for layer in differ), _length(reach_m(content))])
+    alike = [layer for layer in LAYERS if layer not in differ]
     same = "; ".join(f"{layer.replace('_', ' ')} is {_setting(layer, first[layer])}" for layer in alike)
     return (
         f"{grid(['preset', *(layer.replace('_', ' ') for layer in differ), 'range'], rows)}\n\n"
@@ -207,10 +211,11 @@ def _presets() -> str:
 
 def _setting(layer: str, content: Mapping[str, Any]) -> str:
     parameters = binding.parameters(registry.find(layer, content["kind"]))
-    own = {
-        name: value for name, value in params(content).items() if parameters[name].required or parameters[name].default != value
-    }
-    return ", ".join([f"`{content['kind']}`", *(f"`{name} = {toml(value)}`" for name, value in own.items())])
+    words = [f"`{content['kind']}`"]
+    for name, value in params(content).items():
+        if parameters[name].required or parameters[name].default != value:
+            words.append(f"`{name} = {toml(value)}`")
+    return ", ".join(words)
 
 
 def _length(metres: float) -> str:
@@ -259,11 +264,8 @@ def index_text() -> str:
     values_of: dict[str, dict[str, None]] = {}
     for path, values in _entries():
         values_of.setdefault(path, {}).update(dict.fromkeys(values))
-    tables = (
-        {path.rpartition(".")[0] for path in values_of}
-        | {each.path for each in full_reference().sections if each.listed}
-        | {"vehicle"}
-    )
+    tables = {"vehicle", *(path.rpartition(".")[0] for path in values_of)}
+    tables |= {each.path for each in full_reference().sections if each.listed}
     return "".join("\t".join([path, *values]) + "\n" for path, values in values_of.items() if path not in tables)
 
 
@@ -295,11 +297,15 @@ def _is_set(section: Section) -> bool:
 
 def _values(key: Key) -> list[str]:
     """Completion values of a key: its choices, or its default."""
-    choice: list[Any] = key.schema.get("enum", [True, False] if key.schema.get("type") == "boolean" else [])
-    words = [each if isinstance(each, str) else toml(each) for each in choice]
-    if not words and isinstance(key.default, str | float | int):
-        words = [key.default if isinstance(key.default, str) else toml(key.default)]
+    values: list[Any] = key.schema.get("enum", [True, False] if key.schema.get("type") == "boolean" else [])
+    if not values and isinstance(key.default, str | float | int):
+        values = [key.default]
+    words = [_bare(each) for each in values]
     return [word for word in words if word and not set(word) & set(" \t\n'\"")]
+
+
+def _bare(value: object) -> str:
+    return value if isinstance(value, str) else toml(value)
 
 
 def _join(*parts: str) -> str:

@@ -19,7 +19,7 @@ from vcmvsp.cosim.config import binding, builtin_kinds, registry
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.reference import describe
 from vcmvsp.cosim.reference.describe import Described, Key, keys_of, table_keys, toml
-from vcmvsp.cosim.scenario.loader import Repeat
+from vcmvsp.cosim.scenario.loader import TABLES, Repeat
 from vcmvsp.cosim.scenario.schema import AgentTable, SafetyTable, Scenario, StationTable, VehicleTable
 
 SCHEMA = "vcmvsp.reference/1"
@@ -38,8 +38,8 @@ NOT_SHARED = (
     "spacing",
     "turn_rad",
 )  # [vehicles] has none
-DOORS = (*builtin_kinds.KINDS["door"],)
-STACKS = (*builtin_kinds.KINDS["stack"],)
+DOORS = [f"bridge.{kind}" for kind in builtin_kinds.KINDS["door"]]
+STACKS = [f"stack.{kind}" for kind in builtin_kinds.KINDS["stack"]]
 EXTRA_ABOUT = {"routing": "Forwarding of messages over other vehicles."}
 """By place: description of a table whose common keys are no parameters of a class."""
 
@@ -84,29 +84,25 @@ class Place(typing.NamedTuple):
         return [*builtin_kinds.KINDS[self.group]] if self.group else []
 
 
-def radio() -> Sequence[type]:
-    """The class of ``[radio]`` without its layers."""
+def _radio() -> Sequence[type]:
     from vcmvsp.cosim.assembly.parts.radio import RadioFederate
 
     return [RadioFederate]
 
 
-def vehicle_radio() -> Sequence[type]:
-    """The class of ``[vehicle.radio]``."""
+def _vehicle_radio() -> Sequence[type]:
     from vcmvsp.cosim.assembly.parts.radio import Radio
 
     return [Radio]
 
 
-def positioning() -> Sequence[type]:
-    """The class of ``[vehicle.positioning]``."""
+def _positioning() -> Sequence[type]:
     from vcmvsp.cosim.assembly.parts.vehicles import Positioning
 
     return [Positioning]
 
 
-def fusion() -> Sequence[type]:
-    """The class of ``[vehicle.fusion]``."""
+def _fusion() -> Sequence[type]:
     from vcmvsp.cosim.estimation.fusion import Fusion
 
     return [Fusion]
@@ -116,51 +112,45 @@ def _field(name: str) -> Callable[[], Sequence[type]]:
     return lambda: binding.structs(binding.parameters(Scenario)[name].annotation)
 
 
-def _kind(group: str, kind: str) -> Callable[[], Sequence[type]]:
-    return lambda: [registry.find(group, kind)]
+def _kind(group: str, path: str) -> Callable[[], Sequence[type]]:
+    return lambda: [registry.find(group, path.partition(".")[2])]
 
 
 @functools.cache
 def places() -> Sequence[Place]:
     """All places, in display order."""
     layers = [Place(f"radio.{each}", each) for each in LAYERS]
+    doors = [Place(path, own=_kind("door", path)) for path in DOORS]
     places_of = {
         "physics": [Place("physics", "physics")],
         "world": [Place("world", "world")],
-        "radio": [Place("radio", own=radio), *layers],
+        "radio": [Place("radio", own=_radio), *layers],
         "routing": [Place("routing", "routing")],
-        "bridge": [
-            Place("bridge", own=_field("bridge")),
-            *(Place(f"bridge.{kind}", own=_kind("door", kind)) for kind in DOORS),
-        ],
-        "stack": [Place(f"stack.{kind}", own=_kind("stack", kind)) for kind in STACKS],
+        "bridge": [Place("bridge", own=_field("bridge")), *doors],
+        "stack": [Place(path, own=_kind("stack", path)) for path in STACKS],
         "agents": [Place("agents", "agent", _field("agents"))],
         "metrics": [Place("metrics", own=_field("metrics")), Place("metrics.own.METRIC", "metric")],
-        "vehicles": [],
         "vehicle": [
             Place(VEHICLE, "vehicle", lambda: [VehicleTable, Repeat]),
             Place(f"{VEHICLE}.agent", own=lambda: [AgentTable]),
-            Place(f"{VEHICLE}.positioning", own=positioning),
+            Place(f"{VEHICLE}.positioning", own=_positioning),
             Place(f"{VEHICLE}.sensors.SENSOR", "sensor"),
-            Place(f"{VEHICLE}.radio", own=vehicle_radio),
+            Place(f"{VEHICLE}.radio", own=_vehicle_radio),
             Place(f"{VEHICLE}.driver", "driver"),
             Place(f"{VEHICLE}.firmware", "firmware"),
             Place(f"{VEHICLE}.localisation", "localisation"),
-            Place(f"{VEHICLE}.fusion", own=fusion),
+            Place(f"{VEHICLE}.fusion", own=_fusion),
             Place(f"{VEHICLE}.safety", own=lambda: [SafetyTable]),
         ],
         "station": [Place(STATION, own=lambda: [StationTable])],
     }
-    groups = [
-        places_of.get(each) or ([Place(each, own=_field(each))] if _is_table(each) else [])
-        for each in binding.parameters(Scenario)
-    ]
-    return [Place("", own=lambda: [Scenario]), *(place for each in groups for place in each)]
-
-
-def _is_table(name: str) -> bool:
-    """Whether a key of a scenario is a single table without kinds."""
-    return len(_field(name)()) == 1 and _field(name)()[0] is binding.parameters(Scenario)[name].annotation
+    listed = [Place("", own=lambda: [Scenario])]
+    for name in binding.parameters(Scenario):
+        if name in places_of:
+            listed += places_of[name]
+        elif name in TABLES:
+            listed.append(Place(name, own=_field(name)))
+    return listed
 
 
 def steps_of(path: str) -> tuple[str, ...]:
@@ -217,16 +207,9 @@ def _about(target: Described) -> str:
 def extra_keys(place: Place) -> Iterator[Key]:
     """Keys that are not parameters of a class: a radio's preset, which fills its layers, and names of radios."""
     if place.path == "radio":
-        yield Key(
-            name="preset",
-            type="string",
-            unit="",
-            schema={"enum": [*PRESETS]},
-            required=False,
-            default="ideal",
-            without="",
-            meaning=f"sets all layers; the table of a layer changes some of its keys: {', '.join(PRESETS)}",
-        )
+        meaning = f"sets all layers; the table of a layer changes some of its keys: {', '.join(PRESETS)}"
+        preset = _name("preset", meaning, "")
+        yield msgspec.structs.replace(preset, schema={"enum": [*PRESETS]}, default="ideal")
         yield _name("name", "of one of several radios, each a table `[[radio]]`", "there is one radio")
         shared = "one of several radios with this channel share a medium and must agree in all keys"
         yield _name("channel", shared, "its own")
@@ -315,10 +298,11 @@ def _part(section: Section, name: tuple[str, ...], place: Place, query: tuple[st
     kinds = place.kinds if section.path == place.path else []
     if section.kind:
         kinds = [section.kind]
-    if (name and name[: len(query)] == query) or query in [(*name, kind) for kind in kinds]:
+    with_kinds = [(*name, kind) for kind in kinds]
+    if (name and name[: len(query)] == query) or query in with_kinds:
         return section
-    names = [name, *((*name, kind) for kind in kinds)]
-    keys = tuple(key for key in section.keys if query in [(*each, key.name) for each in names])
+    begins = query[:-1] in [name, *with_kinds]
+    keys = tuple(key for key in section.keys if begins and query[-1:] == (key.name,))
     return msgspec.structs.replace(section, keys=keys) if keys else None
 
 
@@ -359,7 +343,7 @@ def lines(section: Section, width: int | None = None, strong: Style = str) -> It
     head = heading(section)
     yield from _wrapped(f"{strong(head)}: ", len(head) + 2, section.about, width, hanging=4)
     rows = [(key.name, key.type, default_of(key)) for key in section.keys]
-    widths = [max(len(row[column]) for row in rows) if rows else 0 for column in range(3)]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for key, row in zip(section.keys, rows, strict=True):
         name, *others = (cell.ljust(size) for cell, size in zip(row, widths, strict=True))
         begun = "  ".join(["", name.replace(key.name, strong(key.name)), *others, ""])

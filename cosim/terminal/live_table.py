@@ -47,7 +47,7 @@ class _Column(NamedTuple):
     title: str
     importance: int  # columns of low importance are dropped first if space is short
     cell: Callable[[_Vehicle, int], str]
-    left: bool = False
+    align: str = ">"
 
 
 class LiveTable:
@@ -72,13 +72,14 @@ class LiveTable:
             return []
         chosen = names if len(names) <= most else sorted(names, key=lambda name: _rank(every[name], now_ns))[:most]
         vehicles = [every[name] for name in chosen]
-        rows = {column.title: [column.cell(each, now_ns) for each in vehicles] for column in self._columns()}
-        rows = {"vehicle": [name[:CELL] for name in chosen], **rows}
+        rows = {"vehicle": [name[:CELL] for name in chosen]}
+        for column in self._columns():
+            rows[column.title] = [column.cell(each, now_ns) for each in vehicles]
         columns = self._fitting(rows, width)
-        lines = [_joined([(title, self._widths[title], left) for title, left in columns], width)]
-        for row in range(len(chosen)):
-            cells = [(rows[title][row], self._widths[title], left) for title, left in columns]
-            lines.append(_joined(cells, width))
+        lines = []
+        for cells in zip(*([title, *rows[title]] for title in columns), strict=True):
+            aligned = map("{:{}}".format, cells, columns.values())
+            lines.append(GAP.join(aligned).rstrip()[:width])
         kinds = ["head", *(_kind(each) for each in vehicles)]
         table = [TableLine(text, kind) for text, kind in zip(lines, kinds, strict=True)]
         rest = len(names) - len(chosen)
@@ -96,18 +97,13 @@ class LiveTable:
         run.settle()
         presence, heard_ns = run.newest["presence"], run.newest["heard_ns"]
         names = dict.fromkeys([*motion, *run.commanders, *presence, *sorted(run.halted), *heard_ns, *sent])
-        return {
-            name: _Vehicle(
-                plain(run.commanders[name], CELL) if name in run.commanders else self._agents.get(name, ""),
-                STATES[presence[name].state] if name in presence else "",
-                name in run.halted,
-                heard_ns.get(name),
-                sent[name],
-                received[name],
-                *motion.get(name, ()),
-            )
-            for name in names
-        }
+        vehicles = {}
+        for name in names:
+            by = plain(run.commanders[name], CELL) if name in run.commanders else self._agents.get(name, "")
+            state = STATES[presence[name].state] if name in presence else ""
+            counts = sent[name], received[name]
+            vehicles[name] = _Vehicle(by, state, name in run.halted, heard_ns.get(name), *counts, *motion.get(name, ()))
+        return vehicles
 
     def _motion(self, states: States) -> dict[str, tuple[list[float], float, float]]:
         w, x, y, z = states.attitude.T
@@ -123,17 +119,17 @@ class LiveTable:
     def _columns(self) -> tuple[_Column, ...]:
         axes = 3 if self._flies else 2
         return (
-            _Column("state", 7, lambda each, _: each.state or ("halted" if each.halted else "ok"), left=True),
-            _Column("by", 1, lambda each, _: each.by, left=True),
-            _Column("position [m]", 3, lambda each, _: " ".join(f"{value:6.1f}" for value in each.position[:axes])),
+            _Column("state", 7, lambda each, _: each.state or _kind(each) or "ok", "<"),
+            _Column("by", 1, lambda each, _: each.by, "<"),
+            _Column("position [m]", 3, lambda each, _: " ".join(map("{:6.1f}".format, each.position[:axes]))),
             _Column("speed [m/s]", 2, lambda each, _: _number(each.speed, 2)),
             _Column("error [m]", 6, lambda each, _: _number(each.error_m, 3)),
             _Column("heard [s ago]", 5, _age),
             _Column("delivered", 4, lambda each, _: f"{100 * each.received / each.sent:.0f} %" if each.sent else ""),
         )
 
-    def _fitting(self, rows: Mapping[str, Sequence[str]], width: int) -> list[tuple[str, bool]]:
-        """Titles of the columns that contain values and fit, and whether they are left-aligned."""
+    def _fitting(self, rows: Mapping[str, Sequence[str]], width: int) -> dict[str, str]:
+        """Titles of the columns that contain values and fit, and the format of their cells."""
         for title, cells in rows.items():
             widest = max(map(len, cells))
             if widest:
@@ -142,7 +138,8 @@ class LiveTable:
         columns = [title for title in rows if title in self._widths]
         while len(columns) > 1 and sum(self._widths[each] + len(GAP) for each in columns) - len(GAP) > width:
             columns.remove(min(columns[1:], key=lambda title: column_of[title].importance))
-        return [(title, title == "vehicle" or column_of[title].left) for title in columns]
+        align_of = {"vehicle": "<", **{title: column.align for title, column in column_of.items()}}
+        return {title: f"{align_of[title]}{self._widths[title]}" for title in columns}
 
 
 def _rank(vehicle: _Vehicle, now_ns: int) -> tuple[Any, ...]:
@@ -165,7 +162,3 @@ def _age(vehicle: _Vehicle, now_ns: int) -> str:
 
 def _number(value: float, places: int) -> str:
     return "" if math.isnan(value) else f"{value:.{places}f}"
-
-
-def _joined(cells: Sequence[tuple[str, int, bool]], width: int) -> str:
-    return GAP.join(text.ljust(wide) if left else text.rjust(wide) for text, wide, left in cells).rstrip()[:width]

@@ -4,7 +4,7 @@ import contextlib
 import os
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -208,24 +208,34 @@ def summary(result: "Result") -> str:
     agents = f"{len(about['agents'])} agents" + (f" ({places})" if places else "")
     simulated = f"{metrics['duration_s']:g} s simulated in {about['simulating_s']:.1f} s"
     speed = metrics["duration_s"] / max(about["simulating_s"], 1e-9)
-    collisions, lost = metrics["safety"]["collisions"], {name: each["lost_s"] for name, each in metrics["agents"].items()}
-    lines = {
-        "radio": _of_radio(metrics["radio"]),
-        "routing": _of_routing(metrics["routing"]) if metrics.get("routing") else "",
-        "formation": _of_formation(metrics["formation"]) or _unmeasured(result),
-        "mission": _of_mission(metrics["mission"]) if metrics.get("mission") else "",
-        "own": ", ".join(f"{name} {_short(value)}" for name, value in metrics.get("own", {}).items()),
-        **{name: _of_real(real) for name, real in metrics.get("hardware", {}).items()},
-        "lateness": lateness(about["lateness"]) if about["lateness"] else "",
-        "bridge": _of_bridge(about["bridge"]) if about.get("bridge") else "",
-        "safety": f"{collisions} collisions" if collisions else "",
-        "lost": ", ".join(f"{name} for {lost_s:.1f} s" for name, lost_s in lost.items() if lost_s),
-        "results": str(result.folder),
-    }
-    texts = {f"{label}:": words for label, words in lines.items() if words}
+    texts = {f"{label}:": words for label, words in _parts(result) if words}
     width = max(10, *map(len, texts))
     head = f"{metrics['scenario']}: {agents}, {simulated} ({_times(speed)} real time)"
-    return "".join(f"{line}\n" for line in (head, *(f"{label:<{width}} {words}" for label, words in texts.items())))
+    lines = [f"{label:<{width}} {words}" for label, words in texts.items()]
+    return "\n".join([head, *lines, ""])
+
+
+def _parts(result: "Result") -> Iterator[tuple[str, str]]:
+    """Titles and texts of the summary; some texts may be empty."""
+    metrics, about = result.metrics, result.about
+    yield "radio", _of_radio(metrics["radio"])
+    if routing := metrics.get("routing"):
+        yield "routing", _of_routing(routing)
+    yield "formation", _of_formation(metrics["formation"]) or _unmeasured(result)
+    if mission := metrics.get("mission"):
+        yield "mission", _of_mission(mission)
+    yield "own", ", ".join(f"{name} {_short(value)}" for name, value in metrics.get("own", {}).items())
+    for name, real in metrics.get("hardware", {}).items():
+        yield name, _of_real(real)
+    if late := about["lateness"]:
+        yield "lateness", lateness(late)
+    if carried := about.get("bridge"):
+        yield "bridge", _of_bridge(carried)
+    if collisions := metrics["safety"]["collisions"]:
+        yield "safety", f"{collisions} collisions"
+    lost_s = {name: each["lost_s"] for name, each in metrics["agents"].items()}
+    yield "lost", ", ".join(f"{name} for {seconds:.1f} s" for name, seconds in lost_s.items() if seconds)
+    yield "results", str(result.folder)
 
 
 def lateness(late: Mapping[str, Any]) -> str:
@@ -291,10 +301,14 @@ def _short(value: float | None) -> str:
 
 def _of_mission(mission: Mapping[str, Any]) -> str:
     times = mission["found_s"]
-    finds = ", ".join(f"{name} {'never' if time_s is None else f'{time_s:.1f} s'}" for name, time_s in times.items())
+    finds = ", ".join(f"{name} {_when(time_s)}" for name, time_s in times.items())
     words = f"{mission['targets_found']} of {len(times)} targets found ({finds}), {mission['targets_tracked']} tracked"
     area = mission["area_seen_ratio"]
     return words + ("" if area is None else f", {100 * area:.0f} % of the area seen")
+
+
+def _when(time_s: float | None) -> str:
+    return "never" if time_s is None else f"{time_s:.1f} s"
 
 
 def _of_real(real: Mapping[str, Any]) -> str:
