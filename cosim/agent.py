@@ -328,7 +328,10 @@ def _depth(value: object) -> int:
     depth, level = 0, [value]
     while level := [each for each in level if isinstance(each, dict | list)]:
         depth += 1
-        level = [inner for each in level for inner in (each.values() if isinstance(each, dict) else each)]
+        inside: list[object] = []
+        for each in level:
+            inside += each.values() if isinstance(each, dict) else each
+        level = inside
     return depth
 
 

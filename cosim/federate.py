@@ -78,9 +78,7 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
     periods_s: Mapping[str, float] = {}  # periods of agents, by vehicle
     clocks: Mapping[str, VehicleClock] = {}  # of vehicles that do not have the run's time
     stations: tuple[str, ...] = ()  # vehicles that are stations
-    radios: Mapping[
-        str, tuple[str, ...]
-    ] = {}  # vehicles with each of several radios, by its name; empty: all have the only one
+    radios: Mapping[str, tuple[str, ...]] = {}  # vehicles with each of several radios, by its name; empty: there is one
 
 
 class Needed:

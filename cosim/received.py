@@ -255,10 +255,8 @@ class Mailboxes:
 
 def _rows_of(batch: Receptions, rows: Array) -> Receptions:
     """Some receptions of a batch, by number or by mask; all of its messages."""
-    return Receptions(
-        names=batch.names,
-        messages=batch.messages,
-        sent_ns=batch.sent_ns,
+    return msgspec.structs.replace(
+        batch,
         message=batch.message[rows],
         receiver=batch.receiver[rows],
         arrival_ns=batch.arrival_ns[rows],
@@ -286,27 +284,27 @@ def _joined(batches: Sequence[Receptions]) -> Receptions:
     if len(batches) == 1:
         return batches[0]
     first = itertools.accumulate((len(each.messages) for each in batches[:-1]), initial=0)
-    return Receptions(
-        names=batches[0].names,
-        messages=tuple(message for each in batches for message in each.messages),
-        sent_ns=np.concatenate([each.sent_ns for each in batches]),
-        message=np.concatenate([each.message + offset for each, offset in zip(batches, first, strict=True)]),
-        receiver=np.concatenate([each.receiver for each in batches]),
-        arrival_ns=np.concatenate([each.arrival_ns for each in batches]),
-        rssi_dbm=np.concatenate([each.rssi_dbm for each in batches]),
-    )
+    numbers = [each.message + offset for each, offset in zip(batches, first, strict=True)]
+    messages = itertools.chain.from_iterable(each.messages for each in batches)
+    columns = {}
+    for name in ("sent_ns", "receiver", "arrival_ns", "rssi_dbm"):
+        columns[name] = np.concatenate([getattr(each, name) for each in batches])
+    return Receptions(names=batches[0].names, messages=tuple(messages), message=np.concatenate(numbers), **columns)
 
 
 def receptions_at(vehicle: str, items: Sequence[Reception], names: tuple[str, ...]) -> Receptions:
     """Receptions of one vehicle as a batch; ``names``: all vehicles."""
+    sent_ns = [each.sent_ns for each in items]
+    arrival_ns = [each.received_ns for each in items]
+    rssi_dbm = [each.rssi_dbm for each in items]
     return Receptions(
         names=names,
         messages=tuple(each.message for each in items),
-        sent_ns=np.array([each.sent_ns for each in items], np.int64),
+        sent_ns=np.array(sent_ns, np.int64),
         message=np.arange(len(items)),
         receiver=np.full(len(items), names.index(vehicle), np.int64),
-        arrival_ns=np.array([each.received_ns for each in items], np.int64),
-        rssi_dbm=np.array([each.rssi_dbm for each in items], np.float64),
+        arrival_ns=np.array(arrival_ns, np.int64),
+        rssi_dbm=np.array(rssi_dbm, np.float64),
     )
 
 

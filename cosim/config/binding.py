@@ -148,7 +148,8 @@ def complete(target: Callable[..., Any], table: Mapping[str, Any], without: Iter
 def with_files(target: Callable[..., Any], table: Mapping[str, Any], change: Callable[[str], str]) -> dict[str, Any]:
     """The table with changed file names: values that ``target`` annotates as `FileName` or ``pathlib.Path``, at any depth."""
     known = parameters(target)
-    return {name: _with_files(each, known[name].annotation, change) if name in known else each for name, each in table.items()}
+    changed = {name: _with_files(each, known[name].annotation, change) for name, each in table.items() if name in known}
+    return {**table, **changed}
 
 
 def _with_files(value: Any, annotation: object, change: Callable[[str], str]) -> Any:
@@ -156,10 +157,10 @@ def _with_files(value: Any, annotation: object, change: Callable[[str], str]) ->
         return change(value) if value and _names_file(annotation) else value
     if isinstance(value, Mapping):
         items = [typing.get_args(each)[1] for each in _alternatives(annotation) if typing.get_origin(each) in (dict, Mapping)]
-        known = {} if items else _table_keys(annotation, value)
-        others = items[0] if items else Any
-        of = {name: known[name].annotation if name in known else others for name in value}
-        return {name: _with_files(each, of[name], change) for name, each in value.items()}
+        annotations = dict.fromkeys(value, items[0] if items else Any)
+        if not items:
+            annotations |= {name: each.annotation for name, each in _table_keys(annotation, value).items()}
+        return {name: _with_files(each, annotations[name], change) for name, each in value.items()}
     if isinstance(value, list | tuple):
         return [_with_files(each, _item(annotation, number), change) for number, each in enumerate(value)]
     return value
@@ -314,10 +315,8 @@ def describe(annotation: object) -> str:
     """The values that an annotation allows, in words."""
     origin, inner = typing.get_origin(annotation), typing.get_args(annotation)
     if origin is typing.Annotated:
-        limits = [(sign, getattr(meta, name)) for meta in inner[1:] for name, sign in _SIGNS]
-        bounds = [
-            f"{sign} {limit if isinstance(limit, str) else format(limit, 'g')}" for sign, limit in limits if limit is not None
-        ]
+        limits = [(words, getattr(meta, name)) for meta in inner[1:] for name, words in _LIMITS]
+        bounds = [words.format(limit) for words, limit in limits if limit is not None]
         return f"{describe(inner[0])} {' and '.join(bounds)}".rstrip()
     if origin is typing.Literal:
         return f"one of {', '.join(map(repr, inner))}"
@@ -349,7 +348,7 @@ def show(value: object) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-_SIGNS = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="), ("pattern", "matching"))
+_LIMITS = (("gt", "> {:g}"), ("ge", ">= {:g}"), ("lt", "< {:g}"), ("le", "<= {:g}"), ("pattern", "matching {}"))
 _WORDS: dict[object, str] = {
     Any: "any value",
     float: "a number",

@@ -70,8 +70,7 @@ class Exchange:
         self._later: dict[tuple[int, Slot], Given] = {}  # events of these slots
         self._present: Given = {}  # events of the current slot
         self._routes: dict[str, Route] = {}
-        kinds = ([each.reads for each in federates], [each.wakes for each in federates], [each.latest for each in federates])
-        self._subscriptions = [_Subscriptions(expressions) for expressions in kinds]
+        self._subscriptions = [_Subscriptions(federates, kind) for kind in ("reads", "wakes", "latest")]
 
     def inbox(self, index: int) -> Sequence[Event]:
         """Take the events that a federate has not read yet, in order of time."""
@@ -159,13 +158,13 @@ class Exchange:
 
 
 class _Subscriptions:
-    """Key expressions of federates; plain keys are looked up, as each vehicle has some."""
+    """Key expressions of one kind, of all federates; plain keys are looked up, as each vehicle has some."""
 
-    def __init__(self, expressions: Sequence[Sequence[str]]) -> None:
+    def __init__(self, federates: Sequence[Federate], kind: str) -> None:
         self._plain: defaultdict[str, list[int]] = defaultdict(list)
         self._patterns: list[tuple[str, int]] = []
-        for index, own in enumerate(expressions):
-            for each in own:
+        for index, federate in enumerate(federates):
+            for each in getattr(federate, kind):
                 if "*" in each:
                     self._patterns.append((each, index))
                 else:
@@ -203,9 +202,7 @@ class Kernel:
         self._half: tuple[int, Slot, list[tuple[int, Sequence[Event]]]] | None = None  # a slot that waits for the caller
         self._last_ns = -1  # the last instant
         self._waiting = frozenset(i for i, each in enumerate(self._federates) if isinstance(each, Waiting) and each.waits)
-        self._polled: list[tuple[int, Polled]] = [
-            (i, each) for i, each in enumerate(self._federates) if isinstance(each, Polled)
-        ]
+        self._polled = {i: each for i, each in enumerate(self._federates) if isinstance(each, Polled)}
         self._clock, self._tolerance_ns, self._strict = clock or SimClock(), tolerance_ns, strict
         self._events = Exchange(self._federates, self._wake)
         self._released, self._parted = False, list[VcmvspError]()  # errors while federates were released
@@ -269,14 +266,14 @@ class Kernel:
         return False
 
     def _poll(self, now_ns: int) -> None:
-        for index, federate in self._polled:
+        for index, federate in self._polled.items():
             with self._blames[index]:
                 when = federate.poll(now_ns)
             if when:
                 self._schedule(index, now_ns)
 
     def _listen(self) -> None:
-        doors = [each.fileno() for _, each in self._polled if isinstance(each, Prompted)]
+        doors = [each.fileno() for each in self._federates if isinstance(each, Prompted)]
         open_ = [each for each in doors if each >= 0]
         if open_ and isinstance(self._clock, WallClock):
             self._clock.sleep = lambda seconds: bool(readable(open_, seconds))

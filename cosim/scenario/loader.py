@@ -16,14 +16,8 @@ from vcmvsp.cosim.scenario.schema import (
     AgentsTable,
     AgentTable,
     BridgeTable,
-    ClockTable,
-    MetricsTable,
-    RecordTable,
-    SafetyTable,
     Scenario,
-    SocketsTable,
     StationTable,
-    StudyTable,
     VehicleTable,
 )
 from vcmvsp.cosim.types import Name, Vec3
@@ -48,22 +42,23 @@ KEYS = tuple(binding.parameters(Repeat))
 
 def repeated(listed: Sequence[Any], source: Source) -> list[Any]:
     """The vehicles, with one copy per ``count`` of repeated ones."""
-    counts = [table.get("count", 1) if isinstance(table, dict) else 1 for table in listed]
+    counts = [table.get("count", 1) for table in listed if isinstance(table, dict)]
     if (total := sum(each for each in counts if isinstance(each, int))) > MOST:
         raise source.error(f"{total} vehicles are too many (at most {MOST}): lower the counts", "vehicle")
-    return [each for table in listed for each in (_copies(table, source) if isinstance(table, dict) else [table])]
+    vehicles: list[Any] = []
+    for table in listed:
+        vehicles += _copies(table, source) if isinstance(table, dict) else [table]
+    return vehicles
 
 
 def names_copy(raw: Mapping[str, Any], key: str) -> bool:
     """Whether a key path belongs to one copy of a repeated vehicle: ``vehicle.uav7.kind``."""
     group, _, rest = key.partition(".")
     name, listed = rest.partition(".")[0], raw.get("vehicle")
-    stems = (
-        [str(each.get("name")) for each in listed if isinstance(each, dict) and "count" in each]
-        if isinstance(listed, list)
-        else []
-    )
-    return group == "vehicle" and any(name.startswith(stem) and name[len(stem) :].isdigit() for stem in stems)
+    if group != "vehicle" or not isinstance(listed, list):
+        return False
+    stems = [str(each.get("name")) for each in listed if isinstance(each, dict) and "count" in each]
+    return any(name.startswith(stem) and name[len(stem) :].isdigit() for stem in stems)
 
 
 def _copies(table: dict[str, Any], source: Source) -> list[dict[str, Any]]:
@@ -93,7 +88,8 @@ def _copies(table: dict[str, Any], source: Source) -> list[dict[str, Any]]:
 RESERVED = ("world", "radio", "bridge", "operator", "log", "tf")  # first parts of event keys that belong to no vehicle
 NAMED = ("vehicle", "station")  # arrays of tables that key paths reach by name
 BUILT_IN = registry.SHIPPED
-OPEN = ("physics", "world", "radio", "routing", "stack")  # tables whose keys belong to kinds
+TABLES = {name: each.annotation for name, each in binding.parameters(Scenario).items() if isinstance(each.annotation, type)}
+"""Tables that have no kinds and stand once, by name."""
 T = TypeVar("T")
 
 
@@ -157,27 +153,10 @@ def parse(raw: Mapping[str, Any], source: Source) -> Scenario:
     vehicles = (*(_vehicle(each, defaults, source) for each in listed), *map(_as_vehicle, stations))
     _unique([each.name for each in vehicles], source)
     _used(defaults, listed, source)
-    arguments = {
-        "agents": agents,
-        "bridge": bridge,
-        "vehicle": vehicles,
-        "station": stations,
-        "vehicles": defaults,
-        **{name: _mapping(raw[name], name, source) for name in ("physics", "world", "routing", "stack") if name in raw},
-        "radio": _radio(raw.get("radio", {}), vehicles, source),
-        **{
-            name: binding.call(kind, _mapping(raw[name], name, source), key=name, origin=source)
-            for name, kind in (
-                ("sockets", SocketsTable),
-                ("clock", ClockTable),
-                ("safety", SafetyTable),
-                ("record", RecordTable),
-                ("metrics", MetricsTable),
-                ("study", StudyTable),
-            )
-            if name in raw
-        },
-    }
+    arguments = {"agents": agents, "bridge": bridge, "vehicle": vehicles, "station": stations, "vehicles": defaults}
+    arguments |= _with_kinds(raw, source)
+    arguments["radio"] = _radio(raw.get("radio", {}), vehicles, source)
+    arguments |= _without_kinds(raw, source)
     rest = {name: value for name, value in raw.items() if name not in arguments}
     parsed = binding.call(Scenario, rest, origin=source, arguments=arguments, also=binding.parameters(Scenario))
     _check_window(parsed, source)
@@ -326,6 +305,17 @@ def _check_named(raw: object, path: str, source: Source) -> None:
     if name is None:
         raise source.error("is missing", key)
     binding.convert(name, str, key=key, origin=source)
+
+
+def _with_kinds(raw: Mapping[str, Any], source: Source) -> dict[str, Any]:
+    """The tables of a scenario whose keys belong to kinds."""
+    return {name: _mapping(raw[name], name, source) for name in ("physics", "world", "routing", "stack") if name in raw}
+
+
+def _without_kinds(raw: Mapping[str, Any], source: Source) -> dict[str, Any]:
+    """The other tables that stand once, with all their own keys."""
+    own = {name: _mapping(raw[name], name, source) for name in TABLES if name in raw and name not in ("agents", "bridge")}
+    return {name: binding.call(TABLES[name], table, key=name, origin=source) for name, table in own.items()}
 
 
 def _vehicle(raw: dict[str, Any], defaults: Mapping[str, Any], source: Source) -> VehicleTable:

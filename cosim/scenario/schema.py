@@ -254,7 +254,8 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def radios(self) -> dict[str, Mapping[str, Any]]:
         """Tables of several radios, by name; empty: there is one without a name."""
-        return {} if isinstance(self.radio, Mapping) else {each["name"]: each for each in self.radio}
+        several = () if isinstance(self.radio, Mapping) else self.radio
+        return {each["name"]: each for each in several}
 
     @property
     def first_radio(self) -> Mapping[str, Any]:
@@ -264,8 +265,10 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def radio_members(self) -> dict[str, tuple[str, ...]]:
         """Vehicles with each of several radios, by its name."""
-        every = self.vehicle
-        return {radio: tuple([v.name for v in every if v.radios is None or radio in v.radios]) for radio in self.radios}
+        members = {}
+        for radio in self.radios:
+            members[radio] = tuple([each.name for each in self.vehicle if each.radios is None or radio in each.radios])
+        return members
 
     def with_radio(self, name: str) -> "Scenario":
         """The scenario with one of several radios as its only one, also in the tables ``radio`` of its vehicles."""

@@ -62,12 +62,17 @@ def numbers(dtype: np.dtype[Any], raw: bytes) -> Array:
 def other(value: object) -> object:
     """Substitute for values that MessagePack lacks: an array as (dtype, shape, raw bytes), a NumPy number as a plain one."""
     if isinstance(value, np.ndarray):
-        return name_of(value.dtype), value.shape, value.data if value.flags.c_contiguous else value.tobytes()
+        return name_of(value.dtype), value.shape, _bytes_of(value)
     if isinstance(value, Later):
         return value.get()
     if isinstance(value, np.generic):
         return value.item()
     raise NotImplementedError(f"cannot send a {type(value).__name__}")
+
+
+def _bytes_of(array: Array) -> bytes | memoryview:
+    """The bytes of an array, in C order; a copy only if they lie in another."""
+    return array.data if array.flags.c_contiguous else array.tobytes()
 
 
 def encode(value: object, other: Callable[[Any], object] = other) -> bytes:
@@ -133,8 +138,7 @@ def pack(value: object) -> bytes:
         return content
     kinds = groupby([(each.dtype, each.shape) for each in arrays])
     table = encode([(name_of(dtype), shape, len(list(alike))) for (dtype, shape), alike in kinds])
-    raw = [each if each.flags.c_contiguous else each.tobytes() for each in arrays]
-    return b"".join([_head.pack(_MARK, len(content), len(table)), content, table, *raw])  # type: ignore[list-item]
+    return b"".join([_head.pack(_MARK, len(content), len(table)), content, table, *map(_bytes_of, arrays)])
 
 
 class Unpacker(Generic[T]):
@@ -178,7 +182,10 @@ def _apart(data: memoryview) -> tuple[memoryview, Iterator[Array]]:
         if len(raw) < size:
             raise ValueError("it breaks off")
         block = numbers(dtype, bytes(raw[:size])).reshape(kind.count, *kind.shape)
-        blocks.append(block if kind.shape else (each.reshape(()) for each in block.reshape(-1, 1)))
+        if kind.shape:
+            blocks.append(block)
+        else:
+            blocks.append(each.reshape(()) for each in block.reshape(-1, 1))
         raw = raw[size:]
     if raw:
         raise ValueError("more arrays than announced")

@@ -91,11 +91,11 @@ class _Edges:
         meeting = np.flatnonzero(_meet(self.start[i], self.end[i], self.start[j], self.end[j]))
         if not len(meeting):
             return None
-        numbers = (int(each[meeting[0]]) for each in (i, j))
-        first, second = (
-            f"edge {self._number[k]}" + (f" of hole {self._ring[k] - 1}" if self._ring[k] else "") for k in numbers
-        )
-        return first, second
+        return self._name(i[meeting[0]]), self._name(j[meeting[0]])
+
+    def _name(self, edge: int) -> str:
+        hole = f" of hole {self._ring[edge] - 1}" if self._ring[edge] else ""
+        return f"edge {self._number[edge]}{hole}"
 
     def inside(self, point: Array, without: int) -> bool:
         """Whether a point is inside, ignoring one ring: an odd number of edges lies east of it."""
@@ -228,7 +228,8 @@ def _triangles(corners: Sequence[Point], ring: Sequence[int]) -> list[list[int]]
             break
         else:
             raise ValueError("an outline crosses itself")
-    return [*triangles, rest] if _turn(*(corners[k] for k in rest)) > 0.0 else triangles
+    p, q, r = (corners[k] for k in rest)
+    return [*triangles, rest] if _turn(p, q, r) > 0.0 else triangles
 
 
 def _any_inside(corners: Sequence[Point], triangle: tuple[int, int, int], ring: Sequence[int]) -> bool:

@@ -25,7 +25,8 @@ def plain(text: str, limit: int = LONGEST_LINE, *, lines: bool = False) -> str:
     """
     text = _ESCAPE.sub("", text[: 2 * limit + 100])  # bounds the work on long texts
     keep = "\n" if lines else ""
-    text = "".join(each if each.isprintable() or each in keep else " " for each in text)
+    for unsafe in {each for each in text if not each.isprintable() and each not in keep}:
+        text = text.replace(unsafe, " ")
     return text if len(text) <= limit else text[: limit - 3] + "..."
 
 
@@ -33,7 +34,7 @@ def aligned(rows: Iterable[Sequence[str]], right: Container[int] = ()) -> list[s
     """Rows of cells as lines, with columns of equal width two spaces apart; the columns ``right`` end at their right."""
     listed = list(rows)
     widths = [max(map(len, column)) for column in zip(*listed, strict=True)]
-    marks = [">" if column in right else "<" for column in range(len(widths))]
+    marks = ["<>"[column in right] for column in range(len(widths))]
     return ["  ".join(map("{:{}{}}".format, row, marks, widths)).rstrip() for row in listed]
 
 
