@@ -73,15 +73,6 @@ def test_yaw_survives_the_quaternion(yaw: float) -> None:
 
 @given(ANGLES, st.floats(-1.4, 1.4), ANGLES)
 def test_yaw_is_the_horizontal_direction_of_the_body_x_axis(yaw: float, pitch: float, roll: float) -> None:
-    def product(a: tuple[float, ...], b: tuple[float, ...]) -> tuple[float, float, float, float]:
-        (aw, ax, ay, az), (bw, bx, by, bz) = a, b
-        return (
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        )
-
     pitching = (math.cos(pitch / 2), 0.0, math.sin(pitch / 2), 0.0)
     rolling = (math.cos(roll / 2), math.sin(roll / 2), 0.0, 0.0)
     attitude = product(product(quaternion_from_yaw(yaw), pitching), rolling)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -32,18 +33,11 @@ def random_batch(rng: np.random.Generator, first: int, sent_ns: int, longest_ns:
 
 def one_by_one(batch: Receptions) -> list[tuple[str, Reception]]:
     columns = (batch.message, batch.receiver, batch.arrival_ns, batch.rssi_dbm)
-    return [
-        (
-            NAMES[receiver],
-            Reception(
-                message=batch.messages[number],
-                rssi_dbm=rssi_dbm,
-                sent_ns=int(batch.sent_ns[number]),
-                received_ns=arrival_ns,
-            ),
-        )
-        for number, receiver, arrival_ns, rssi_dbm in zip(*(each.tolist() for each in columns), strict=True)
-    ]
+    items = []
+    for number, receiver, arrival_ns, rssi_dbm in zip(*(each.tolist() for each in columns), strict=True):
+        sent, sent_ns = batch.messages[number], int(batch.sent_ns[number])
+        items.append((NAMES[receiver], Reception(message=sent, rssi_dbm=rssi_dbm, sent_ns=sent_ns, received_ns=arrival_ns)))
+    return items
 
 
 @pytest.mark.parametrize("longest_ns", [2, 5, 40])
@@ -73,18 +67,7 @@ def test_mailboxes_keep_no_message_without_a_waiting_receiver() -> None:
     mail = Mailboxes(NAMES, NAMES)
     for now_ns in range(0, 1000, 10):  # each message arrives 25 ns after it was sent, so that some are always waiting
         batch = random_batch(np.random.default_rng(now_ns), now_ns, now_ns, 2)
-        count = len(batch.receiver)
-        mail.put(
-            Receptions(
-                names=NAMES,
-                messages=batch.messages,
-                sent_ns=batch.sent_ns,
-                message=batch.message,
-                receiver=batch.receiver,
-                arrival_ns=np.full(count, now_ns + 25),
-                rssi_dbm=batch.rssi_dbm,
-            )
-        )
+        mail.put(msgspec.structs.replace(batch, arrival_ns=np.full(len(batch.receiver), now_ns + 25)))
         mail.open(now_ns)
         assert sum(len(each.messages) for _, each in mail._waiting) <= 4 * 4
 

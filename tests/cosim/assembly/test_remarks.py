@@ -1,10 +1,11 @@
 """Remarks: valid but probably unintended values are reported at the check and at the start of a run; nothing else is."""
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.support.cosim.command_line import vcmvsp_command
+from tests.support.cosim.command_line import assert_refused, vcmvsp_command
 from vcmvsp.cosim.runs import api
 from vcmvsp.cosim.scenario import loader
 
@@ -48,10 +49,9 @@ def test_plausible_values_are_not_remarked_on(changes: dict[str, Any]) -> None:
     assert told("formation-circle", **changes) == []
 
 
-def test_a_missing_error_is_explained_before_and_after(tmp_path: Any) -> None:
-    outcome = vcmvsp_command(
-        "run", "formation-circle", "--set", "duration_s=1", "--agents", "inprocess", "--out", f"{tmp_path}/x"
-    )
+@pytest.mark.usefixtures("here")
+def test_a_missing_error_is_explained_before_and_after() -> None:
+    outcome = vcmvsp_command("run", "formation-circle", "--set", "duration_s=1", "--agents", "inprocess")
     assert "metrics.from_s = 20: the run ends at 1 s" in outcome.err
     assert "formation: no error: metrics.from_s = 20 s, the run ended at 1 s" in outcome.out
 
@@ -62,19 +62,12 @@ def test_a_missing_error_is_explained_before_and_after(tmp_path: Any) -> None:
 )
 def test_a_number_in_place_of_a_layers_table_proposes_the_key_that_it_fits(key: str, value: float, proposal: str) -> None:
     outcome = vcmvsp_command("check", "formation-circle", "--set", f"radio.{key}={value}")
-    assert outcome.code == 2
-    assert f"radio.{key}: must be a table, not {value}; did you mean radio.{key}.{proposal}?" in outcome.err
+    assert_refused(outcome, f"radio.{key}: must be a table, not {value}; did you mean radio.{key}.{proposal}?")
 
 
-def test_a_scenario_is_found_without_its_ending_and_a_module_that_is_a_file_is_proposed(
-    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "law.py").write_text("from vcmvsp import Agent, Velocity\nclass Law(Agent):\n    def act(self, obs, radio):\n")
-    (tmp_path / "gap.toml").write_text(
+def test_a_scenario_is_found_without_its_ending_and_a_module_that_is_a_file_is_proposed(here: Path) -> None:
+    (here / "law.py").write_text("from vcmvsp import Agent, Velocity\nclass Law(Agent):\n    def act(self, obs, radio):\n")
+    (here / "gap.toml").write_text(
         'name = "gap"\nduration_s = 1.0\n[[vehicle]]\nname = "a"\nkind = "point"\nagent = { kind = "law:Law" }\n'
     )
-    outcome = vcmvsp_command("check", "gap")
-    assert outcome.code == 2
-    assert "gap.toml line 6" in outcome.err
-    assert "did you mean 'law.py:Law'?" in outcome.err
+    assert_refused(vcmvsp_command("check", "gap"), "gap.toml line 6", "did you mean 'law.py:Law'?")

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.cosim.command_line import contents, two_cars, vcmvsp_command
+from tests.support.cosim.command_line import assert_refused, contents, two_cars, vcmvsp_command
 from tests.support.cosim.run_processes import VCMVSP
 from vcmvsp.cosim.cli.app import PANELS, command, drawer_of
 from vcmvsp.cosim.runs.figures import Drawer
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.terminal import progress
 
-pytestmark = pytest.mark.processes
+pytestmark = [pytest.mark.processes, pytest.mark.usefixtures("folder")]
 
 FILES = ["about.json", "metrics.json", "radio.parquet", "report.html", "run.mcap", "scenario.toml", "states.parquet"]
 
@@ -37,17 +37,6 @@ class Chatty(Agent):
 """
 
 
-@pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Current folder of each test, with a scenario."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "s.toml").write_text(two_cars())
-    return tmp_path
-
-
-# --- where results go -------------------------------------------------------------------------------------------------------
-
-
 def test_a_run_leaves_its_files(folder: Path) -> None:
     code, out, err = vcmvsp_command("run", "s.toml", "--out", "out")
     assert (code, err) == (0, "")
@@ -57,18 +46,12 @@ def test_a_run_leaves_its_files(folder: Path) -> None:
 
 
 def test_without_a_folder_results_go_into_a_new_one(folder: Path) -> None:
-    for name in ("two-cars-0", "two-cars-0-2", "two-cars-0-3"):
-        code, out, _ = vcmvsp_command("run", "s.toml")
-        assert code == 0
-        assert out.endswith(f"results:   runs/{name}\n")
+    names = ["two-cars-0", "two-cars-0-2", "two-cars-0-3"]
+    for name in names:
+        assert vcmvsp_command("run", "s.toml").out.endswith(f"results:   runs/{name}\n")
     vcmvsp_command("run", "s.toml", "--seed", "7", "--set", "name=other")
-    assert sorted(path.name for path in (folder / "runs").iterdir()) == [
-        "other-7",
-        "two-cars-0",
-        "two-cars-0-2",
-        "two-cars-0-3",
-    ]
-    assert len({str(contents(folder / "runs" / name)) for name in ("two-cars-0", "two-cars-0-2", "two-cars-0-3")}) == 1
+    assert sorted(path.name for path in (folder / "runs").iterdir()) == ["other-7", *names]
+    assert len({str(contents(folder / "runs" / name)) for name in names}) == 1
 
 
 def test_a_folder_that_is_not_empty_is_left_alone_unless_forced(folder: Path) -> None:
@@ -76,12 +59,10 @@ def test_a_folder_that_is_not_empty_is_left_alone_unless_forced(folder: Path) ->
     assert vcmvsp_command("run", "s.toml", "--out", "out").code == 0  # empty
     (folder / "out" / "keep.txt").write_text("mine")
     before = contents(folder / "out")
-    code, out, err = vcmvsp_command("run", "s.toml", "--out", "out", "--seed", "9", "--set", "duration_s=0.2")
-    assert (code, out, err.count("\n")) == (2, "", 1)
-    assert "--out out: is not empty" in err
-    assert "--force" in err
+    command = ("run", "s.toml", "--out", "out", "--seed", "9", "--set", "duration_s=0.2")
+    assert_refused(vcmvsp_command(*command), "--out out: is not empty", "--force")
     assert contents(folder / "out") == before
-    assert vcmvsp_command("run", "s.toml", "--out", "out", "--seed", "9", "--set", "duration_s=0.2", "--force").code == 0
+    assert vcmvsp_command(*command, "--force").code == 0
     after = contents(folder / "out")
     assert after["keep.txt"] == b"mine"
     assert all(after[name] != before[name] for name in FILES if name != "about.json")
@@ -102,23 +83,15 @@ def test_a_folder_that_cannot_be_written_is_refused(folder: Path, out: str, word
     (folder / "file").write_text("mine")
     (folder / "dangling").symlink_to("nowhere")
     before = sorted(folder.iterdir())
-    code, output, err = vcmvsp_command("run", "s.toml", "--out", out, *(["--force"] if force else []))
-    assert (code, output, err.count("\n")) == (2, "", 1), err
-    assert words in err
+    assert_refused(vcmvsp_command("run", "s.toml", "--out", out, *(["--force"] if force else [])), words)
     assert sorted(folder.iterdir()) == before
     assert (folder / "file").read_text() == "mine"
-
-
-# --- options ----------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
         (["--realtime", "0"], "--realtime 0: must be from 1e-06"),
-        (["--realtime=-1"], "must be from 1e-06"),
-        (["--realtime", "nan"], "--realtime nan: must be from 1e-06"),
-        (["--realtime", "inf"], "--realtime inf: must be from 1e-06"),
         (["--agents", "nonsense"], "agents: must be one of 'inprocess', 'process', 'zenoh', not 'nonsense'"),
         (["--seed", "-1"], "--seed -1: seed: must be a whole number >= 0 and"),
         (["--seed", "1.5"], "--seed"),
@@ -178,9 +151,6 @@ def test_help_lists_every_command_once_in_a_whole_line() -> None:
         assert re.findall(r"[^\]]\.\.\.$", text, re.MULTILINE) == []
 
 
-# --- what is said where -----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("where", ["inprocess", "process"])
 def test_json_is_the_metrics_and_nothing_else_even_if_agents_print(folder: Path, where: str) -> None:
     (folder / "chatty.py").write_text(CHATTY)
@@ -189,9 +159,8 @@ def test_json_is_the_metrics_and_nothing_else_even_if_agents_print(folder: Path,
     process = subprocess.run(command, capture_output=True, text=True, timeout=500, check=True)
     assert process.stdout == (folder / "out" / "metrics.json").read_text()
     assert json.loads(process.stdout)["scenario"] == "two-cars"
-    assert all(
-        f"{words}\n" in process.stderr for words in ("on import", "on construction", "at the start", "at a tick", "at the end")
-    )
+    words = {"on import", "on construction", "at the start", "at a tick", "at the end"}
+    assert words <= {*process.stderr.splitlines()}
 
 
 def test_json_is_clean_with_the_physics_engine_too() -> None:
@@ -281,9 +250,6 @@ def test_an_invalid_command_names_agent_and_vehicle(folder: Path, returned: str,
     assert err.startswith("vcmvsp: agent odd.py:A of vehicle car2: ")
     assert words in err
     assert err.splitlines()[1:] == ["vcmvsp: the recording until then is in out"]
-
-
-# --- list, show, check, doctor ----------------------------------------------------------------------------------------------
 
 
 def test_list_names_and_describes_every_scenario() -> None:

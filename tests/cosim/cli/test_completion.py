@@ -18,10 +18,9 @@ HEAVY = ("numpy", "rich", "matplotlib", "pybullet", "zenoh")
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
+def folder(here: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setitem(sys.modules, "rich", sys.modules.get("rich"))  # completion hides it; restored after the test
-    return tmp_path
+    return here
 
 
 @pytest.fixture
@@ -44,9 +43,6 @@ class Shell:
         code, out, err = vcmvsp_command()
         assert (code, err) == (0, "")
         return out.splitlines()
-
-
-# --- what is offered ----------------------------------------------------------------------------------------------------------
 
 
 def test_commands_and_their_options(bash: Shell) -> None:
@@ -92,9 +88,6 @@ def test_without_candidates_the_shell_completes_files(bash: Shell, words: tuple[
     assert bash(*words) == []
 
 
-# --- keys of --set ------------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("typed", "offered"),
     [
@@ -136,9 +129,6 @@ def test_keys_of_a_user_scenario_have_its_names(bash: Shell, folder: Path) -> No
 )
 def test_keys_fit_the_set_option_of_the_command(bash: Shell, words: tuple[str, ...], offered: str) -> None:
     assert offered in bash(*words)
-
-
-# --- how shells ask -----------------------------------------------------------------------------------------------------------
 
 
 def test_zsh_and_fish_receive_descriptions(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -191,7 +181,6 @@ def test_bash_itself_completes(folder: Path) -> None:
         _vcmvsp_completion vcmvsp
         echo "${COMPREPLY[@]}"
     """
-    root = ROOT
-    environment = {**os.environ, "PATH": f"{folder}:{os.environ['PATH']}", "PYTHONPATH": str(root)}
+    environment = {**os.environ, "PATH": f"{folder}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
     process = subprocess.run(["bash", "-c", script], check=True, capture_output=True, text=True, timeout=500, env=environment)
     assert (process.stdout.split(), process.stderr) == (["bernoulli", "bursts"], "")

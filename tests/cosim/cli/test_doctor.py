@@ -11,7 +11,7 @@ import pytest
 import zenoh
 from zenoh.handlers import Callback
 
-from tests.support.cosim.command_line import vcmvsp_command
+from tests.support.cosim.command_line import assert_refused, vcmvsp_command
 from tests.support.cosim.run_processes import reserve_port
 from tests.support.cosim.secure_hub import lasting_links
 from vcmvsp.cosim.hosts import protocol
@@ -175,6 +175,4 @@ def test_a_run_without_a_description(stack: contextlib.ExitStack) -> None:
     ],
 )
 def test_bad_arguments(arguments: list[str], words: str) -> None:
-    code, out, err = vcmvsp_command("doctor", *arguments)
-    assert (code, out) == (2, "")
-    assert words in err
+    assert_refused(vcmvsp_command("doctor", *arguments), words)

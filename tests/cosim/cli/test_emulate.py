@@ -17,7 +17,7 @@ import psutil
 import pytest
 import serial  # type: ignore[import-untyped]
 
-from tests.support.cosim.command_line import vcmvsp_command
+from tests.support.cosim.command_line import assert_refused, vcmvsp_command
 from tests.support.cosim.run_processes import VCMVSP, reserve_port
 from tests.support.hardware.driver_runs import open_resources
 from vcmvsp.cosim.types import Velocity
@@ -74,6 +74,19 @@ def emulated(*arguments: str) -> Iterator[Emulated]:
         if command_line.process.poll() is None:
             command_line.process.kill()
         command_line.process.communicate(timeout=PATIENCE_S)
+
+
+@pytest.fixture
+def ear() -> Iterator[socket.socket]:
+    """A socket that receives datagrams."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as opened:
+        opened.bind(("127.0.0.1", 0))
+        opened.settimeout(PATIENCE_S)
+        yield opened
+
+
+def url_of(ear: socket.socket) -> str:
+    return "udp://127.0.0.1:{1}".format(*ear.getsockname())
 
 
 def drive(
@@ -156,34 +169,30 @@ def expected_range(x: float) -> float:
     return (FACE_M - 0.15 - x) / math.cos(math.radians(5.0))
 
 
-def test_in_a_scenario_the_sonar_sees_the_wall_and_the_robot_stalls_against_it(tmp_path: Path) -> None:
+def test_in_a_scenario_the_sonar_sees_the_wall_and_the_robot_stalls_against_it(tmp_path: Path, ear: socket.socket) -> None:
     (tmp_path / "wall.toml").write_text(WALL)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear:
-        ear.bind(("127.0.0.1", 0))
-        ear.settimeout(10.0)
-        there = f"udp://127.0.0.1:{ear.getsockname()[1]}"
-        tags = ("--ubisense", there, "--fix-hz", "20", "--sigma-m", "0.05", "--tag", "ABC")
-        with emulated("amigobot", "--scenario", str(tmp_path / "wall.toml"), *tags) as command_line:
-            url = command_line.line()
-            samples = drive(
-                url, lambda sample: sample.stalled == (True, True), 0.4, begin=lambda sample: bool(sonar_ranges(sample))
-            )
-            assert samples[-1].stalled == (True, True)
-            xs = [sample.odometry.pose[0] for sample in samples]
-            ahead = [
-                (*way, metres) for way, each in zip(pairwise([0.0, *xs]), samples, strict=True) for metres in sonar_ranges(each)
-            ]
-            standing = [metres for before, x, metres in ahead if before == x == 0.0]
-            assert standing
-            assert standing == pytest.approx([expected_range(0.0)] * len(standing), abs=0.12)
-            for before, x, metres in ahead:  # a range may be older than the pose
-                assert x >= 0.2 or expected_range(x) - 0.12 <= metres <= expected_range(before) + 0.12
-            assert ahead[-1][-1] < 0.1
-            ear.setblocking(False)
-            located = []
-            while select.select([ear], [], [], 0)[0]:
-                located.append(ubisense.decode(ear.recv(100)))
-            code, out, err = command_line.end()
+    tags = ("--ubisense", url_of(ear), "--fix-hz", "20", "--sigma-m", "0.05", "--tag", "ABC")
+    with emulated("amigobot", "--scenario", str(tmp_path / "wall.toml"), *tags) as command_line:
+        url = command_line.line()
+        samples = drive(
+            url, lambda sample: sample.stalled == (True, True), 0.4, begin=lambda sample: bool(sonar_ranges(sample))
+        )
+        assert samples[-1].stalled == (True, True)
+        xs = [sample.odometry.pose[0] for sample in samples]
+        ahead = [
+            (*way, metres) for way, each in zip(pairwise([0.0, *xs]), samples, strict=True) for metres in sonar_ranges(each)
+        ]
+        standing = [metres for before, x, metres in ahead if before == x == 0.0]
+        assert standing
+        assert standing == pytest.approx([expected_range(0.0)] * len(standing), abs=0.12)
+        for before, x, metres in ahead:  # a range may be older than the pose
+            assert x >= 0.2 or expected_range(x) - 0.12 <= metres <= expected_range(before) + 0.12
+        assert ahead[-1][-1] < 0.1
+        ear.setblocking(False)
+        located = []
+        while select.select([ear], [], [], 0)[0]:
+            located.append(ubisense.decode(ear.recv(100)))
+        code, out, err = command_line.end()
     assert code == 0, err
     assert "fixes of ubisense" in out
     assert {each.tag for each in located} == {"0000000000000ABC"}
@@ -217,17 +226,14 @@ agent = { fails_s = 0.5 }
     assert json.loads(out)["vehicle"] == "car2"
 
 
-def test_a_tag_alone_circles() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear:
-        ear.bind(("127.0.0.1", 0))
-        ear.settimeout(PATIENCE_S)
-        there = f"udp://127.0.0.1:{ear.getsockname()[1]}"
-        with emulated("ubisense", "--port", there, "--circle", "2,1", "--fix-hz", "50", "--sigma-m", "0.01") as command_line:
-            assert command_line.line() == there
-            for _ in range(10):
-                x, y, _ = ubisense.decode(ear.recv(100)).position or (math.nan,) * 3
-                assert math.hypot(x, y - 2.0) == pytest.approx(2.0, abs=0.06)
-            assert command_line.end()[0] == 0
+def test_a_tag_alone_circles(ear: socket.socket) -> None:
+    options = ("--circle", "2,1", "--fix-hz", "50", "--sigma-m", "0.01")
+    with emulated("ubisense", "--port", url_of(ear), *options) as command_line:
+        assert command_line.line() == url_of(ear)
+        for _ in range(10):
+            x, y, _ = ubisense.decode(ear.recv(100)).position or (math.nan,) * 3
+            assert math.hypot(x, y - 2.0) == pytest.approx(2.0, abs=0.06)
+        assert command_line.end()[0] == 0
 
 
 def test_a_client_raises_the_baud_rate_and_comes_back_at_the_new_one() -> None:
@@ -263,22 +269,19 @@ def test_a_client_raises_the_baud_rate_and_comes_back_at_the_new_one() -> None:
 
 
 @pytest.mark.parametrize("port", ["tcp://:0", "udp"])
-def test_an_autopilot_sends_mavlink(port: str) -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear:
-        ear.bind(("127.0.0.1", 0))
-        ear.settimeout(PATIENCE_S)
-        host, number = ear.getsockname()
-        there = f"udp://{host}:{number}" if port == "udp" else port
-        with emulated("mavlink", "--port", there, "--pose", "1,2,0", "--system-id", "7", "--json") as command_line:
-            address = json.loads(command_line.line())["url"].split(":")
-            if port == "udp":
-                assert address == ["udpin", host, str(number)]
-                data = ear.recv(4096)
-            else:
-                with socket.create_connection((address[1], int(address[2])), PATIENCE_S) as client:
-                    data = client.recv(4096)
-            assert data[0] == 0xFD  # MAVLink 2
-            code, out, _ = command_line.end()
+def test_an_autopilot_sends_mavlink(port: str, ear: socket.socket) -> None:
+    there = url_of(ear) if port == "udp" else port
+    with emulated("mavlink", "--port", there, "--pose", "1,2,0", "--system-id", "7", "--json") as command_line:
+        url = json.loads(command_line.line())["url"]
+        if port == "udp":
+            assert url == there.replace("udp://", "udpin:")
+            data = ear.recv(4096)
+        else:
+            _, host, number = url.split(":")
+            with socket.create_connection((host, int(number)), PATIENCE_S) as client:
+                data = client.recv(4096)
+        assert data[0] == 0xFD  # MAVLink 2
+        code, out, _ = command_line.end()
     assert code == 0
     happened = json.loads(out)
     assert (happened["x_m"], happened["y_m"], happened["armed"]) == (1.0, 2.0, False)
@@ -328,22 +331,14 @@ def test_a_robot_that_runs_ros_2_is_driven(stack: ExitStack) -> None:
     ],
 )
 def test_wrong_arguments_are_refused_in_one_line(arguments: tuple[str, ...], words: str) -> None:
-    outcome = vcmvsp_command("emulate", *arguments)
-    assert outcome.code == 2
-    assert words in outcome.err
-    assert outcome.err.count("\n") == 1
-    assert outcome.out == ""
+    assert_refused(vcmvsp_command("emulate", *arguments), words)
 
 
 def test_a_port_in_use_is_refused_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "robot").touch()
-    outcome = vcmvsp_command("emulate", "amigobot", "--port", str(tmp_path / "robot"))
-    assert (outcome.code, outcome.err.count("\n")) == (2, 1)
-    assert "already exists" in outcome.err
+    assert_refused(vcmvsp_command("emulate", "amigobot", "--port", str(tmp_path / "robot")), "already exists")
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        outcome = vcmvsp_command("emulate", "amigobot", "--port", f"tcp://:{taken.getsockname()[1]}")
-    assert (outcome.code, outcome.err.count("\n")) == (2, 1)
-    assert "in use" in outcome.err
+        assert_refused(vcmvsp_command("emulate", "amigobot", "--port", f"tcp://:{taken.getsockname()[1]}"), "in use")
 
 
 def test_it_leaves_nothing_open_in_its_process() -> None:

@@ -15,7 +15,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from tests.support.cosim.command_line import vcmvsp_command
+from tests.support.cosim.command_line import assert_refused, vcmvsp_command
 from tests.support.cosim.run_processes import VCMVSP
 from vcmvsp.netsim.bridge.gateways.ip import namespaces
 from vcmvsp.netsim.bridge.gateways.ip import run_networks as networks
@@ -128,7 +128,7 @@ def test_an_unknown_vehicle_or_run_is_refused_with_the_known_ones(
     network: str, arguments: tuple[str, ...], problem: str
 ) -> None:
     outcome = vcmvsp_command("net", "exec", *arguments, *(() if "--run" in arguments else ("--run", network)), "--", "true")
-    assert (outcome.code, outcome.out) == (2, "")
+    assert_refused(outcome)
     assert re.fullmatch(f"vcmvsp: {problem.format(run=network)}", outcome.err)
 
 
@@ -144,8 +144,7 @@ def test_of_two_runs_one_must_be_named(network: str) -> None:
         outcome = vcmvsp_command("net", "exec", "car1", "--", "true")
     finally:
         other.end()
-    assert outcome.code == 2
-    assert "several runs: add --run with one of" in outcome.err
+    assert_refused(outcome, "several runs: add --run with one of")
     assert {NAME, f"{NAME}other"} <= set(re.findall(r"\w+", outcome.err))
 
 
@@ -160,9 +159,7 @@ def test_status_shows_addresses_and_a_live_run(network: str) -> None:
 
 
 def test_the_network_of_a_live_run_is_not_removed(network: str) -> None:
-    outcome = vcmvsp_command("net", "down", network)
-    assert outcome.code == 2
-    assert f"run {network} is alive" in outcome.err
+    assert_refused(vcmvsp_command("net", "down", network), f"run {network} is alive")
     assert on("car1", "true", run=network).returncode == 0
 
 
@@ -170,8 +167,7 @@ def test_a_second_run_of_the_same_name_is_refused_before_it_begins(network: str,
     scenario = tmp_path / "again.toml"
     scenario.write_text(SCENARIO.format(name=network))
     outcome = vcmvsp_command("net", "up", str(scenario), "--out", str(tmp_path / "out"))
-    assert outcome.code == 2
-    assert f"a run named {network} already has a network on this machine" in outcome.err
+    assert_refused(outcome, f"a run named {network} already has a network on this machine")
     assert not (tmp_path / "out").exists()
 
 
@@ -226,22 +222,22 @@ def test_iperf_measures_the_rate_of_the_link(tmp_path: Path) -> None:
     assert statistics.median(rates) == pytest.approx(rate_bps * share, rel=0.03)  # median: robust against stalls of the machine
 
 
-def test_a_network_lasts_for_its_duration_and_leaves_nothing(tmp_path: Path) -> None:
-    with up(tmp_path, "--duration", "0.5", "--network", "10.99.0.0/24", name=f"{NAME}short") as process:
-        assert process.wait(READY_S) == 0
-        assert not [each for each in networks.networks() if each.run == f"{NAME}short"]
-        assert not list(namespaces.NAMES.glob(f"vcmvsp-{NAME}short-*"))
-    scenario = (tmp_path / f"{NAME}short" / "scenario.toml").read_text()
-    assert 'network = "10.99.0.0/24"' in scenario
+def assert_nothing_left(name: str) -> None:
+    """A run has no network and no namespaces."""
+    assert not [each for each in networks.networks() if each.run == name]
+    assert not list(namespaces.NAMES.glob(f"vcmvsp-{name}-*"))
 
 
-def test_a_gateway_of_another_name_is_the_network(tmp_path: Path) -> None:
-    """A second gateway of this kind would be refused."""
-    options = ("--set", "bridge.lab.kind=ip", "--network", "10.99.0.0/24", "--duration", "0.5")
-    with up(tmp_path, *options, name=f"{NAME}lab") as process:
+@pytest.mark.parametrize("gateway", ["ip", "lab"])
+def test_a_network_lasts_for_its_duration_and_leaves_nothing(tmp_path: Path, gateway: str) -> None:
+    """A gateway of another name is the network, too: a second gateway of this kind would be refused."""
+    name = f"{NAME}{gateway}"
+    options = ("--set", f"bridge.{gateway}.kind=ip", "--network", "10.99.0.0/24", "--duration", "0.5")
+    with up(tmp_path, *(options if gateway == "lab" else options[2:]), name=name) as process:
         assert process.wait(READY_S) == 0
-    scenario = (tmp_path / f"{NAME}lab" / "scenario.toml").read_text()
-    assert re.findall(r"^\[bridge\.(\w+)\]$", scenario, re.MULTILINE) == ["lab"]
+        assert_nothing_left(name)
+    scenario = (tmp_path / name / "scenario.toml").read_text()
+    assert re.findall(r"^\[bridge\.(\w+)\]$", scenario, re.MULTILINE) == [gateway]
     assert 'network = "10.99.0.0/24"' in scenario
 
 
@@ -259,7 +255,7 @@ def test_remains_of_a_killed_run_are_shown_and_removed(tmp_path: Path) -> None:
         assert len(list(namespaces.NAMES.glob(f"vcmvsp-{name}-*"))) == 2
         assert f"{name}: gone" in vcmvsp_command("net", "down", name).out
         assert vcmvsp_command("net", "down", name).out == "no network to remove\n"
-        assert not list(namespaces.NAMES.glob(f"vcmvsp-{name}-*"))
+        assert_nothing_left(name)
 
 
 def test_force_removes_the_network_of_a_live_run(tmp_path: Path) -> None:
@@ -267,8 +263,7 @@ def test_force_removes_the_network_of_a_live_run(tmp_path: Path) -> None:
     with up(tmp_path, name=name) as process:
         assert vcmvsp_command("net", "down", name, "--force").code == 0
         assert process.wait(READY_S) == 3
-        assert not [each for each in networks.networks() if each.run == name]
-        assert not list(namespaces.NAMES.glob(f"vcmvsp-{name}-*"))
+        assert_nothing_left(name)
 
 
 def test_missing_rights_are_named(tmp_path: Path) -> None:

@@ -9,19 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.cosim.command_line import contents, vcmvsp_command
+from tests.support.cosim.command_line import assert_refused, contents, vcmvsp_command
 from tests.support.paths import ROOT
 from vcmvsp.cosim.cli import kinds
 
-pytestmark = pytest.mark.processes
+pytestmark = [pytest.mark.processes, pytest.mark.usefixtures("here")]
 
 OWN = [part for part in kinds.PARTS if part != "scenario"]
-
-
-@pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 def python(*arguments: str) -> str:
@@ -34,33 +28,33 @@ def python(*arguments: str) -> str:
 
 
 @pytest.mark.parametrize("part", kinds.PARTS)
-def test_it_runs_and_passes_its_own_test_unedited(folder: Path, part: str) -> None:
+def test_it_runs_and_passes_its_own_test_unedited(here: Path, part: str) -> None:
     printed = vcmvsp_command("new", part, f"my-own-{part}").out
     run, test = re.search(r"next: vcmvsp (run \S+)\n +pytest (\S+)\n", printed).groups()  # type: ignore[union-attr]
     assert vcmvsp_command(*run.split(), "--quiet", "--out", "out").code == 0
-    assert (folder / "out" / "metrics.json").is_file()
+    assert (here / "out" / "metrics.json").is_file()
     passed = python("-m", "pytest", "-q", "-p", "no:cacheprovider", test)
     assert re.search(r"\d+ passed", passed)
     assert not re.search("failed|skipped|warning", passed)
 
 
 @pytest.mark.parametrize("part", kinds.PARTS)
-def test_it_lists_the_written_files(folder: Path, part: str) -> None:
+def test_it_lists_the_written_files(here: Path, part: str) -> None:
     code, out, err = vcmvsp_command("new", part, "thing", "--out", "some/where")
     assert (code, err) == (0, "")
-    written = {str(path.relative_to(folder)) for path in (folder / "some" / "where").iterdir()}
+    written = {str(path.relative_to(here)) for path in (here / "some" / "where").iterdir()}
     assert {line.split()[0] for line in out.partition("next: ")[0].splitlines()} == written
     assert "vcmvsp reference --json-schema > some/where/scenario.schema.json" in out
-    assert (folder / "some" / "where" / "thing.toml").read_text().startswith("#:schema ./scenario.schema.json\n")
+    assert (here / "some" / "where" / "thing.toml").read_text().startswith("#:schema ./scenario.schema.json\n")
     assert written == {f"some/where/{name}" for name in ("thing.py", "thing.toml", "test_thing.py")[part == "scenario" :]}
 
 
 @pytest.mark.parametrize("name", ["follow-wall", "follow_wall", "FollowWall", "followWall"])
-def test_one_name_in_any_spelling_gives_one_module_and_one_class(folder: Path, name: str) -> None:
+def test_one_name_in_any_spelling_gives_one_module_and_one_class(here: Path, name: str) -> None:
     assert vcmvsp_command("new", "agent", name).code == 0
-    assert sorted(path.name for path in folder.iterdir()) == ["follow_wall.py", "follow_wall.toml", "test_follow_wall.py"]
-    assert "class FollowWall(Agent):" in (folder / "follow_wall.py").read_text()
-    assert tomllib.loads((folder / "follow_wall.toml").read_text())["agents"]["kind"] == "follow_wall.py:FollowWall"
+    assert sorted(path.name for path in here.iterdir()) == ["follow_wall.py", "follow_wall.toml", "test_follow_wall.py"]
+    assert "class FollowWall(Agent):" in (here / "follow_wall.py").read_text()
+    assert tomllib.loads((here / "follow_wall.toml").read_text())["agents"]["kind"] == "follow_wall.py:FollowWall"
 
 
 @pytest.mark.parametrize("part", kinds.PARTS)
@@ -103,30 +97,26 @@ def test_nothing_of_the_template_is_left_over(part: str) -> None:
     ],
 )
 def test_wrong_arguments_are_refused_in_one_line_and_nothing_is_written(
-    folder: Path, arguments: tuple[str, ...], words: str
+    here: Path, arguments: tuple[str, ...], words: str
 ) -> None:
-    (folder / "a-file").write_text("mine")
-    code, out, err = vcmvsp_command("new", *arguments)
-    assert (code, out, err.count("\n")) == (2, "", 1), err
-    assert words in err
-    assert [path.name for path in folder.iterdir()] == ["a-file"]
+    (here / "a-file").write_text("mine")
+    assert_refused(vcmvsp_command("new", *arguments), words)
+    assert [path.name for path in here.iterdir()] == ["a-file"]
 
 
 @pytest.mark.parametrize("taken", ["mine.py", "mine.toml", "test_mine.py"])
-def test_an_existing_file_stays_and_nothing_is_written_beside_it(folder: Path, taken: str) -> None:
-    (folder / taken).symlink_to("nowhere")  # a dangling link, too: writing would create its target
+def test_an_existing_file_stays_and_nothing_is_written_beside_it(here: Path, taken: str) -> None:
+    (here / taken).symlink_to("nowhere")  # a dangling link, too: writing would create its target
     assert vcmvsp_command("new", "agent", "mine").code == 2
-    (folder / taken).unlink()
-    (folder / taken).write_text("my own")
-    before = contents(folder)
-    code, _, err = vcmvsp_command("new", "agent", "mine")
-    assert (code, err.count("\n")) == (2, 1)
-    assert f"{taken}: already exists" in err
-    assert contents(folder) == before
+    (here / taken).unlink()
+    (here / taken).write_text("my own")
+    before = contents(here)
+    assert_refused(vcmvsp_command("new", "agent", "mine"), f"{taken}: already exists")
+    assert contents(here) == before
 
 
 @pytest.mark.parametrize("part", OWN)
-def test_the_written_kind_is_shown_with_its_parameters(folder: Path, part: str) -> None:
+def test_the_written_kind_is_shown_with_its_parameters(here: Path, part: str) -> None:
     vcmvsp_command("new", part, "mine")
     if part not in ("channel", "task"):  # `show` has no groups for layers and tasks
         code, out, err = vcmvsp_command("show", part, "mine.py:Mine")

@@ -6,26 +6,16 @@ from pathlib import Path
 import pytest
 
 import vcmvsp
-from tests.support.cosim.command_line import contents, two_cars, vcmvsp_command
+from tests.support.cosim.command_line import assert_refused, contents, two_cars, vcmvsp_command
 from vcmvsp.cosim.runs.result import compared
 
-pytestmark = [pytest.mark.processes, pytest.mark.usefixtures("figures")]
-
-
-@pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Current folder of each test, with a scenario."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "s.toml").write_text(two_cars())
-    return tmp_path
+pytestmark = [pytest.mark.processes, pytest.mark.usefixtures("figures", "folder")]
 
 
 @pytest.mark.parametrize("target", ["nowhere", "s.toml", "empty"])
 def test_plot_refuses_a_path_without_a_run(folder: Path, target: str) -> None:
     (folder / "empty").mkdir()
-    code, out, err = vcmvsp_command("plot", target)
-    assert (code, out, err.count("\n")) == (2, "", 1)
-    assert err.startswith(f"vcmvsp: {target}: ")
+    assert_refused(vcmvsp_command("plot", target), f"vcmvsp: {target}: ")
     assert list((folder / "empty").iterdir()) == []
 
 
@@ -36,9 +26,7 @@ def test_plot_names_a_damaged_run(folder: Path, damage: slice) -> None:
     content = bytearray(table.read_bytes())
     content[damage] = bytes(len(content[damage]))
     table.write_bytes(content)
-    code, out, err = vcmvsp_command("plot", "damaged")
-    assert (code, out, err.count("\n")) == (2, "", 1)
-    assert err.startswith("vcmvsp: damaged cannot be read: ")
+    assert_refused(vcmvsp_command("plot", "damaged"), "vcmvsp: damaged cannot be read: ")
 
 
 def test_plot_draws_the_figures_of_the_run_again(folder: Path) -> None:
@@ -95,6 +83,4 @@ def test_only_figures_of_a_mission_need_the_recording(folder: Path) -> None:
 @pytest.mark.parametrize("out", ["s.toml", "/proc/vcmvsp"])
 def test_plot_refuses_a_folder_that_cannot_be_written(out: str) -> None:
     vcmvsp_command("run", "s.toml", "--out", "out")
-    code, _, err = vcmvsp_command("plot", "out", "--out", out)
-    assert code == 2
-    assert out in err
+    assert_refused(vcmvsp_command("plot", "out", "--out", out), out)

@@ -7,7 +7,7 @@ import pytest
 from tests.support.cosim.command_line import contents, two_cars, vcmvsp_command
 from vcmvsp.cosim.scenario import loader as scenarios
 
-pytestmark = pytest.mark.processes
+pytestmark = [pytest.mark.processes, pytest.mark.usefixtures("folder")]
 
 MINE = """
 from vcmvsp.agents.formation.leaders.trajectory import Trajectory
@@ -60,14 +60,6 @@ RESOLVED: list[object] = [
     written("period of the class", two_cars(agent="kind = 'sub/mine.py:Mine'")),
     written("bullet", two_cars(car2=SENSOR, tail=LOSSY).replace('"kinematic"', '"bullet"')),
 ]
-
-
-@pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Current folder of each test, with a scenario."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "s.toml").write_text(two_cars())
-    return tmp_path
 
 
 @pytest.mark.parametrize("text", RESOLVED)

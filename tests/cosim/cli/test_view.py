@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import vcmvsp
-from tests.support.cosim.command_line import two_cars, vcmvsp_command
+from tests.support.cosim.command_line import assert_refused, two_cars, vcmvsp_command
 from tests.support.cosim.recorded_run import chunk_ends
 from tests.support.cosim.run_processes import VCMVSP
 from tests.support.cosim.view_pages import browser, positions
@@ -55,25 +55,15 @@ def test_it_refuses_a_path_without_a_recording(tmp_path: Path, name: str) -> Non
     (tmp_path / "file.txt").touch()
     (tmp_path / "zeros").mkdir()
     (tmp_path / "zeros" / "run.mcap").write_bytes(bytes(100))
-    code, out, err = vcmvsp_command("view", str(tmp_path / name))
-    assert (code, out, err.count("\n")) == (2, "", 1)
-    assert err.startswith(f"vcmvsp: {tmp_path / name}")
+    assert_refused(vcmvsp_command("view", str(tmp_path / name)), f"vcmvsp: {tmp_path / name}")
 
 
-def test_a_port_in_use_is_refused_in_one_line(run_dir: Path) -> None:
+@pytest.mark.parametrize("options", [["--port"], ["--view-host", "127.0.0.1", "--view-port"]])
+def test_a_port_in_use_is_refused_in_one_line(run_dir: Path, options: list[str]) -> None:
+    """The options of `vcmvsp run` choose the page, too."""
     with viewing(run_dir) as (_, url):
         port = url.partition("?")[0].rstrip("/").rpartition(":")[2]
-        code, out, err = vcmvsp_command("view", str(run_dir), "--port", port)
-    assert (code, out, err.count("\n")) == (2, "", 1)
-    assert port in err
-
-
-def test_the_options_of_run_choose_the_page_too(run_dir: Path) -> None:
-    with viewing(run_dir) as (_, url):
-        port = url.partition("?")[0].rstrip("/").rpartition(":")[2]
-        code, _, err = vcmvsp_command("view", str(run_dir), "--view-host", "127.0.0.1", "--view-port", port)
-    assert code == 2
-    assert "--view-port" in err
+        assert_refused(vcmvsp_command("view", str(run_dir), *options, port), "--view-port", port)
 
 
 @pytest.mark.parametrize("place", ["vcmvsp.cosim.view.player.recording.Recording", "vcmvsp.cosim.view.web_server.open_server"])

@@ -36,12 +36,10 @@ class Reader(Agent):
 
 
 @pytest.fixture(autouse=True)
-def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "s").mkdir()
-    (tmp_path / "s" / "own.py").write_text(OWN)
-    (tmp_path / "s" / "table.csv").write_text("1")
-    (tmp_path / "s" / "circle").write_text("no circle")
+def _files(here: Path) -> None:
+    (here / "s").mkdir()
+    for name, text in (("own.py", OWN), ("table.csv", "1"), ("circle", "no circle")):
+        (here / "s" / name).write_text(text)
 
 
 def test_a_string_named_path_is_no_file(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 import vcmvsp
-from tests.support.cosim.command_line import vcmvsp_command
+from tests.support.cosim.command_line import assert_refused, vcmvsp_command
 from vcmvsp.cosim.errors import ScenarioError
 
 OWN = '''
@@ -48,11 +48,10 @@ name = "a"
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "own.py").write_text(OWN)
-    (tmp_path / "s.toml").write_text(CAR)
-    return tmp_path
+def folder(here: Path) -> Path:
+    (here / "own.py").write_text(OWN)
+    (here / "s.toml").write_text(CAR)
+    return here
 
 
 def test_a_user_class_is_shown_with_its_comments(folder: Path) -> None:
@@ -78,22 +77,14 @@ def test_a_user_class_is_shown_with_its_comments(folder: Path) -> None:
     ],
 )
 def test_errors_are_in_one_line(folder: Path, arguments: tuple[str, ...], words: str) -> None:
-    outcome = vcmvsp_command(*arguments)
-    assert (outcome.code, outcome.err.count("\n")) == (2, 1), outcome.err
-    assert words in outcome.err
+    assert_refused(vcmvsp_command(*arguments), words)
 
 
 def test_a_way_point_needs_a_speed_and_has_an_arrival_time(folder: Path) -> None:
     (folder / "u.toml").write_text("name='u'\nduration_s=1.0\n[[vehicle]]\nname='u'\nkind='point'\nposition=[0,0,5]\n")
-    assert vcmvsp_command("drive", "u.toml", "--vehicle", "u", "--command", "x=1,y=0,z=5,speed=0").code == 2
-    far, near = (
-        json.loads(
-            vcmvsp_command(
-                "drive", "u.toml", "--vehicle", "u", "--command", f"x={x},y=0,z=5,speed=1", "--seconds", "3", "--json"
-            ).out
-        )
-        for x in (100, 1)
-    )
+    drive = ("drive", "u.toml", "--vehicle", "u", "--seconds", "3", "--json", "--command")
+    assert vcmvsp_command(*drive, "x=1,y=0,z=5,speed=0").code == 2
+    far, near = (json.loads(vcmvsp_command(*drive, f"x={x},y=0,z=5,speed=1").out) for x in (100, 1))
     assert far["arrival_s"] is None
     assert near["arrival_s"] == pytest.approx(0.9, abs=0.06)  # arrival: within 0.1 m
 

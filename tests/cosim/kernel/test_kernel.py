@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcmvsp.cosim.clock import SECOND_NS, WallClock
+from vcmvsp.cosim.clock import SECOND_NS, SimClock, WallClock
 from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.federate import Event, Federate, RunInfo, Slot, Step
 from vcmvsp.cosim.kernel.kernel import Kernel
@@ -80,11 +80,18 @@ class Remote(Script):
         return self._waiting.pop(0)
 
 
-def run(*federates: Federate, duration: int = 100, **kwargs: Any) -> list[tuple[int, str]]:
+def kernel_of(*federates: Federate, duration: int = 100, starts: bool = True, **options: Any) -> Kernel:
+    """The kernel of a run, which is started."""
+    kernel = Kernel(RunInfo(scenario="test", seed=0, duration_ns=duration, vehicles=()), federates, **options)
+    if starts:
+        kernel.start()
+    return kernel
+
+
+def run(*federates: Federate, **options: Any) -> list[tuple[int, str]]:
     """All events in the order of publication."""
     events: list[tuple[int, str]] = []
-    kernel = Kernel(RunInfo(scenario="test", seed=0, duration_ns=duration, vehicles=()), federates, **kwargs)
-    kernel.start()
+    kernel = kernel_of(*federates, **options)
     kernel.run(lambda event: events.append((event.time_ns, event.key)))
     kernel.close()
     return events
@@ -143,19 +150,14 @@ def test_a_wake_up_does_not_cancel_the_next_own_step() -> None:
 def test_agents_do_not_step_at_the_end() -> None:
     log: Log = []
     federates = [Script(slot.name, slot, {99: [], 100: [], 101: []}, log=log) for slot in (Slot.WORLD, Slot.RADIO, Slot.AGENT)]
-    run(*federates, duration=100)
-    assert [(name, when) for name, when, _ in log] == [
-        ("WORLD", 99),
-        ("RADIO", 99),
-        ("AGENT", 99),
-        ("WORLD", 100),
-        ("RADIO", 100),
-    ]
+    run(*federates)
+    before, at_the_end = [("WORLD", 99), ("RADIO", 99), ("AGENT", 99)], [("WORLD", 100), ("RADIO", 100)]
+    assert [(name, when) for name, when, _ in log] == [*before, *at_the_end]
 
 
 def test_nothing_due_after_the_end_is_published() -> None:
     radio = Script("radio", Slot.RADIO, {90: [("a/heard", 10), ("b/heard", 11)]})
-    assert run(radio, duration=100) == [(100, "a/heard")]
+    assert run(radio) == [(100, "a/heard")]
 
 
 def test_all_remote_federates_are_asked_before_any_is_awaited() -> None:
@@ -241,76 +243,59 @@ def test_an_event_too_late_for_the_slot_that_it_wakes_is_refused() -> None:
 def test_all_are_closed_even_if_one_fails() -> None:
     good, bad = Script("z", Slot.WORLD), Script("a", Slot.WORLD)
     bad.close = lambda: 1 / 0  # type: ignore[method-assign, assignment]
-    kernel = Kernel(RunInfo(scenario="test", seed=0, duration_ns=1, vehicles=()), [good, bad])
     with pytest.raises(FederateError, match="a: ZeroDivisionError"):
-        kernel.close()
+        kernel_of(good, bad, starts=False).close()
     assert good.closed == 1
 
 
 def test_a_failed_release_still_closes_all() -> None:
     remote, good = Remote("a", Slot.AGENT), Script("z", Slot.WORLD)
     remote.release = lambda: 1 / 0  # type: ignore[method-assign, assignment]
-    kernel = Kernel(RunInfo(scenario="test", seed=0, duration_ns=1, vehicles=()), [good, remote])
     with pytest.raises(FederateError, match="a: ZeroDivisionError"):
-        kernel.close()
+        kernel_of(good, remote, starts=False).close()
     assert (remote.closed, good.closed) == (1, 1)
 
 
 def test_a_wait_that_fails_is_over() -> None:
     remote = Remote("a", Slot.AGENT, {0: []})
     remote.answer = lambda: [note("x", 1 // 0)]  # type: ignore[method-assign]
-    kernel = Kernel(RunInfo(scenario="test", seed=0, duration_ns=1, vehicles=()), [remote])
-    kernel.start()
+    kernel = kernel_of(remote)
     with pytest.raises(FederateError):
         kernel.run(lambda _: None)
     assert not kernel.waiting
 
 
+class Slow(Script):
+    """A `Script` whose steps take 10 ns of a wall clock, and the one at 1000 ns more; the clock moves by sleeping, too."""
+
+    def __init__(self, *args: Any, most_ns: int) -> None:
+        super().__init__(*args)
+        self.wall_ns, self.most_ns = 0, most_ns
+
+    def clock(self, speed: float) -> WallClock:
+        return WallClock(speed, now=lambda: self.wall_ns, sleep=self.sleep)
+
+    def sleep(self, seconds: float) -> None:
+        self.wall_ns += round(seconds * 1e9)
+
+    def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
+        self.wall_ns += self.most_ns if now_ns == 1000 else 10
+        return super().step(now_ns, inbox)
+
+
 def test_the_wall_clock_waits_for_every_instant_and_notes_lateness() -> None:
-    wall = [0]
-
-    def sleep(seconds: float) -> None:
-        wall[0] += round(seconds * 1e9)
-
-    class Slow(Script):
-        def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
-            wall[0] += 300 if now_ns == 1000 else 10
-            return super().step(now_ns, inbox)
-
-    slow = Slow("slow", Slot.WORLD, {0: [], 1000: [], 1100: [], 2000: []})
-    kernel = Kernel(
-        RunInfo(scenario="test", seed=0, duration_ns=2000, vehicles=()),
-        [slow],
-        clock=WallClock(2.0, now=lambda: wall[0], sleep=sleep),
-    )
-    kernel.start()
+    slow = Slow("slow", Slot.WORLD, {0: [], 1000: [], 1100: [], 2000: []}, most_ns=300)
+    kernel = kernel_of(slow, duration=2000, clock=slow.clock(2.0))
     kernel.run(lambda _: None)
     assert kernel.late_ns == [0, 0, 250, 0]  # 1100 is due at wall time 550; the step before took until 800
-    assert wall[0] >= 1000
+    assert slow.wall_ns >= 1000
 
 
 def test_lateness_counts_at_ticks_only_despite_slips_and_answers_between() -> None:
-    wall = [0]
-
-    def sleep(seconds: float) -> None:
-        wall[0] += round(seconds * 1e9)
-
-    class Slow(Script):
-        def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
-            wall[0] += 500 if now_ns == 1000 else 10
-            return super().step(now_ns, inbox)
-
-    kernel = Kernel(
-        RunInfo(scenario="test", seed=0, duration_ns=4000, vehicles=()),
-        [
-            Slow("agent", Slot.AGENT, {0: [], 1000: [], 2000: [], 3000: []}),
-            Remote("host", Slot.AGENT, {0: [], 1000: [], 2000: [], 3000: []}, lookahead_ns=300),
-            Script("world", Slot.WORLD, {1100: [], 1300: [], 2600: []}),
-        ],
-        clock=(clock := WallClock(now=lambda: wall[0], sleep=sleep)),
-        tolerance_ns=100,
-    )
-    kernel.start()
+    slow = Slow("agent", Slot.AGENT, {0: [], 1000: [], 2000: [], 3000: []}, most_ns=500)
+    host = Remote("host", Slot.AGENT, {0: [], 1000: [], 2000: [], 3000: []}, lookahead_ns=300)
+    world, clock = Script("world", Slot.WORLD, {1100: [], 1300: [], 2600: []}), slow.clock(1.0)
+    kernel = kernel_of(slow, host, world, duration=4000, clock=clock, tolerance_ns=100)
     kernel.run(lambda _: None)
     assert clock.slipped_ns == 400  # at 1100, which is not a tick
     assert kernel.late_ns == [0, 0, 400, 0]  # start of the next tick, relative to the schedule before the slip
@@ -327,15 +312,9 @@ def test_a_polled_federate_is_stepped_first_in_the_instant() -> None:
     polled_federate = PolledScript("asked", Slot.WORLD, {40: []}, log=log)
     world = Script("world", Slot.WORLD, {0: [], 50: []}, log=log)
     radio = Script("radio", Slot.RADIO, {30: [], 70: []}, log=log)
-    kernel = Kernel(RunInfo(scenario="test", seed=0, duration_ns=100, vehicles=()), [world, radio, polled_federate])
-    kernel.start()
-    kernel.run(lambda _: None)
-    assert [(name, when) for name, when, _ in log if when in (30, 70)] == [
-        ("asked", 30),
-        ("radio", 30),
-        ("asked", 70),
-        ("radio", 70),
-    ]
+    run(world, radio, polled_federate)
+    steps = [(name, when) for name, when, _ in log if when in (30, 70)]
+    assert steps == [("asked", 30), ("radio", 30), ("asked", 70), ("radio", 70)]
 
 
 def test_the_clock_is_called_before_any_step_of_an_instant() -> None:
@@ -344,26 +323,13 @@ def test_the_clock_is_called_before_any_step_of_an_instant() -> None:
     class Stop(Exception):
         pass
 
-    class Clock:
-        speed, slipped_ns = None, 0
-
-        def start(self) -> None:
-            pass
-
+    class Stopping(SimClock):
         def wait_until(self, due_ns: int) -> int:
             if due_ns == 50:
                 raise Stop
             return 0
 
-        def slip(self, by_ns: int) -> None:
-            pass
-
-    kernel = Kernel(
-        RunInfo(scenario="test", seed=0, duration_ns=100, vehicles=()),
-        [Script("world", Slot.WORLD, {0: [], 50: []}, log=log)],
-        clock=Clock(),
-    )
-    kernel.start()
+    kernel = kernel_of(Script("world", Slot.WORLD, {0: [], 50: []}, log=log), clock=Stopping())
     with pytest.raises(Stop):
         kernel.run(lambda _: None)
     assert (kernel.now_ns, [when for _, when, _ in log]) == (0, [0])
@@ -452,9 +418,7 @@ def test_a_run_stopped_in_a_poll_does_not_wait_for_the_next_instant(
     long_ns = 60 * SECOND_NS
     world = Script("world", Slot.WORLD, {0: [], long_ns: []})
     outside.send(b"!")
-    federates = [Stopping(inside), world]
-    kernel = Kernel(RunInfo(scenario="test", seed=0, duration_ns=long_ns, vehicles=()), federates, clock=WallClock())
-    kernel.start()
+    kernel = kernel_of(Stopping(inside), world, duration=long_ns, clock=WallClock())
     with pytest.raises(KeyboardInterrupt):
         kernel.run(lambda _: None)
     assert kernel.now_ns < long_ns
@@ -467,12 +431,8 @@ def test_a_letter_between_two_instants_has_its_own_instant(
     inside, outside = letter_box
     wall = Wall(outside, [10, 25, 40])
     clock = WallClock(speed, now=lambda: wall.now_ns)
-    kernel = Kernel(
-        RunInfo(scenario="test", seed=0, duration_ns=100, vehicles=()),
-        [SocketScript(inside), Script("world", Slot.WORLD, {each: [("world/tick", 0)] for each in (0, 50, 100)})],
-        clock=clock,
-    )
-    kernel.start()
+    world = Script("world", Slot.WORLD, {each: [("world/tick", 0)] for each in (0, 50, 100)})
+    kernel = kernel_of(SocketScript(inside), world, clock=clock)
     listen = kernel._listen
 
     def then_watch() -> None:
@@ -510,17 +470,14 @@ def test_remote_events_of_a_key_are_published_first(names: tuple[str, str]) -> N
         def step(self, now_ns: int, inbox: Sequence[Event]) -> Step:
             return Step([note("car/send", now_ns, 2.0)])
 
-    federates = Local(here, Slot.AGENT, {0: []}), Away(elsewhere, Slot.AGENT, {0: []})
-    kernel = Kernel(RunInfo(scenario="test", seed=0, duration_ns=100, vehicles=()), federates)
-    kernel.start()
+    kernel = kernel_of(Local(here, Slot.AGENT, {0: []}), Away(elsewhere, Slot.AGENT, {0: []}))
     kernel.run(lambda event: values.append(event.value))
     assert values == [Note(values={"value": 2.0}), Note(values={"value": 1.0})]
 
 
 def test_a_run_leaves_the_collector_of_its_process_as_it_was() -> None:
     before, during = gc.get_threshold(), list[int]()
-    kernel = Kernel(RunInfo(scenario="s", seed=1, duration_ns=5, vehicles=()), [Script("a", Slot.WORLD, {0: [("a/note", 0)]})])
-    kernel.start()
+    kernel = kernel_of(Script("a", Slot.WORLD, {0: [("a/note", 0)]}))
 
     def observe(_: Event) -> None:
         during.append(gc.get_threshold()[0])

@@ -24,17 +24,22 @@ def _saved(path: Path, env: VehiclesEnv, **changes: Any) -> Path:
     return path
 
 
+def _episode(env: VehiclesEnv, file: Path, seed: int) -> vcmvsp.Result:
+    """The result of an episode with a policy."""
+    network = load_network(file)
+    observations, _ = env.reset(seed=seed)
+    while env.agents:
+        observations, *_ = env.step({name: network(each) for name, each in observations.items()})
+    return env.result()
+
+
 @pytest.mark.processes
 @pytest.mark.parametrize("runs", get_args(Runs)[:2])  # in this process, in other processes
 @pytest.mark.parametrize("task", ["formation", "search", "gates"])
 def test_it_acts_as_in_the_environment_also_in_other_processes(tmp_path: Path, task: str, runs: Runs) -> None:
     env = parallel_env(task, record=True, max_cycles=40)
     file = _saved(tmp_path / "policy.npz", env)
-    network = load_network(file)
-    observations, _ = env.reset(seed=4)
-    while env.agents:
-        observations, *_ = env.step({name: network(each) for name, each in observations.items()})
-    episode = env.result()
+    episode = _episode(env, file, seed=4)
     assert 0 < episode.radio.num_rows <= 40 * 3 * 2
     run = vcmvsp.run(episode_scenario(env, 4, file), agents=runs)
     assert run.radio.equals(episode.radio)
@@ -108,11 +113,7 @@ class ScanPolicy(Policy):
 def test_a_user_task_with_sensors(tmp_path: Path) -> None:
     env = parallel_env(ScanTask(), record=True, max_cycles=20)
     file = _saved(tmp_path / "policy.npz", env)
-    network = load_network(file)
-    observations, _ = env.reset(seed=2)
-    while env.agents:
-        observations, *_ = env.step({name: network(each) for name, each in observations.items()})
-    episode = env.result()
+    episode = _episode(env, file, seed=2)
     run = vcmvsp.run(env.scenario.load(2)[0], agents={name: ScanPolicy(file) for name in env.possible_agents})
     assert run.radio.equals(episode.radio)
     assert run.states.equals(episode.states)

@@ -100,9 +100,6 @@ def blocks() -> Iterator[dict[str, str]]:
         yield written
 
 
-# --- the page -----------------------------------------------------------------------------------------------------------------
-
-
 def test_pages_and_index_are_up_to_date() -> None:
     assert sorted(name for names in reference.PAGES.values() for name in names) == sorted(reference.BLOCKS)
     for page, names in reference.PAGES.items():
@@ -154,9 +151,6 @@ def test_it_is_equal_in_every_process(blocks: dict[str, str]) -> None:
     environment = {**os.environ, "PYTHONHASHSEED": "2" if os.environ.get("PYTHONHASHSEED") == "1" else "1"}  # another seed
     output = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, env=environment).stdout
     assert output.decode() == "".join(blocks.values())
-
-
-# --- what is in it ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("layer", "kind"), [(layer, kind) for layer in LAYERS for kind in builtin_kinds.KINDS[layer]])
@@ -216,9 +210,6 @@ def test_ranges_equal_published_ones() -> None:
     for exponent, range_m in ((2.0, 293.4), (2.5, 108.2), (3.0, 55.6), (4.0, 24.2)):
         layers["path_loss"]["exponent"] = exponent
         assert reach_m(layers) == pytest.approx(range_m, abs=0.05)
-
-
-# --- how it is said -----------------------------------------------------------------------------------------------------------
 
 
 def section(kind: type, path: str = "weather", common: type | None = None) -> Section:

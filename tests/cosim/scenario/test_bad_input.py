@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.support.cosim.command_line import two_cars, vcmvsp_command
+from tests.support.cosim.command_line import assert_refused, two_cars, vcmvsp_command
 
 pytestmark = pytest.mark.slow
 
@@ -34,70 +34,42 @@ def check_refused(folder: Path, text: str | bytes, sets: tuple[str, ...], words:
     before = sorted(folder.iterdir())
     arguments = [argument for setting in sets for argument in ("--set", setting)]
     check = vcmvsp_command("check", "s.toml", *arguments)
-    run = vcmvsp_command("run", "s.toml", *arguments, "--out", "out")
-    assert (check.code, check.out) == (2, ""), check
-    assert run == check
-    assert check.err.startswith("vcmvsp: ")
-    assert check.err.count("\n") == 1, check.err
-    assert check.err.endswith("\n")
-    missing = [word for word in words if word not in check.err]
-    assert not missing, check.err
+    assert_refused(check, *words)
+    assert vcmvsp_command("run", "s.toml", *arguments, "--out", "out") == check
     assert [path for path in sorted(folder.iterdir()) if path.name != "__pycache__"] == before
 
 
-@pytest.fixture(autouse=True)
-def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+UNKNOWN = {
+    "durations": ("duration_s", two_cars(top="durations = 1")),
+    "recrd": ("record", two_cars(tail="[recrd]")),
+    "agent": ("agents", two_cars(tail="[agent]")),
+    "vehicels": ("vehicles", two_cars(tail="[vehicels]")),
+    "physics.gravty": ("gravity", two_cars(physics="gravty = 1")),
+    "world.flor_friction": ("floor_friction", two_cars(tail="[world]\nflor_friction = 1")),
+    "radio.prest": ("preset", two_cars(tail="[radio]\nprest = 'wss'")),
+    "radio.lost": ("loss", two_cars(tail="[radio.lost]\nprobability = 0")),
+    "radio.loss.probabilty": ("probability", two_cars(tail="[radio.loss]\nprobabilty = 0")),
+    "agents.hroizon_s: this default has no effect": ("horizon_s", two_cars(agents="hroizon_s = 1")),
+    "agents.perod_s: this default has no effect": ("period_s", two_cars(agents="perod_s = 1")),
+    "vehicles.max_sped: no vehicle has this parameter": ("max_speed", two_cars(tail="[vehicles]\nmax_sped = 1")),
+    "vehicle.car2.max_sped": ("max_speed", two_cars(car2="max_sped = 1")),
+    "vehicle.car2.pose_sorce": ("pose_source", two_cars(car2="pose_sorce = 'truth'")),
+    "vehicle.car2.positioning.rate": ("rate_hz", two_cars(car2="positioning = { rate = 1 }")),
+    "vehicle.car2.agent.distanc": ("distance", two_cars(agent="kind='leader_follower', leader='car1', distanc=1")),
+    "vehicle.car2.agent.latncy_s": ("latency_s", two_cars(agent="kind='trajectory', latncy_s=1")),
+    "record.period": ("period_s", two_cars(tail="[record]\nperiod = 1")),
+    "metrics.from": ("from_s", two_cars(tail="[metrics]\nfrom = 1")),
+    "world.boxes[0]": ("yaw_rad", two_cars(tail="[world]\nkind='boxes'\nboxes=[{center=[5,5,1], size=[1,1,1], yaw=1}]")),
+}
+"""By its place: the nearest key to an unknown one, and the scenario with it."""
 
 
-UNKNOWN_KEYS = [
-    case_with_line("top", two_cars(top="durations = 1"), "durations", "did you mean 'duration_s'?", "allowed"),
-    case_with_line("top table", two_cars(tail="[recrd]"), "recrd", "did you mean 'record'?"),
-    case("top table agents", two_cars(tail="[agent]"), "did you mean 'agents'?"),
-    case("top table vehicles", two_cars(tail="[vehicels]"), "did you mean 'vehicles'?"),
-    case_with_line("physics kinematic", two_cars(physics="gravty = 1"), "physics.gravty", "did you mean 'gravity'?"),
-    case_with_line(
-        "world", two_cars(tail="[world]\nflor_friction = 1"), "world.flor_friction", "did you mean 'floor_friction'?"
-    ),
-    case_with_line("radio", two_cars(tail="[radio]\nprest = 'wss'"), "radio.prest", "did you mean 'preset'?", "path_loss"),
-    case_with_line("radio layer name", two_cars(tail="[radio.lost]\nprobability = 0"), "radio.lost", "did you mean 'loss'?"),
-    case_with_line("radio layer", two_cars(tail="[radio.loss]\nprobabilty = 0"), "radio.loss.probabilty", "'probability'?"),
-    case_with_line(
-        "agents",
-        two_cars(agents="hroizon_s = 1"),
-        "agents.hroizon_s",
-        "this default has no effect",
-        "horizon_s",
-        "did you mean 'horizon_s'?",
-    ),
-    case_with_line("agents own", two_cars(agents="perod_s = 1"), "agents.perod_s", "has no effect", "did you mean 'period_s'?"),
-    case_with_line(
-        "vehicles",
-        two_cars(tail="[vehicles]\nmax_sped = 1"),
-        "vehicles.max_sped",
-        "no vehicle has this parameter",
-        "did you mean 'max_speed'?",
-    ),
-    case_with_line("vehicle", two_cars(car2="max_sped = 1"), "vehicle.car2.max_sped", "did you mean 'max_speed'?"),
-    case_with_line(
-        "vehicle own",
-        two_cars(car2="pose_sorce = 'truth'"),
-        "vehicle.car2.pose_sorce",
-        "unknown key",
-        "did you mean 'pose_source'?",
-    ),
-    case_with_line("positioning", two_cars(car2="positioning = { rate = 1 }"), "vehicle.car2.positioning.rate", "'rate_hz'?"),
-    case_with_line(
-        "agent", two_cars(agent="kind='leader_follower', leader='car1', distanc=1"), "car2.agent.distanc", "'distance'?"
-    ),
-    case("agent own", two_cars(agent="kind='trajectory', latncy_s=1"), "did you mean 'latency_s'?"),
-    case_with_line("record", two_cars(tail="[record]\nperiod = 1"), "record.period", "did you mean 'period_s'?"),
-    case_with_line("metrics", two_cars(tail="[metrics]\nfrom = 1"), "metrics.from", "did you mean 'from_s'?"),
-    case_with_line(
-        "box",
-        two_cars(tail="[world]\nkind='boxes'\nboxes=[{center=[5,5,1], size=[1,1,1], yaw=1}]"),
-        "world.boxes[0]: unknown key 'yaw'; did you mean 'yaw_rad'?",
-    ),
+@pytest.mark.parametrize(("place", "near", "text"), [(place, *case) for place, case in UNKNOWN.items()], ids=UNKNOWN)
+def test_an_unknown_key_is_refused_with_the_nearest_and_the_allowed_ones(here: Path, place: str, near: str, text: str) -> None:
+    check_refused(here, text, (), ("s.toml line", f": {place}: ", f"did you mean '{near}'?", "allowed: "))
+
+
+SETTINGS = [
     set_case("set", "radio.loss.probabilty=0.1", "radio.loss.probabilty", "did you mean 'probability'?"),
     set_case("set vehicle", "vehicle.car3.kind=lag", "unknown vehicle 'car3'", "allowed: car1, car2"),
     set_case("set whole vehicle", "vehicle.car2=3", "vehicle.car2"),
@@ -108,17 +80,10 @@ UNKNOWN_KEYS = [
 WRONG_VALUES = [
     case("string for number", two_cars(top="seed = 'x'"), "s.toml line 4: seed", "a whole number >= 0", "not 'x'"),
     case("boolean for number", two_cars(tail="[metrics]\nfrom_s = true"), "metrics.from_s", "a number >= 0", "not True"),
-    case(
-        "list for a table or a list", two_cars(), "bridge.zenoh.listen: must be", sets=("bridge.zenoh.listen=[1.0, 2.0, 3.0]",)
-    ),
+    set_case("set a list for a table or a list", "bridge.zenoh.listen=[1.0, 2.0]", "bridge.zenoh.listen: must be"),
     case("negative", two_cars(agents="k1 = -0.8"), "s.toml line 9: agents.k1", "a number >= 0", "not -0.8"),
-    case("negative own", two_cars(agents="latency_s = -0.1"), "s.toml line 9: agents.latency_s", "a number >= 0", "not -0.1"),
     case("zero period", two_cars(agents="period_s = 0"), "agents.period_s", "a number >= 1e-06", "not 0"),
     case("not finite", two_cars(agents="k1 = inf"), "s.toml line 9: agents.k1", "must be finite, not inf"),
-    case("not a number", two_cars(car2="mass_kg = nan"), "vehicle.car2.mass_kg", "must be finite, not nan"),
-    case(
-        "not a number in a list", two_cars().replace("-1.0, -0.5", "-1.0, nan"), "vehicle.car2.pose", "must be finite, not nan"
-    ),
     case("short pose", two_cars().replace("-1.0, -0.5, 0.0", "0, 0"), "vehicle.car2.pose", "a list of 3 values, each a number"),
     case("string pose", two_cars().replace("[-1.0, -0.5, 0.0]", "'here'"), "vehicle.car2.pose", "a list of 3 values"),
     case("choice", two_cars(agent="kind='trajectory', path='sqare'"), "car2.agent.path", "one of 'straight', 'circle'"),
@@ -134,20 +99,8 @@ WRONG_VALUES = [
     ),
     case("boxes without boxes", two_cars(tail="[world]\nkind='boxes'"), "world.boxes", "is missing"),
     case_with_line("wheels too heavy", two_cars(car2="mass_kg = 0.1"), "vehicle.car2", "mass_kg = 0.1"),
-    case_with_line(
-        "no positioning sensor",
-        two_cars(car2="pose_source = 'positioning'"),
-        "car2",
-        "pose_source",
-        "positioning",
-        ": vehicle.car2.pose_source:",
-    ),
-    case(
-        "unknown pose source",
-        two_cars(car2="pose_source = 'gps'"),
-        "vehicle.car2.pose_source",
-        "'truth', 'odometry', 'positioning'",
-    ),
+    case_with_line("no positioning sensor", two_cars(car2="pose_source = 'positioning'"), ": vehicle.car2.pose_source:"),
+    case("unknown pose source", two_cars(car2="pose_source = 'gps'"), "car2.pose_source", "'truth', 'odometry', 'positioning'"),
     case("leader unknown", two_cars(agent="kind='leader_follower', leader='car9'"), "car2", "leader", "car9", "car1"),
     case("leader itself", two_cars(agent="kind='leader_follower', leader='car2'"), "car2", "leader", "car1"),
     case_with_line("name with a space", two_cars().replace('"car2"', '"car 2"'), "name", "[A-Za-z0-9_-]", "not 'car 2'"),
@@ -163,8 +116,6 @@ WRONG_VALUES = [
     case_with_line("all kinds given", two_cars(tail="[vehicles]\nkind='lag'"), "vehicles.kind", "this default has no effect"),
     case_with_line("name for all", two_cars(tail="[vehicles]\nname='lag'"), "vehicles", "set it per vehicle"),
     set_case("set negative", "radio.loss.probability=-0.1", "a number >= 0 and <= 1", "not -0.1"),
-    set_case("set not finite", "radio.delay.seconds=inf", "radio.delay.seconds", "must be finite, not inf"),
-    set_case("set not a number in a list", "vehicle.car2.pose=[0, nan, 0]", "vehicle.car2.pose", "must be finite, not nan"),
     set_case("set a word", "duration_s=long", "a number >= 1e-06", "not 'long'"),
     set_case("set a date", "duration_s=1979-05-27", "a number >= 1e-06", "1979"),
     set_case("set a table", "agents={ period_s = -1 }", "agents.period_s", "a number >= 1e-06", "not -1"),
@@ -199,9 +150,9 @@ TIMES = [
 @pytest.mark.parametrize(
     ("x", "tail"), [("0.1", ""), ("-3.0", "[world]\nkind='boxes'\nboxes=[{center=[-3,-0.5,0.5], size=[1,1,1]}]")]
 )
-def test_bodies_that_overlap_at_the_start_are_refused(tmp_path: Path, x: str, tail: str) -> None:
+def test_bodies_that_overlap_at_the_start_are_refused(here: Path, x: str, tail: str) -> None:
     text = two_cars(tail=tail).replace("-1.0, -0.5", f"{x}, -0.5" if tail else f"{x}, 0.1")
-    check_refused(tmp_path, text, BULLET, ("vehicle.car2.pose", "car2", "overlap", "at the start"))
+    check_refused(here, text, BULLET, ("vehicle.car2.pose", "car2", "overlap", "at the start"))
 
 
 KINDS = [
@@ -218,51 +169,37 @@ KINDS = [
 
 
 @pytest.mark.parametrize(("key", "wrong", "right"), KINDS, ids=lambda word: word)
-def test_an_unknown_kind_is_refused_with_the_nearest(tmp_path: Path, key: str, wrong: str, right: str) -> None:
+def test_an_unknown_kind_is_refused_with_the_nearest(here: Path, key: str, wrong: str, right: str) -> None:
     words = (f"vcmvsp: --set {key}={wrong}: {key}: unknown", f"'{wrong}'", f"did you mean '{right}'?", "allowed: ")
-    check_refused(tmp_path, two_cars(), (f"{key}={wrong}",), words)
+    check_refused(here, two_cars(), (f"{key}={wrong}",), words)
 
 
 @pytest.mark.parametrize("key", [key for key, _, _ in KINDS] + ["agents.runs", "vehicle.car2.pose_source"])
-def test_a_kind_that_is_no_string_is_refused(tmp_path: Path, key: str) -> None:
-    check_refused(tmp_path, two_cars(), (f"{key}=3",), (f"--set {key}=3: {key}: ",))
+def test_a_kind_that_is_no_string_is_refused(here: Path, key: str) -> None:
+    check_refused(here, two_cars(), (f"{key}=3",), (f"--set {key}=3: {key}: ",))
 
 
 @pytest.mark.parametrize("section", ["physics", "world", "radio", "agents", "vehicles", "record", "metrics"])
 @pytest.mark.parametrize("form", ["array", "value"])
-def test_a_table_must_be_a_table(tmp_path: Path, section: str, form: str) -> None:
+def test_a_table_must_be_a_table(here: Path, section: str, form: str) -> None:
     plain = two_cars().replace('[physics]\nkind = "kinematic"\n', "").replace("[agents]\n", "")
     text = f"{plain}\n[[{section}]]\n" if form == "array" else f"{section} = 3\n{plain}"
     several = " radio[0].name: is missing"  # radios may be a list of tables
     words = several if (section, form) == ("radio", "array") else f" {section}: must be a table, not "
-    check_refused(tmp_path, text, (), ("s.toml line", words))
+    check_refused(here, text, (), ("s.toml line", words))
 
 
-def without_vehicles() -> str:
-    return two_cars().partition("[[vehicle]]")[0]
-
-
+WITHOUT = two_cars().partition("[[vehicle]]")[0]
 SHAPES = [
-    case(
-        "vehicle is one table",
-        without_vehicles() + "[vehicle]\nname='car1'",
-        "s.toml",
-        "vehicle: needs at least one [[vehicle]]",
-    ),
-    case(
-        "vehicle is a list of numbers", "vehicle = [3]\n" + without_vehicles(), "s.toml", "vehicle[0]: must be a table, not 3"
-    ),
-    case("vehicle is a number", "vehicle = 3\n" + without_vehicles(), "s.toml", "needs at least one [[vehicle]]"),
-    case("vehicle is an empty list", "vehicle = []\n" + without_vehicles(), "s.toml", "needs at least one [[vehicle]]"),
-    case("set in a vehicle that is a number", "vehicle = 3\n" + without_vehicles(), "vehicle", sets=("vehicle.car1.kind=lag",)),
-    case("no vehicle", without_vehicles(), "s.toml", "needs at least one [[vehicle]]"),
+    case("vehicle is one table", WITHOUT + "[vehicle]\nname='car1'", "s.toml", "vehicle: needs at least one [[vehicle]]"),
+    case("vehicle is a list of numbers", "vehicle = [3]\n" + WITHOUT, "s.toml", "vehicle[0]: must be a table, not 3"),
+    case("vehicle is a number", "vehicle = 3\n" + WITHOUT, "s.toml", "needs at least one [[vehicle]]"),
+    case("vehicle is an empty list", "vehicle = []\n" + WITHOUT, "s.toml", "needs at least one [[vehicle]]"),
+    case("set in a vehicle that is a number", "vehicle = 3\n" + WITHOUT, "vehicle", sets=("vehicle.car1.kind=lag",)),
+    case("no vehicle", WITHOUT, "s.toml", "needs at least one [[vehicle]]"),
     case("empty", "", "s.toml", "needs at least one [[vehicle]]"),
     case_with_line("layer is a list", two_cars(tail="[[radio.loss]]\nkind='none'"), "radio.loss: must be a table"),
-    case(
-        "agent is a number",
-        two_cars().replace('agent = { kind = "leader_follower", leader = "car1" }', "agent = 3"),
-        "car2.agent",
-    ),
+    set_case("set an agent to a number", "vehicle.car2.agent=3", "vehicle.car2.agent: must be a table"),
     case_with_line("positioning is a number", two_cars(car2="positioning = 3"), "vehicle.car2.positioning", "a table"),
     case("not TOML", "name = \n", "s.toml", "is not valid TOML", "line 1"),
     case("key twice", "name = 'a'\nname = 'b'\n", "s.toml", "is not valid TOML", "line 2"),
@@ -271,9 +208,9 @@ SHAPES = [
 ]
 
 
-@pytest.mark.parametrize(("text", "sets", "words"), [*UNKNOWN_KEYS, *WRONG_VALUES, *TIMES, *SHAPES])
-def test_a_scenario_is_refused(tmp_path: Path, text: str | bytes, sets: tuple[str, ...], words: tuple[str, ...]) -> None:
-    check_refused(tmp_path, text, sets, words)
+@pytest.mark.parametrize(("text", "sets", "words"), [*SETTINGS, *WRONG_VALUES, *TIMES, *SHAPES])
+def test_a_scenario_is_refused(here: Path, text: str | bytes, sets: tuple[str, ...], words: tuple[str, ...]) -> None:
+    check_refused(here, text, sets, words)
 
 
 AGENTS = '''
@@ -304,66 +241,60 @@ nothing = 3
 
 
 @pytest.mark.parametrize(
-    ("text", "sets", "words"),
+    ("kind", "words"),
     [
-        set_case("no file", "vehicle.car2.agent.kind=nix.py:A", "vehicle.car2.agent.kind", "there is no file", "nix.py"),
-        set_case(
-            "syntax error", "vehicle.car2.agent.kind=syntax.py:A", "'syntax.py' cannot be imported", "SyntaxError", "line 1"
-        ),
-        set_case(
-            "import error", "vehicle.car2.agent.kind=imports.py:A", "No module named 'no_such_thing'", "imports.py line 3"
-        ),
-        set_case("no such class", "vehicle.car2.agent.kind=mine.py:Nobody", "'mine.py' has no class 'Nobody'"),
-        set_case("no class name", "vehicle.car2.agent.kind=mine.py:", "has no class ''"),
-        set_case(
-            "no colon", "vehicle.car2.agent.kind=mine.py", "unknown agent kind 'mine.py'", "module:Class or file.py:Class"
-        ),
-        set_case("no module", "vehicle.car2.agent.kind=no.such:A", "'no.such' cannot be imported", "No module named 'no'"),
-        set_case(
-            "class without act", "vehicle.car2.agent.kind=mine.py:Mute", "'mine.py:Mute' is not an agent", "act(obs, radio)"
-        ),
-        set_case("number for class", "vehicle.car2.agent.kind=mine.py:nothing", "is not an agent", "act(obs, radio)"),
-        set_case("act of the base class", "vehicle.car2.agent.kind=mine.py:Unfinished", "act"),
-        set_case("constructor refuses", "vehicle.car2.agent.kind=mine.py:Picky", "n = 1 is not my number"),
-        set_case("constructor fails", "vehicle.car2.agent.kind=mine.py:Broken", "mine.py line 11", "AttributeError"),
-        set_case("constructor leaves", "vehicle.car2.agent.kind=mine.py:Leaving", "SystemExit"),
-        set_case("negative period of the class", "vehicle.car2.agent.kind=mine.py:Hasty", "period"),
-        set_case(
-            "inherited constructor",
-            "vehicle.car2.agent.distance=far",
-            "a number > 0",
-            and_set=("vehicle.car2.agent.kind=mine.py:Mine",),
-        ),
-        set_case("vehicle of another part", "vehicle.car2.kind=json:JSONDecoder", "vehicle"),
-        set_case("loss of another part", "radio.loss.kind=json:JSONDecoder", "lost"),
-        set_case("number for loss", "radio.loss.kind=math:pi", "math:pi"),
+        ("imports.py:A", ("No module named 'no_such_thing'", "imports.py line 3")),
+        ("mine.py:", ("has no class ''",)),
+        ("mine.py", ("unknown agent kind 'mine.py'", "module:Class or file.py:Class")),
+        ("mine.py:Mute", ("'mine.py:Mute' is not an agent", "act(obs, radio)")),
+        ("mine.py:nothing", ("is not an agent", "act(obs, radio)")),
+        ("mine.py:Unfinished", ("act",)),
+        ("mine.py:Picky", ("n = 1 is not my number",)),
+        ("mine.py:Broken", ("mine.py line 11", "AttributeError")),
+        ("mine.py:Leaving", ("SystemExit",)),
+        ("mine.py:Hasty", ("period",)),
     ],
 )
-def test_a_class_that_cannot_be_used_is_refused(
-    tmp_path: Path, text: str, sets: tuple[str, ...], words: tuple[str, ...]
-) -> None:
-    (tmp_path / "mine.py").write_text(AGENTS)
-    (tmp_path / "syntax.py").write_text("class A(:\n")
-    (tmp_path / "imports.py").write_text("\n\nimport no_such_thing\n")
-    agent = "kind='mine.py:Mine', leader='car1'" if "vehicle.car2.agent.distance=far" in sets else "kind='trajectory'"
-    check_refused(tmp_path, text.replace('kind = "leader_follower", leader = "car1"', agent), sets, words)
+def test_a_class_that_cannot_be_an_agent_is_refused(here: Path, kind: str, words: tuple[str, ...]) -> None:
+    (here / "mine.py").write_text(AGENTS)
+    (here / "imports.py").write_text("\n\nimport no_such_thing\n")
+    key = "vehicle.car2.agent.kind"
+    check_refused(here, two_cars(agent="kind='trajectory'"), (f"{key}={kind}",), (f"--set {key}", *words))
 
 
-def test_a_constructor_that_refuses_is_reported_with_its_table(tmp_path: Path) -> None:
-    (tmp_path / "mine.py").write_text(AGENTS)
+def test_an_inherited_constructor_is_checked(here: Path) -> None:
+    (here / "mine.py").write_text(AGENTS)
+    text = two_cars(agent="kind='mine.py:Mine', leader='car1'")
+    check_refused(here, text, ("vehicle.car2.agent.distance=far",), ("--set vehicle.car2.agent.distance", "a number > 0"))
+
+
+@pytest.mark.parametrize(
+    ("key", "kind", "word"),
+    [
+        ("vehicle.car2.kind", "json:JSONDecoder", "vehicle"),
+        ("radio.loss.kind", "json:JSONDecoder", "lost"),
+        ("radio.loss.kind", "math:pi", "math:pi"),
+    ],
+)
+def test_a_class_of_another_part_is_refused(here: Path, key: str, kind: str, word: str) -> None:
+    check_refused(here, two_cars(), (f"{key}={kind}",), (f"--set {key}", word))
+
+
+def test_a_constructor_that_refuses_is_reported_with_its_table(here: Path) -> None:
+    (here / "mine.py").write_text(AGENTS)
     check_refused(
-        tmp_path, two_cars(agent="kind='mine.py:Picky'"), (), ("s.toml line", "vehicle.car2.agent", "n = 1 is not my number")
+        here, two_cars(agent="kind='mine.py:Picky'"), (), ("s.toml line", "vehicle.car2.agent", "n = 1 is not my number")
     )
 
 
 @pytest.mark.parametrize("setting", ["foo", "=1", " =1", ""])
-def test_a_setting_without_a_key_or_an_equals_sign_is_refused(tmp_path: Path, setting: str) -> None:
-    check_refused(tmp_path, two_cars(), (setting,), (f"--set {setting}", "KEY=VALUE"))
+def test_a_setting_without_a_key_or_an_equals_sign_is_refused(here: Path, setting: str) -> None:
+    check_refused(here, two_cars(), (setting,), (f"--set {setting}", "KEY=VALUE"))
 
 
 @pytest.mark.parametrize("setting", [".=1", "radio..x=1", "vehicle..x=1"])
-def test_a_setting_with_an_empty_part_of_a_key_is_refused(tmp_path: Path, setting: str) -> None:
-    check_refused(tmp_path, two_cars(), (setting,), ("unknown",))
+def test_a_setting_with_an_empty_part_of_a_key_is_refused(here: Path, setting: str) -> None:
+    check_refused(here, two_cars(), (setting,), ("unknown",))
 
 
 @pytest.mark.parametrize(
@@ -378,17 +309,11 @@ def test_a_setting_with_an_empty_part_of_a_key_is_refused(tmp_path: Path, settin
         ("folder.toml", ("folder.toml", "is a folder, not a scenario file")),
     ],
 )
-def test_a_missing_scenario_is_refused(tmp_path: Path, name: str, words: tuple[str, ...]) -> None:
-    (tmp_path / "folder").mkdir()
-    (tmp_path / "folder.toml").mkdir()
-    outcomes = [
-        vcmvsp_command("check", name),
-        vcmvsp_command("run", name, "--out", "out"),
-        vcmvsp_command("run", name),
-        vcmvsp_command("show", name),
-    ]
-    assert len(set(outcomes)) == 1
-    code, out, err = outcomes[0]
-    assert (code, out, err.count("\n")) == (2, "", 1)
-    assert all(word in err for word in words), err
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["folder", "folder.toml"]
+def test_a_missing_scenario_is_refused(here: Path, name: str, words: tuple[str, ...]) -> None:
+    (here / "folder").mkdir()
+    (here / "folder.toml").mkdir()
+    outcome = vcmvsp_command("check", name)
+    assert_refused(outcome, *words)
+    for arguments in (("run", name, "--out", "out"), ("run", name), ("show", name)):
+        assert vcmvsp_command(*arguments) == outcome
+    assert sorted(path.name for path in here.iterdir()) == ["folder", "folder.toml"]

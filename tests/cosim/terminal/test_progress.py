@@ -120,9 +120,6 @@ def show_vehicles(shown: Progress) -> None:
     shown.on_instant(5 * SECOND_NS, 10 * SECOND_NS)
 
 
-# --- on a terminal -----------------------------------------------------------------------------------------------------------
-
-
 def test_a_bar_is_above_the_vehicles_and_all_is_erased_at_the_end(terminal: Terminal) -> None:
     with terminal, Progress(quiet=False) as shown:
         show_vehicles(shown)
@@ -252,9 +249,6 @@ def test_printing_during_progress_keeps_stdout(terminal: Terminal) -> None:
     assert [line.rstrip() for line in terminal.screen() if line] == ["an agent says so"]
 
 
-# --- elsewhere ---------------------------------------------------------------------------------------------------------------
-
-
 def test_a_dumb_terminal_gets_lines_like_a_file(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TERM", "dumb")
     monkeypatch.setattr(progress, "LOG_EVERY_S", 0.0)
@@ -294,9 +288,6 @@ def test_a_study_shows_the_range_of_its_first_metric(terminal: Terminal) -> None
             shown.on_run(done, 0, 4)
         assert "3 of 4 runs done" in terminal.screen()[0]
         assert "formation.rms_m 0.0123 to 0.5" in terminal.screen()[0]
-
-
-# --- in the end --------------------------------------------------------------------------------------------------------------
 
 
 def test_the_summary_of_a_run_has_columns() -> None:

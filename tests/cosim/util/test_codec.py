@@ -236,11 +236,7 @@ def test_arrays_come_back_in_order_and_cannot_be_written(arrays: list[Array]) ->
         assert not each.flags.writeable
         with pytest.raises(ValueError, match="WRITEABLE"):
             each.flags.writeable = True
-
-
-@given(st.lists(ARRAYS, max_size=6))
-def test_inline_arrays_are_read_too(arrays: list[Array]) -> None:
-    assert bits(LISTS.decode(codec.encode(arrays))) == bits(arrays)
+    assert bits(LISTS.decode(codec.encode(arrays))) == bits(arrays)  # inline arrays are read, too
 
 
 @pytest.mark.parametrize("vehicles", [1, 20])

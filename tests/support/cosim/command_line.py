@@ -27,6 +27,13 @@ def vcmvsp_command(*arguments: str) -> Outcome:
     return Outcome(code or 0, out.getvalue(), err.getvalue())
 
 
+def assert_refused(outcome: Outcome, *words: str) -> None:
+    """A command has failed with exit code 2 and one line with these words on stderr, and nothing on stdout."""
+    assert (outcome.code, outcome.out, outcome.err.count("\n")) == (2, "", 1), outcome
+    assert outcome.err.startswith("vcmvsp: "), outcome.err
+    assert [word for word in words if word not in outcome.err] == [], outcome.err
+
+
 def contents(folder: Path) -> dict[str, bytes]:
     """Content that is equal for two equal runs: all files but ``about.json`` and the page's section on the machine."""
     paths = [path for path in sorted(folder.iterdir()) if path.name not in ("about.json", "__pycache__")]
