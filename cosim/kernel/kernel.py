@@ -337,8 +337,6 @@ class Kernel:
         except VcmvspError as error:
             self._parted.append(error)
 
-    # --- schedule ---------------------------------------------------------------------------------------------------------
-
     def _schedule(self, index: int, when: int | None) -> None:
         self._next[index] = when
         if when is not None:
@@ -379,8 +377,6 @@ class Kernel:
         for index, events in steps:
             self._events.give(index, events, now, slot)
         self._events.publish(now, slot)
-
-    # --- stepping -----------------------------------------------------------------------------------------------------------
 
     def _step(self, index: int, now: int) -> Sequence[Event]:
         with self._blames[index]:

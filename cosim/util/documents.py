@@ -85,7 +85,7 @@ def check_depth(value: object) -> None:
     """Raise a `ValueError` if tables and lists are nested deeper than `DEEPEST`."""
     level = [value]
     for _ in range(DEEPEST + 1):
-        level = [inner for each in level for inner in _inside(each)]
+        level = [inner for each in level for inner in parts_of(each) if isinstance(inner, Mapping | list | tuple)]
         if not level:
             return
     raise ValueError(_TOO_DEEP)
@@ -109,10 +109,6 @@ def parts_of(value: object) -> Collection[object]:
     if isinstance(value, Mapping):
         return value.values()
     return value if isinstance(value, list | tuple) else ()
-
-
-def _inside(value: object) -> list[object]:
-    return [each for each in parts_of(value) if isinstance(each, Mapping | list | tuple)]
 
 
 def _check_keys(text: str) -> None:
