@@ -37,6 +37,10 @@ _FEW = 16  # quadrotors of which all pairs are compared; of more, neighbours are
 _PARK_M = 1e4  # below the floor, and apart
 
 
+def _parking_place(row: int) -> Vec3:
+    return 10.0 * row, 0.0, -_PARK_M
+
+
 class BulletQuadrotors:
     """n quadrotors, a row each; ``starts`` are positions, m, and headings, rad."""
 
@@ -60,7 +64,7 @@ class BulletQuadrotors:
         self.look_s = (self._steps_a_look + 1) * step_s  # Bullet leaves a body out of the step in which it wakes
         self._step = 0
         self.look_is_due = True  # before the next step
-        self.bodies = [self._build(model) for model in models]
+        self.bodies = [self._build(row, model) for row, model in enumerate(models)]
         self.near = np.ones(n, bool)  # until the first look
         self.near_rows: list[int] = []
         self._clear_looks = np.full(n, _AWAY_LOOKS)
@@ -68,7 +72,7 @@ class BulletQuadrotors:
         self._touched = np.zeros(n, bool)  # in the last step
         self.hits: list[int] = []  # in the last step and not in the one before
 
-    def _build(self, model: Quadrotor) -> int:
+    def _build(self, row: int, model: Quadrotor) -> int:
         foot, arm = 0.5 * model.height_m, _FEET_AT * model.radius_m
         feet = [[x * arm, y * arm, 0.0] for x, y in ((1, 1), (-1, 1), (-1, -1), (1, -1))]
         shape = p.createCollisionShapeArray(
@@ -79,14 +83,15 @@ class BulletQuadrotors:
             collisionFramePositions=[[0.0, 0.0, 0.0], *feet],
             physicsClientId=self._client,
         )
-        body = rigid_body(self._client, model.mass_kg, shape, _FRICTION, FLOOR | SOLID)
+        place = _parking_place(row)  # n bodies at one place would be n**2 / 2 pairs that overlap
+        body = rigid_body(self._client, model.mass_kg, shape, _FRICTION, FLOOR | SOLID, basePosition=place)
         p.changeDynamics(body, -1, localInertiaDiagonal=model.inertia, physicsClientId=self._client)
         return body
 
     def _park(self, row: int) -> None:
         body, client = self.bodies[row], self._client
         p.setCollisionFilterGroupMask(body, -1, 0, 0, client)
-        p.resetBasePositionAndOrientation(body, (10.0 * row, 0.0, -_PARK_M), UPRIGHT, client)
+        p.resetBasePositionAndOrientation(body, _parking_place(row), UPRIGHT, client)
         p.resetBaseVelocity(body, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), client)
         asleep = p.ACTIVATION_STATE_SLEEP | p.ACTIVATION_STATE_ENABLE_SLEEPING | p.ACTIVATION_STATE_DISABLE_WAKEUP
         p.changeDynamics(body, -1, activationState=asleep, physicsClientId=client)
