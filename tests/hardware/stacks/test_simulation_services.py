@@ -96,10 +96,9 @@ def test_calls_pause_step_and_change_a_run_which_is_recorded_and_repeatable(port
 
 
 def test_a_call_ends_a_run_like_an_operator(port: int) -> None:
-    with module_process("ros2_caller", port, "--quit") as process, pytest.raises(Interrupted) as ended:
+    with module_process("ros2_caller", port, "--quit"), pytest.raises(Interrupted) as ended:
         vcmvsp.run(scenario(port, 1000.0))
     assert ended.value.result is not None
-    assert process.stdout
 
 
 def test_hashes_are_those_of_rmw_zenoh_and_of_the_sdk() -> None:
