@@ -16,7 +16,7 @@ from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
 from vcmvsp.cosim.frames import Quaternion, product, quaternion_from_yaw
 from vcmvsp.cosim.types import ORIGIN, Odometry, Positive, Vec3, VehicleState, Velocity
 from vcmvsp.hardware.drivers.base import COMMAND_TIMEOUT_S, CommandTimeout, HandshakeError, LinkLost, PortError, Sample, finite
-from vcmvsp.hardware.drivers.threaded import CommandRepeater, ThreadedDriver
+from vcmvsp.hardware.drivers.threaded import CommandRepeater, QueueDriver
 
 PLACE, SMALL = ("x", "y", "z"), ("vx", "vy", "vz", "roll", "pitch", "yaw")  # of stateEstimate; as floats, and of 16 bits
 BATTERY = "pm.vbat"
@@ -29,7 +29,7 @@ Period = Annotated[int, msgspec.Meta(ge=10, le=500, multiple_of=10)]  # ms
 ConnectTime = Annotated[float, msgspec.Meta(gt=0, le=15)]  # s
 
 
-class CrazyflieDriver(ThreadedDriver):
+class CrazyflieDriver(QueueDriver):
     """A Crazyflie (`hardware.drivers.base.Driver`), which takes a velocity in the world and a yaw rate.
 
     Args:
@@ -65,10 +65,6 @@ class CrazyflieDriver(ThreadedDriver):
         self._repeater = CommandRepeater(Velocity(), self._timeout_s, again_ns=AGAIN_NS)
         self._news: queue.SimpleQueue[dict[str, float] | str | None] = queue.SimpleQueue()  # a report, or why it is lost
         self._connected, self._number = False, 0
-
-    def _wake(self) -> None:
-        if self._thread is not None:
-            self._news.put(None)
 
     def _work(self) -> None:
         aircraft = self._opened()
@@ -138,10 +134,7 @@ class CrazyflieDriver(ThreadedDriver):
 
     def _receive(self, until_ns: int) -> bool:
         """Take the next news before this time; whether it is a report."""
-        try:
-            news = self._news.get(timeout=max(0.0, (until_ns - time.monotonic_ns()) / SECOND_NS))
-        except queue.Empty:
-            return False
+        news = self._next_news(until_ns)
         if isinstance(news, str):
             raise LinkLost(self.device, news, "check its battery and the radio")
         if news is None:

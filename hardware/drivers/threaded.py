@@ -1,10 +1,12 @@
 """Common part of drivers with a thread: opening, closing, newest sample, notices, and errors of the thread.
 
 Everything shared between thread and caller is behind one lock, which is never held while waiting. `ThreadedDriver` leaves the
-communication to its subclass; `ReconnectingDriver` is for links with a file descriptor, and restores a lost link.
+communication to its subclass; `QueueDriver` is for libraries that call back, `ReconnectingDriver` for links with a file
+descriptor, and restores a lost link.
 """
 
 import os
+import queue
 import threading
 import time
 from collections import deque
@@ -247,6 +249,23 @@ class ThreadedDriver:
     def _notice(self, what: What, cause: str) -> None:
         with self._lock:
             self._notices.append(Notice(time_ns=time.monotonic_ns(), what=what, cause=cause))
+
+
+class QueueDriver(ThreadedDriver):
+    """A driver with a thread that waits for callbacks of a library and for the caller, both in a queue; None wakes it."""
+
+    _news: queue.SimpleQueue[Any]
+
+    def _wake(self) -> None:
+        if self._thread is not None:
+            self._news.put(None)
+
+    def _next_news(self, until_ns: int) -> Any:
+        """Next news before this time; None: there is none, or the caller wakes the thread."""
+        try:
+            return self._news.get(timeout=max(0.0, (until_ns - time.monotonic_ns()) / SECOND_NS))
+        except queue.Empty:
+            return None
 
 
 class ReconnectingDriver(ThreadedDriver):

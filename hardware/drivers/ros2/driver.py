@@ -31,7 +31,7 @@ from vcmvsp.hardware.drivers.ros2.protocol import (
     OdometryMessage,
     RefusedMessage,
 )
-from vcmvsp.hardware.drivers.threaded import NOT_YET, CommandRepeater, ThreadedDriver
+from vcmvsp.hardware.drivers.threaded import NOT_YET, CommandRepeater, QueueDriver
 
 Pose = Literal["odometry", "world"]
 DRIFT_PPM = 500.0  # maximum drift: the largest slew of NTP
@@ -125,7 +125,7 @@ Domain = Annotated[int, msgspec.Meta(ge=0, le=232)]
 ConnectTime = Annotated[float, msgspec.Meta(gt=0, le=30)]  # s; less than a station allows its driver
 
 
-class Ros2Driver(ThreadedDriver):
+class Ros2Driver(QueueDriver):
     """A robot with ROS 2 (`hardware.drivers.base.Driver`).
 
     Args:
@@ -206,10 +206,6 @@ class Ros2Driver(ThreadedDriver):
         self._last_sender: bytes | None = None  # node of the last connection's odometry
         self._lost_ns = 0
 
-    def _wake(self) -> None:
-        if self._thread is not None:
-            self._news.put(None)
-
     def _check(self) -> None:
         super()._check()
         if self._lost and time.monotonic_ns() >= self._lost_ns + self._reconnect_ns:
@@ -241,10 +237,7 @@ class Ros2Driver(ThreadedDriver):
                 if now_ns >= until_ns:
                     raise self._nobody(node, *self._presence.missing(now_ns))
                 due_ns = min(due_ns, until_ns)
-            try:
-                news = self._news.get(timeout=max(0.0, (due_ns - now_ns) / SECOND_NS))
-            except queue.Empty:
-                news = None
+            news = self._next_news(due_ns)
             now_ns = time.monotonic_ns()
             if isinstance(news, bool):  # a subscriber came or went; each new one gets zero speed first
                 self._presence.listen(news, now_ns)

@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vcmvsp.cosim.clock import SECOND_NS, seconds_to_ns
+from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.errors import ScenarioError, UsageError
 from vcmvsp.cosim.transport import access_control, endpoints, key_names
 from vcmvsp.cosim.types import NonNegative, Positive, Vec3
@@ -30,7 +30,7 @@ from vcmvsp.hardware.drivers.base import (
     PortError,
     finite,
 )
-from vcmvsp.hardware.drivers.threaded import NOT_YET, NOTICES, ThreadedDriver
+from vcmvsp.hardware.drivers.threaded import NOT_YET, NOTICES, QueueDriver
 from vcmvsp.hardware.remote_robot import messages
 from vcmvsp.hardware.remote_robot.messages import FAILURES, SAY_S, RobotHello, RobotOrder, RobotWelcome
 from vcmvsp.hardware.remote_robot.run_side.listener import LinkEnded, News, Peer, RobotGreeting, RobotListener, RobotMessage
@@ -87,7 +87,7 @@ _ADVICE = "check the program 'vcmvsp robot' on the robot's computer, and the net
 INVITE_S = 2.0  # before a message to the user
 
 
-class ZenohDriver(ThreadedDriver):
+class ZenohDriver(QueueDriver):
     """A robot with ``vcmvsp robot`` on its own computer (`hardware.drivers.base.Driver`).
 
     Args:
@@ -271,10 +271,7 @@ class ZenohDriver(ThreadedDriver):
                     self._repeater.stop("the run is over")
                 self._say(leave=True)
                 due_ns = now_ns + seconds_to_ns(SAY_S)
-            try:
-                news = self._news.get(timeout=max(0.0, (min(due_ns, until_ns) - now_ns) / SECOND_NS))
-            except queue.Empty:
-                continue
+            news = self._next_news(min(due_ns, until_ns))
             if isinstance(news, LinkEnded) and news.peer == self._peer:
                 return
             if isinstance(news, RobotMessage) and news.peer == self._peer and self._has_closed(news):
@@ -322,11 +319,8 @@ class ZenohDriver(ThreadedDriver):
                 self._say()
                 due_ns = now_ns + seconds_to_ns(SAY_S)
             self._watch(now_ns, open_until_ns)
-            try:
-                news = self._news.get(timeout=max(0.0, (due_ns - now_ns) / SECOND_NS))
-            except queue.Empty:
-                continue
-            if news is None:
+            news = self._next_news(due_ns)
+            if news is None:  # the caller has news, or it is time to send
                 self._woken.clear()
                 due_ns = 0
             elif isinstance(news, RobotGreeting):
