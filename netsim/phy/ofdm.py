@@ -65,7 +65,6 @@ HE_MODES = {
     143.4e6: (1024, "5/6"),
 }
 HE_SUBCARRIERS = 234  # with data, in 20 MHz
-RATES_BPS = tuple(MODES)
 
 
 class Standard(NamedTuple):

@@ -1,6 +1,7 @@
 """Mean levels of all links, their reports to agents, and the choice of compiled code."""
 
 from collections.abc import Callable
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -110,12 +111,10 @@ def test_frames_enter_in_the_order_in_which_they_were_handed_over(radio: RadioFe
 def test_all_events_lie_in_the_present_or_the_future() -> None:
     radio = RadioFederate(make_channel("zigbee", delay={"seconds": 0.01, "jitter_s": 0.02}, loss={"probability": 0.3}))
     radio.start(RUN)
-    inbox = [states(0, 0.0, 5.0, 9.0)]
+    radio.step(0, [states(0, 0.0, 5.0, 9.0)])
     for k in range(200):
-        step = radio.step(k * MS, [*inbox, *(sends(k * MS, name) for name in NAMES)])
-        inbox = []
-        for event in step.events:
-            assert event.time_ns == k * MS
+        step = radio.step(k * MS, [sends(k * MS, name) for name in NAMES])
+        assert {event.time_ns for event in step.events} == {k * MS}
         assert all(each.received_ns > each.sent_ns == k * MS for _, each in receptions_in(step.events))
 
 
@@ -192,35 +191,24 @@ def levels(radio: RadioFederate, here: Event) -> Array:
     return radio.levels_dbm(here.value)
 
 
-@pytest.fixture
-def shadowed() -> RadioFederate:
-    federate = RadioFederate(make_channel("wifi-b-1", shadowing={"sigma_db": 4.0}))
-    federate.start(RUN)
-    return federate
-
-
-def test_mean_levels_equal_those_of_sent_frames(shadowed: RadioFederate) -> None:
+def test_mean_levels_equal_those_of_sent_frames_and_need_none() -> None:
+    radio = RadioFederate(make_channel("wifi-b-1", shadowing={"sigma_db": 4.0}))
+    radio.start(RUN)
     here = states(0, 0.0, 20.0, 300.0)
-    step = shadowed.step(0, [here, *(sends(0, name) for name in NAMES)])
-    found = levels(shadowed, here)
-    assert np.isnan(np.diagonal(found)).all()
-    for report in frames(step):
-        columns = [NAMES.index(name) for name in report.receivers]
-        assert found[NAMES.index(report.sender), columns].tolist() == report.rssi_dbm.tolist()
-
-
-def test_mean_levels_need_no_frame(shadowed: RadioFederate) -> None:
-    near, far = (levels(shadowed, states(0, 0.0, x, 300.0)) for x in (20.0, 40.0))
+    far, near = levels(radio, states(0, 0.0, 40.0, 300.0)), levels(radio, here)
     assert far[0, 1] < near[0, 1]
     assert far[0, 2] == near[0, 2]
+    assert np.isnan(np.diagonal(near)).all()
+    for report in frames(radio.step(0, [here, *(sends(0, name) for name in NAMES)])):
+        columns = [NAMES.index(name) for name in report.receivers]
+        assert near[NAMES.index(report.sender), columns].tolist() == report.rssi_dbm.tolist()
 
 
 def test_asking_for_mean_levels_changes_no_frame() -> None:
     def run(*, ask: bool) -> str:
-        radio = RadioFederate(
-            make_channel("wifi-b-1", mac={"kind": "dcf"}, shadowing={"sigma_db": 4.0}, loss={"probability": 0.3})
-        )
-        radio.start(RunInfo(scenario="test", seed=4, duration_ns=10**10, vehicles=NAMES))
+        layers: dict[str, Any] = {"mac": {"kind": "dcf"}, "shadowing": {"sigma_db": 4.0}, "loss": {"probability": 0.3}}
+        radio = RadioFederate(make_channel("wifi-b-1", **layers))
+        radio.start(RUN)
         here = states(0, 0.0, 20.0, 60.0)
         radio.step(0, [here])
         found = []

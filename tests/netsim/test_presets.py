@@ -1,3 +1,5 @@
+from typing import Any
+
 import pytest
 
 from tests.support.netsim.channels import make_channel, send
@@ -26,9 +28,9 @@ def test_the_only_kind_of_a_layer_need_not_be_named_wherever_it_stands(
 ) -> None:
     listed = {kind: builtin_kinds.KINDS["script"][kind] for kind in kinds}
     monkeypatch.setattr(builtin_kinds, "KINDS", {**builtin_kinds.KINDS, "script": listed})
-    assert send(
-        make_channel("ideal", vehicles=["car0", "car1"], script={"changes": [{"from_s": 0.0, "to_s": 1.0, "loss": 1.0}]}), 5.0
-    ).outcome == ("scripted outage",)
+    script: dict[str, Any] = {"changes": [{"from_s": 0.0, "to_s": 1.0, "loss": 1.0}]}
+    channel = make_channel("ideal", vehicles=["car0", "car1"], script=script)
+    assert send(channel, 5.0).outcome == ("scripted outage",)
 
 
 def test_a_preset_is_the_callers_own() -> None:

@@ -13,6 +13,8 @@ from vcmvsp.cosim.runs.replay import replay
 WIFI = {"name": "wifi", "preset": "wifi-b-1", "loss": {"probability": 0.3}, "fading": {"kind": "nakagami", "m": 1.0}}
 LORA = {"name": "lora", "preset": "lora-sf7", "mac": {"kind": "aloha", "duty_cycle": 0.5}, "shadowing": {"sigma_db": 6.0}}
 KINEMATIC = {"kind": "kinematic", "agent": {}}
+SHARED = [{**WIFI, "name": name, "channel": "6"} for name in "ab"]  # two networks on one channel
+TURNS: dict[str, Any] = {f"car{i}": {"radios": ["ab"[i % 2]]} for i in range(4)}
 
 
 class Both(vcmvsp.Agent):
@@ -59,12 +61,7 @@ def test_networks_on_separate_channels_are_independent() -> None:
 
 def test_networks_on_one_channel_are_one_medium() -> None:
     """Two networks of LoRa: frames of both overlap, and none is 6 dB above the other at a receiver at equal distances."""
-    parts: dict[str, Any] = {
-        "car0": {"radios": ["a"]},
-        "car1": {"radios": ["a"]},
-        "car2": {"radios": ["b"]},
-        "car3": {"radios": ["b"]},
-    }
+    parts: dict[str, Any] = {f"car{i}": {"radios": ["aabb"[i]]} for i in range(4)}
     outcomes = {}
     for channel in ("1", "2"):
         pair = ({**LORA, "name": "a", "channel": "1"}, {**LORA, "name": "b", "channel": channel})
@@ -141,10 +138,9 @@ def test_an_outage_is_of_all_radios_of_a_vehicle() -> None:
 def test_an_intervention_names_the_radio(key: str) -> None:
     """Two networks on one channel are one medium, addressed by the first name."""
     parts: dict[str, Any] = {f"car{i}": {"radios": ["ab"[i % 2], "lora"]} for i in range(4)}
-    both = ({**WIFI, "name": "a", "channel": "6"}, {**WIFI, "name": "b", "channel": "6"})
     order = {"kind": "set", "at_s": 1.0, "key": key, "value": 0.5}
     with pytest.raises(vcmvsp.ScenarioError) as caught:
-        run({**scenario(*both, LORA, **parts), "intervention": [order]})
+        run({**scenario(*SHARED, LORA, **parts), "intervention": [order]})
     assert f"{key} cannot change during a run; keys that can: radio.a.loss.probability, " in str(caught.value)
     assert "radio.lora.loss.probability" in str(caught.value)
 
@@ -172,8 +168,7 @@ def test_a_replay_repeats_the_frames_of_all_radios(tmp_path: Path) -> None:
 
 
 def test_a_replay_repeats_the_frames_of_networks_on_one_channel(tmp_path: Path) -> None:
-    parts: dict[str, Any] = {f"car{i}": {"radios": ["ab"[i % 2]]} for i in range(4)}
-    content = scenario({**WIFI, "name": "a", "channel": "6"}, {**WIFI, "name": "b", "channel": "6"}, **parts)
+    content = scenario(*SHARED, **TURNS)
     before, after = repeated(tmp_path, content, **{f"car{i}": ("ab"[i % 2],) for i in range(4)})
     assert set(zip(before.radio, before.sender, before.receiver, strict=True)) == {
         *(("a", one, other) for one, other in (("car0", "car2"), ("car2", "car0"))),
@@ -229,36 +224,24 @@ def test_messages_are_forwarded_over_the_named_radio_alone(kind: str) -> None:
     assert (direct.origin_sent_ns == direct.sent_ns).all()
 
 
-def test_a_routed_radio_has_its_channel_alone() -> None:
-    parts: dict[str, Any] = {f"car{i}": {"radios": ["ab"[i % 2]]} for i in range(4)}
-    content = scenario({**WIFI, "name": "a", "channel": "6"}, {**WIFI, "name": "b", "channel": "6"}, **parts)
-    with pytest.raises(vcmvsp.ScenarioError, match=r"routing\.radio: a shares its channel with b"):
-        run({**content, "routing": {"kind": "flooding", "radio": "a"}})
-
-
 @pytest.mark.parametrize(
     ("radios", "own", "settings", "message"),
     [
         ([WIFI, WIFI], {}, {}, "radio: two radios have one name"),
         ([{"preset": "zigbee"}], {}, {}, "radio[0].name: is missing"),
-        ([WIFI], {"radios": ["lora"]}, {}, "vehicle.car0.radios"),
+        ([WIFI], {"car0": {"radios": ["lora"]}}, {}, "vehicle.car0.radios"),
         ([WIFI, {**WIFI, "name": "b", "channel": "wifi"}], {}, {}, "radio.b.channel: car0 has also wifi"),
         ([WIFI, {**LORA, "phy": {"kind": "lora", "sf": 7}}], {}, {}, "radio.lora.phy.sf"),
         ([WIFI, LORA], {}, {"radio.lora.loss.probability": 2.0}, "radio.lora.loss.probability"),
         ([WIFI, LORA], {}, {"routing.kind": "flooding"}, "routing.radio: is missing"),
         ([WIFI, LORA], {}, {"routing": {"kind": "flooding", "radio": "zigbee"}}, "routing.radio: unknown radio 'zigbee'"),
+        (SHARED, TURNS, {"routing": {"kind": "flooding", "radio": "a"}}, "routing.radio: a shares its channel with b"),
+        ([SHARED[0], {**LORA, "name": "b", "channel": "6"}], TURNS, {}, "radio.b: has the channel of a"),
     ],
 )
 def test_wrong_tables_end_with_one_line(
     radios: list[dict[str, Any]], own: dict[str, Any], settings: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(vcmvsp.ScenarioError) as caught:
-        vcmvsp.run(scenario(*radios, car0=own), agents={}, set=settings, mcap=False)
+        vcmvsp.run(scenario(*radios, **own), agents={}, set=settings, mcap=False)
     assert message in str(caught.value)
-
-
-def test_radios_of_one_channel_must_agree() -> None:
-    parts: dict[str, Any] = {f"car{i}": {"radios": ["ab"[i % 2]]} for i in range(4)}
-    content = scenario({**WIFI, "name": "a", "channel": "6"}, {**LORA, "name": "b", "channel": "6"}, **parts)
-    with pytest.raises(vcmvsp.ScenarioError, match=r"radio\.b: has the channel of a"):
-        run(content)

@@ -114,9 +114,5 @@ def test_the_same_counts_and_delays(preset: str, count: int, side_m: float, chan
 )
 def test_not_where_a_layer_has_a_say_in_each_frame(changes: dict[str, Any]) -> None:
     sent = plan(5, 50.0)
-    assert (
-        make_channel("wifi-b-1", vehicles=sent.names, **{"mac": {"kind": "dcf"}, **changes}).bulk(
-            sent.names, sent.waypoints.at(0)
-        )
-        is None
-    )
+    channel = make_channel("wifi-b-1", vehicles=sent.names, **{"mac": {"kind": "dcf"}, **changes})
+    assert channel.bulk(sent.names, sent.waypoints.at(0)) is None

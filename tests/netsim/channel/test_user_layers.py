@@ -21,38 +21,30 @@ pytestmark = pytest.mark.slow
 
 LEVELS = ["3.0", "np.ones(7)", "np.ones((n, 1))", "np.full(n, np.nan)", "np.full(n, np.inf)", "np.full(n, '3')", "None"]
 CHOICES = ["True", "np.ones(7, bool)", "np.zeros(n)", "np.zeros(n, int)", "np.full(n, np.nan)", "None"]
-TIMES = [
-    "5",
-    "np.ones(7, int)",
-    "np.zeros(n)",
-    "np.full(n, np.inf)",
-    "np.full(n, 2**63, np.uint64)",
-    "np.ones(n, bool)",
-    "None",
-]
+TIMES = ["5", "np.ones(7, int)", "np.zeros(n)", "np.full(n, np.inf)", "np.full(n, 2**63, 'u8')", "np.ones(n, bool)", "None"]
+PATHS = ("paths", "len(paths.distance_m)")
+FRAME = ("frame, draw", "len(frame.receivers)")
+TRACED = ("frame", "len(frame.receivers)")
+SENT = ("sender_row, rows, received_ns, size, draw", "len(rows)")
+DELIVERED = ["received_ns", "(3, 4)", "(received_ns * 1.0, received_ns)", "(received_ns - 9, received_ns)", "None"]
 ANSWERS = {  # of a layer's methods: arguments, where n is, a good answer, bad ones
-    "path_loss.loss_db": ("paths", "len(paths.distance_m)", "np.ones(n)", LEVELS),
-    "walls.loss_db": ("paths", "len(paths.distance_m)", "np.ones(n)", LEVELS),
-    "shadowing.loss_db": ("paths", "len(paths.distance_m)", "np.ones(n, int)", LEVELS),
-    "fading.gain_db": ("frame, draw", "len(frame.receivers)", "np.ones(n, np.float32)", LEVELS),
-    "script.gain_db": ("frame, draw", "len(frame.receivers)", "np.ones(n)", LEVELS),
-    "script.lost": ("frame, draw", "len(frame.receivers)", "np.zeros(n, bool)", CHOICES),
-    "script.delay_ns": ("frame, draw", "len(frame.receivers)", "np.ones(n, int)", TIMES),
-    "trace.level_dbm": ("frame", "len(frame.receivers)", "np.full(n, np.nan)", [each for each in LEVELS if "nan" not in each]),
-    "trace.lost": ("frame, draw", "len(frame.receivers)", "np.zeros(n, bool)", CHOICES),
-    "trace.delay_ns": ("frame, draw", "len(frame.receivers)", "np.ones(n, int)", TIMES),
-    "trace.traced": ("frame", "len(frame.receivers)", "np.ones(n, bool)", CHOICES),
+    "path_loss.loss_db": (*PATHS, "np.ones(n)", LEVELS),
+    "walls.loss_db": (*PATHS, "np.ones(n)", LEVELS),
+    "shadowing.loss_db": (*PATHS, "np.ones(n, int)", LEVELS),
+    "fading.gain_db": (*FRAME, "np.ones(n, np.float32)", LEVELS),
+    "script.gain_db": (*FRAME, "np.ones(n)", LEVELS),
+    "script.lost": (*FRAME, "np.zeros(n, bool)", CHOICES),
+    "script.delay_ns": (*FRAME, "np.ones(n, int)", TIMES),
+    "trace.level_dbm": (*TRACED, "np.full(n, np.nan)", [each for each in LEVELS if "nan" not in each]),
+    "trace.lost": (*FRAME, "np.zeros(n, bool)", CHOICES),
+    "trace.delay_ns": (*FRAME, "np.ones(n, int)", TIMES),
+    "trace.traced": (*TRACED, "np.ones(n, bool)", CHOICES),
     "jammer.interference_mw": ("start_ns, end_ns, rx, loss_db, where", "len(rx)", "np.zeros(n)", [*LEVELS, "np.full(n, -1.0)"]),
     "phy.air_time_ns": ("size", "0", "np.int64(size + 1)", ["0", "1e3", "np.nan", "True", "np.ones(2, int)", "None"]),
     "mac.open": ("phy, count, keys, noise_mw", "0", "None", ["3.0", "keys"]),
-    "loss.lost": ("frame, draw", "len(frame.receivers)", "np.zeros(n, bool)", CHOICES),
-    "delay.delay_ns": ("frame, draw", "len(frame.receivers)", "np.ones(n, np.int32)", TIMES),
-    "delivery.deliver": (
-        "sender_row, rows, received_ns, size, draw",
-        "len(rows)",
-        "(received_ns, np.full(n, -1))",
-        ["received_ns", "(3, 4)", "(received_ns * 1.0, received_ns)", "(received_ns - 9, received_ns)", "None"],
-    ),
+    "loss.lost": (*FRAME, "np.zeros(n, bool)", CHOICES),
+    "delay.delay_ns": (*FRAME, "np.ones(n, np.int32)", TIMES),
+    "delivery.deliver": (*SENT, "(received_ns, np.full(n, -1))", DELIVERED),
     "delivery.open": ("count", "0", "None", []),
 }
 ATTRIBUTES = "cause = 'mine'\n    columns = ('rssi_dbm', 'loss', 'delay_s')\n    tx_power_dbm, sensitivity_dbm = 0.0, -300.0\n"
@@ -100,22 +92,16 @@ def test_a_layer_with_its_verbs_is_enough(layer: str, tmp_path: Path) -> None:
     send_often(air(layer, own(tmp_path, layer)))
 
 
-@pytest.mark.parametrize(("verb", "bad"), CASES)
-def test_a_wrong_answer_is_one_error_that_names_layer_and_class(verb: str, bad: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("verb", "bad"), [*CASES, *((verb, "[][0]") for verb in ANSWERS)])
+def test_a_wrong_answer_or_an_exception_is_one_error_that_names_layer_and_class(verb: str, bad: str, tmp_path: Path) -> None:
     layer, _, method = verb.partition(".")
+    kind = own(tmp_path, layer, verb, bad, calls=0 if layer == "mac" or bad == "[][0]" else 4)
     with pytest.raises((FederateError, ScenarioError)) as caught:  # the latter where the channel asks during assembly
-        send_often(air(layer, own(tmp_path, layer, verb, bad, calls=0 if layer == "mac" else 4)))
-    assert f"{layer} Own (own.py line 4): {method} must return " in str(caught.value)
-
-
-@pytest.mark.parametrize("verb", ANSWERS)
-def test_a_layer_that_raises_is_named_with_the_line(verb: str, tmp_path: Path) -> None:
-    layer, _, method = verb.partition(".")
-    kind = own(tmp_path, layer, verb, "[][0]", calls=0)
-    line = next(k for k, text in enumerate((tmp_path / "own.py").read_text().splitlines(), 1) if "[][0]" in text)
-    with pytest.raises((FederateError, ScenarioError)) as caught:
         send_often(air(layer, kind))
-    problem = f"IndexError: list index out of range (own.py line {line}, in {method})"
+    problem = f"{method} must return "
+    if bad == "[][0]":
+        line = next(k for k, text in enumerate((tmp_path / "own.py").read_text().splitlines(), 1) if bad in text)
+        problem = f"IndexError: list index out of range (own.py line {line}, in {method})"
     assert f"{layer} Own (own.py line 4): {problem}" in str(caught.value)
 
 

@@ -1,7 +1,9 @@
 """Air times and error rates of OFDM: closed forms, and two curves a rate of ns-3.44, by frame size."""
 
+from collections.abc import Callable
 from fractions import Fraction
 from math import ceil
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +17,7 @@ from vcmvsp.netsim.phy.constant_rate import ConstantRate
 from vcmvsp.netsim.phy.dsss import Dsss, DsssErrors
 from vcmvsp.netsim.phy.error_rate import ErrorRate
 from vcmvsp.netsim.phy.ieee802154 import Ieee802154, OqpskErrors
-from vcmvsp.netsim.phy.ofdm import RATES_BPS, Ofdm, OfdmErrors
+from vcmvsp.netsim.phy.ofdm import HE_MODES, HT_MODES, MODES, Ofdm, OfdmErrors
 
 pytestmark = pytest.mark.slow
 
@@ -57,12 +59,22 @@ def test_constant_rate_air_time() -> None:
     assert ConstantRate(rate_bps=1e9, overhead_s=0.0).air_time_ns(0) == 1  # never 0
 
 
-def test_rates_that_802_11b_does_not_have_are_refused() -> None:
-    with pytest.raises(ScenarioError, match=r"rate_bps: must be .*5\.5e6.*, not 3e\+06"):
-        Dsss(rate_bps=3e6)
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Dsss(rate_bps=3e6), r"rate_bps: must be .*5\.5e6.*, not 3e\+06"),
+        (lambda: DsssErrors(3e6), r"3e\+06"),
+        (lambda: Ofdm(rate_bps=11e6), r"rate_bps: must be 6e6.*54e6.*, not 1\.1e\+07"),
+        (lambda: OfdmErrors(1e6), r"1e\+06"),
+        (lambda: Ofdm(65e6, error_model="nist"), "error_model: nist"),
+    ],
+)
+def test_rates_and_errors_that_802_11_does_not_have_are_refused(make: Callable[[], Any], message: str) -> None:
+    with pytest.raises(ScenarioError, match=message):
+        make()
 
 
-@pytest.mark.parametrize("rate_bps", RATES_BPS)
+@pytest.mark.parametrize("rate_bps", MODES)
 @given(size=st.integers(0, 2296), more=st.integers(0, 3000))
 def test_air_time_grows_by_whole_symbols(rate_bps: float, size: int, more: int) -> None:
     phy: Phy = Ofdm(rate_bps, "5GHz")
@@ -75,42 +87,20 @@ def test_air_time_grows_by_whole_symbols(rate_bps: float, size: int, more: int) 
     assert Ofdm(rate_bps, "2.4GHz").air_time_ns(size) == air_ns + 6000  # signal extension
 
 
-# PSDUs of 138 and 1038 bytes at MCS 0 to 11, ns-3.44 ``WifiPhy::CalculateTxDuration``, us.
-HE_RATES_BPS = (8.6e6, 17.2e6, 25.8e6, 34.4e6, 51.6e6, 68.8e6, 77.4e6, 86e6, 103.2e6, 114.7e6, 129e6, 143.4e6)
+# Air times at 2.4 GHz, us, by rate. 802.11n, HT-mixed, 800 ns, without aggregation, 100 and 1000 bytes: 42 us, and symbols of
+# 4 us. 802.11ax, HE SU, 800 ns, PSDUs of 138 and 1038 bytes: 50 us, and symbols of 13.6 us (``WifiPhy::CalculateTxDuration``).
+HT_AIR_US: dict[float, tuple[float, ...]] = {6.5e6: (218,), 13e6: (130,), 65e6: (62, 174)}
 HE_SHORT_US = (186, 118, 104.4, 90.8, 77.2, 77.2, 77.2, 63.6, 63.6, 63.6, 63.6, 63.6)
 HE_LONG_US = (1029.2, 539.6, 376.4, 294.8, 213.2, 172.4, 158.8, 158.8, 131.6, 131.6, 118, 118)
-NS3_HE_AIR = [
-    (rate, size, air_us)
-    for size, air_times in ((138, HE_SHORT_US), (1038, HE_LONG_US))
-    for rate, air_us in zip(HE_RATES_BPS, air_times, strict=True)
-]
+AIR_US = HT_AIR_US | dict(zip(HE_MODES, zip(HE_SHORT_US, HE_LONG_US, strict=True), strict=True))
 
 
-@pytest.mark.parametrize(
-    ("rate_bps", "size", "air_us"), [(6.5e6, 100, 212), (13e6, 100, 124), (65e6, 100, 56), (65e6, 1000, 168)]
-)
-def test_air_times_of_802_11n_equal_ns_3(rate_bps: float, size: int, air_us: int) -> None:
-    """HT-mixed, 800 ns, without aggregation: 36 us, then symbols of 4 us for a PSDU with 38 bytes of headers."""
-    assert Ofdm(rate_bps, "5GHz").air_time_ns(size) == air_us * 1000
-    assert Ofdm(rate_bps, "2.4GHz").air_time_ns(size) == air_us * 1000 + 6000
-
-
-@pytest.mark.parametrize(("rate_bps", "size", "air_us"), [*NS3_HE_AIR])
-def test_air_times_of_802_11ax_equal_ns_3(rate_bps: float, size: int, air_us: float) -> None:
-    """HE SU, 800 ns: 44 us, then symbols of 13.6 us for the PSDU, and 6 us of silence."""
-    phy = Ofdm(rate_bps, "2.4GHz")
-    assert phy.air_time_ns(size - phy.headers_bytes) == round(air_us * 1000)
-    assert Ofdm(rate_bps, "5GHz").air_time_ns(size - phy.headers_bytes) == round(air_us * 1000) - 6000
-
-
-def test_nist_has_no_errors_of_802_11n() -> None:
-    with pytest.raises(ScenarioError, match="error_model: nist"):
-        Ofdm(65e6, error_model="nist")
-
-
-def test_rates_that_ofdm_does_not_have_are_refused() -> None:
-    with pytest.raises(ScenarioError, match=r"rate_bps: must be 6e6.*54e6.*, not 1\.1e\+07"):
-        Ofdm(rate_bps=11e6)
+@pytest.mark.parametrize("rate_bps", AIR_US)
+def test_air_times_of_802_11n_and_ax_equal_ns_3(rate_bps: float) -> None:
+    phy, sizes = Ofdm(rate_bps, "2.4GHz"), (100, 1000) if rate_bps in HT_MODES else (138 - 42, 1038 - 42)
+    for size, air_us in zip(sizes, AIR_US[rate_bps], strict=False):
+        assert phy.air_time_ns(size) == round(air_us * 1000)
+        assert Ofdm(rate_bps, "5GHz").air_time_ns(size) == round(air_us * 1000) - 6000  # no signal extension
 
 
 HE_TABLE_DB = {
@@ -134,9 +124,9 @@ NS3_TABLE_DB = {
     54e6: "13.26 14.65 16.14 15.61 16.37 17.36 16.3 16.94 17.84 16.02 16.82 17.82 16.97 17.55 18.39 17.15 17.76 18.5",
 }
 HT_TABLE_DB = {
-    6.5e6: "-2.99 -1.93 -0.74 -1.19 -0.56 0.2 -0.61 -0.1 0.51 -0.98 -0.28 0.48 -0.19 0.32 0.94 0.05 0.44 1.02",  # HT MCS 0
+    6.5e6: HE_TABLE_DB[8.6e6],  # MCS 0
     26e6: "5.06 6.32 7.64 7.12 7.86 8.76 7.8 8.39 9.21 7.52 8.25 9.2 8.35 8.95 9.73 8.6 9.14 9.88",  # MCS 3
-    65e6: "14.58 16.12 17.54 17.05 17.83 18.87 17.75 18.43 19.38 17.51 18.12 19.05 18.2 18.83 19.67 18.45 18.98 19.84",  # MCS 7
+    65e6: HE_TABLE_DB[86e6],  # MCS 7
 }
 
 
