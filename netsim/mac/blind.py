@@ -16,7 +16,7 @@ import numpy as np
 
 from vcmvsp.netsim.interfaces.layers import Floats, Phy
 from vcmvsp.netsim.interfaces.medium import Codes, Decided, Fate, Offered
-from vcmvsp.netsim.mac.event_medium import EventMedium
+from vcmvsp.netsim.mac.event_medium import EventMedium, QueuedRadio
 from vcmvsp.netsim.phy.error_rate import ErrorRate
 
 
@@ -41,13 +41,10 @@ class BlindFrame(NamedTuple):
         return self.start_ns < other.end_ns and other.start_ns < self.end_ns
 
 
-class BlindRadio:
-    """The queue of one radio."""
+class BlindRadio(QueuedRadio):
+    """One radio."""
 
-    def __init__(self, row: int) -> None:
-        self.row = row
-        self.queue: list[tuple[int, int, Offered]] = []  # heap: higher priorities first, then first come, first served
-        self.is_busy = False  # it waits for its turn, or sends
+    is_busy = False  # it waits for its turn, or sends
 
 
 R = TypeVar("R", bound=BlindRadio)
@@ -64,8 +61,8 @@ class BlindMedium(EventMedium[BlindEvent, R]):
     """
 
     def __init__(self, queue_frames: int | None, phy: Phy, radios: Sequence[R], noise_mw: float) -> None:
-        super().__init__()
-        self._limit, self._phy, self._radios, self._noise_mw = queue_frames, phy, radios, noise_mw
+        super().__init__(radios, queue_frames)
+        self._phy, self._noise_mw = phy, noise_mw
         self._errors: ErrorRate | None = getattr(phy, "errors", None)
         self._preamble_snr = 10.0 ** (getattr(phy, "preamble_snr_db", -math.inf) / 10.0)
         capture_db: float | None = getattr(phy, "capture_db", None)
@@ -92,15 +89,8 @@ class BlindMedium(EventMedium[BlindEvent, R]):
         heapq.heappush(self._events, (time_ns, kind, self._running, radio, turn))
 
     def _enqueue(self, frame: Offered) -> None:
-        radio, limit = self._radios[frame.sender], self._limit
-        if limit is not None and len(radio.queue) + (radio.row in self._frames) >= limit:
-            nothing = np.full(len(self._radios), np.nan)
-            full = np.full(len(self._radios), Fate.QUEUE_FULL, np.uint8)
-            self._decided.append(Decided(frame.number, -1, frame.time_ns, 0, full, nothing))
-            return
-        self._running += 1
-        heapq.heappush(radio.queue, (-frame.priority, self._running, frame))
-        if not radio.is_busy:
+        radio = self._radios[frame.sender]
+        if self._admit(frame, sends=radio.row in self._frames) and not radio.is_busy:
             self._await_turn(frame.time_ns, radio)
 
     def _await_turn(self, now_ns: int, radio: R) -> None:
@@ -119,7 +109,7 @@ class BlindMedium(EventMedium[BlindEvent, R]):
 
     def _end(self, now_ns: int, radio: R) -> None:
         ended = self._frames.pop(radio.row)
-        self._decide(ended, [each for each in (*self._frames.values(), *self._ended) if each.overlaps(ended)])
+        self._judge(ended, [each for each in (*self._frames.values(), *self._ended) if each.overlaps(ended)])
         present = [each.start_ns for each in self._frames.values()]
         self._ended = [each for each in (*self._ended, ended) if present and each.end_ns > min(present)]
         if radio.queue:
@@ -127,14 +117,14 @@ class BlindMedium(EventMedium[BlindEvent, R]):
         else:
             radio.is_busy = False
 
-    def _decide(self, frame: BlindFrame, others: Sequence[BlindFrame]) -> None:
+    def _judge(self, frame: BlindFrame, others: Sequence[BlindFrame]) -> None:
         """Decide a frame, given all frames that overlap it."""
         if self._errors is None:
             fate, least_sinr = self._without_errors(frame, others)
         else:
             fate, least_sinr = self._with_errors(self._errors, frame, others)
         fate[frame.offered.sender] = Fate.TRANSMITTING
-        self._decided.append(Decided(frame.offered.number, frame.start_ns, frame.end_ns, 1, fate, least_sinr))
+        self._decide(Decided(frame.offered.number, frame.start_ns, frame.end_ns, 1, fate, least_sinr))
 
     def _without_errors(self, frame: BlindFrame, others: Sequence[BlindFrame]) -> tuple[Codes, Floats]:
         """Fates and least SINR, (n,) each; NaN without capture, where a frame is lost if another one is noticed, too."""

@@ -1,20 +1,38 @@
 """Media that simulate the radios as state machines over one queue of events."""
 
+import heapq
 from collections import deque
 from collections.abc import Sequence
 from enum import IntEnum
 from typing import Generic, TypeVar
 
-from vcmvsp.netsim.interfaces.medium import Decided, Offered
+import numpy as np
+
+from vcmvsp.netsim.interfaces.medium import Decided, Fate, Offered
+
+
+class QueuedRadio:
+    """A radio, and the frames that wait for it."""
+
+    def __init__(self, row: int) -> None:
+        self.row = row
+        self.queue: list[tuple[int, int, Offered]] = []  # heap: higher priorities first, then first come, first served
+
 
 K = TypeVar("K", bound=IntEnum)
-R = TypeVar("R")
+R = TypeVar("R", bound=QueuedRadio)
 
 
 class EventMedium(Generic[K, R]):
-    """Base of a `netsim.interfaces.medium.Medium` with its own events; at the same time, events come before offers."""
+    """Base of a `netsim.interfaces.medium.Medium` with its own events; at the same time, events come before offers.
 
-    def __init__(self) -> None:
+    Args:
+        radios: all radios, by row.
+        queue_frames: maximum number of frames at a sender, with the frame on the air; None: no limit.
+    """
+
+    def __init__(self, radios: Sequence[R], queue_frames: int | None) -> None:
+        self._radios, self._limit = radios, queue_frames
         self._events: list[tuple[int, K, int, R, int]] = []  # heap: time, kind, running number, radio, stamp of the radio
         self._offers: deque[Offered] = deque()
         self._running = 0
@@ -43,8 +61,26 @@ class EventMedium(Generic[K, R]):
         decided, self._decided = self._decided, []
         return decided
 
+    def _admit(self, frame: Offered, *, sends: bool) -> bool:
+        """Put a frame into the queue of its sender, unless it is full; ``sends``: the sender has one more frame."""
+        queue = self._radios[frame.sender].queue
+        if self._limit is not None and len(queue) + sends >= self._limit:
+            self._refuse(frame, frame.time_ns, Fate.QUEUE_FULL)
+            return False
+        self._running += 1
+        heapq.heappush(queue, (-frame.priority, self._running, frame))
+        return True
+
+    def _refuse(self, frame: Offered, now_ns: int, fate: Fate) -> None:
+        """Decide a frame that was never sent."""
+        count = len(self._radios)
+        self._decide(Decided(frame.number, -1, now_ns, 0, np.full(count, fate, np.uint8), np.full(count, np.nan)))
+
+    def _decide(self, decided: Decided) -> None:
+        self._decided.append(decided)
+
     def _enqueue(self, frame: Offered) -> None:
-        """Put a frame into the queue of its sender."""
+        """Process an offer."""
         raise NotImplementedError
 
     def _happen(self) -> None:

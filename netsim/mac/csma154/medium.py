@@ -25,7 +25,7 @@ from vcmvsp.cosim.types import Decibels, Seconds
 from vcmvsp.netsim.interfaces.layers import BACKOFF_SLOT, US, Floats, Keys, Phy
 from vcmvsp.netsim.interfaces.medium import Codes, Decided, Fate, Medium, Offered
 from vcmvsp.netsim.mac.csma154.receivers import AirborneFrame, Csma154Air
-from vcmvsp.netsim.mac.event_medium import EventMedium
+from vcmvsp.netsim.mac.event_medium import EventMedium, QueuedRadio
 from vcmvsp.netsim.phy.error_rate import ErrorRate
 from vcmvsp.netsim.phy.ieee802154 import OqpskErrors
 
@@ -56,14 +56,13 @@ class RadioState(Enum):
     ANSWERING = auto()  # acknowledgement and both turnarounds
 
 
-class Csma154Radio:
+class Csma154Radio(QueuedRadio):
     """State machine of one radio: its queue, its current frame, and the progress of that frame."""
 
     def __init__(self, row: int, key: Keys, rules: "Csma154") -> None:
-        self.row = row
+        super().__init__(row)
         self.doing = RadioState.NOTHING
         self.stamp = 0  # events of earlier stamps are cancelled
-        self.queue: list[tuple[int, int, Offered]] = []  # heap: higher priorities first, then first come, first served
         self.ready_ns = 0  # end of the interframe space
         self.frame: Offered | None = None
         self.air_ns = 0  # of the frame
@@ -115,10 +114,9 @@ class Csma154Medium(EventMedium[_Kind, Csma154Radio]):
     """The `netsim.interfaces.medium.Medium`: an event queue over the radios' state machines."""
 
     def __init__(self, rules: "Csma154", air: Csma154Air, phy: Phy, errors: ErrorRate, keys: Keys) -> None:
-        super().__init__()
+        super().__init__([Csma154Radio(row, keys[row : row + 1], rules) for row in range(len(keys))], rules.queue_frames)
         self._rules, self._air, self._phy, self._errors = rules, air, phy, errors
         self._lifetime_ns = math.inf if rules.lifetime_s is None else seconds_to_ns(rules.lifetime_s)
-        self._radios = [Csma154Radio(row, keys[row : row + 1], rules) for row in range(len(keys))]
         self._handlers = {
             _Kind.ASSESSED: self._assessed,
             _Kind.LANDED: self._landed,
@@ -165,12 +163,9 @@ class Csma154Medium(EventMedium[_Kind, Csma154Radio]):
         heapq.heappush(self._events, (time_ns, kind, self._running, radio, radio.stamp))
 
     def _enqueue(self, frame: Offered) -> None:
-        radio, now_ns, limit = self._radios[frame.sender], frame.time_ns, self._rules.queue_frames
-        if limit is not None and len(radio.queue) + (radio.frame is not None) >= limit:
-            self._never(now_ns, frame, Fate.QUEUE_FULL)
+        radio, now_ns = self._radios[frame.sender], frame.time_ns
+        if not self._admit(frame, sends=radio.frame is not None):
             return
-        self._running += 1
-        heapq.heappush(radio.queue, (-frame.priority, self._running, frame))
         if radio.doing is RadioState.NOTHING:
             self._next(now_ns, radio)
         elif radio.frame is None:  # still in the interframe space
@@ -180,7 +175,7 @@ class Csma154Medium(EventMedium[_Kind, Csma154Radio]):
         while radio.queue:
             frame = heapq.heappop(radio.queue)[2]
             if now_ns - frame.time_ns > self._lifetime_ns:
-                self._never(now_ns, frame, Fate.EXPIRED)
+                self._refuse(frame, now_ns, Fate.EXPIRED)
                 continue
             radio.frame, radio.air_ns = frame, self._phy.air_time_ns(frame.size_bytes)
             radio.attempts, radio.last, radio.received_ns = 0, None, -1
@@ -325,18 +320,14 @@ class Csma154Medium(EventMedium[_Kind, Csma154Radio]):
         radio.frame = None
         self._soonest.pop(radio.row, None)
         if last is None:
-            self._never(now_ns, frame, Fate.BUSY_CHANNEL)
+            self._refuse(frame, now_ns, Fate.BUSY_CHANNEL)
         elif radio.received_ns < 0:
             flight, fate = last
             self._decide(Decided(frame.number, flight.start_ns, now_ns, radio.attempts, fate, flight.least_sinr))
 
-    def _never(self, now_ns: int, frame: Offered, fate: Fate) -> None:
-        count = len(self._radios)
-        self._decide(Decided(frame.number, -1, now_ns, 0, np.full(count, fate, np.uint8), np.full(count, np.nan)))
-
     def _decide(self, decided: Decided) -> None:
+        super()._decide(decided)
         del self._waiting[decided.number]
-        self._decided.append(decided)
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,6 @@ class DcfRules(NamedTuple):
 FrameBools = Annotated[Bools, "c"]
 FrameInts = Annotated[Ints, "c"]
 LinkBools = Annotated[Bools, "nn"]
-LinkInts = Annotated[Ints, "nn"]
 LinkFloats = Annotated[Floats, "nn"]
 OutputInts = Annotated[Ints, "o"]
 RateFloats = Annotated[Floats, "r"]
@@ -141,7 +140,7 @@ class DcfState(NamedTuple):
     fate: Annotated[Codes, "nn"]
     tables: Floats  # (k, 2^16 + 1) hazards of `HEADER`, `ACKNOWLEDGEMENT` and payloads
     # Bit rates, (r,): that of the phy, or rising ones for unicast frames
-    rate: LinkInts  # (n, n) of the next unicast frame to each radio
+    rate: Annotated[Ints, "nn"]  # (n, n) of the next unicast frame to each radio
     least_snr: RateFloats  # above which it is chosen; a ratio of powers
     ack_air_ns: RateInts
     ack_bits_per_ns: RateFloats
