@@ -81,16 +81,20 @@ def listening(source: Any) -> Iterator[Any]:
 
 
 @contextlib.contextmanager
-def sending(source: Ubisense) -> Iterator[Callable[..., None]]:
-    """Function that sends datagrams to a source's address."""
-    port = int(source.device.rpartition(":")[2])
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+def sending(**parameters: Any) -> Iterator[tuple[Ubisense, Callable[..., None]]]:
+    """An open source at a free port, and a function that sends datagrams to it."""
+    with (
+        listening(Ubisense(listen="udp://127.0.0.1:0", **parameters)) as source,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out,
+    ):
+        out.connect(("127.0.0.1", int(source.device.rpartition(":")[2])))
 
-        def send(*, tag: str = "11", at: Any = (1.0, 2.0, 0.5), source_ns: int = 0, sigma_m: float | None = None) -> None:
-            located = Located(tag=tag, position=at, source_ns=source_ns, sigma_m=sigma_m)
-            out.sendto(ubisense.encode(located), ("127.0.0.1", port))
+        def send(
+            data: bytes = b"", *, tag: str = "11", at: Any = (1.0, 2.0, 0.5), source_ns: int = 0, sigma_m: float | None = None
+        ) -> None:
+            out.send(data or ubisense.encode(Located(tag=tag, position=at, source_ns=source_ns, sigma_m=sigma_m)))
 
-        yield send
+        yield source, send
 
 
 class Terminal:
@@ -125,9 +129,8 @@ def terminal(tmp_path: Path) -> Iterator[Terminal]:
 
 
 def test_ubisense_positions_are_turned_and_moved_into_the_world() -> None:
-    source = Ubisense(listen="udp://127.0.0.1:0", tag="0x11", offset=(10.0, 20.0, 1.0), turn_rad=0.5 * math.pi, sigma_m=0.3)
-    assert isinstance(source, Localisation)
-    with listening(source), sending(source) as send:
+    with sending(tag="0x11", offset=(10.0, 20.0, 1.0), turn_rad=0.5 * math.pi, sigma_m=0.3) as (source, send):
+        assert isinstance(source, Localisation)
         send(tag="22", at=(7.0, 7.0, 7.0))
         send()
         before = time.monotonic_ns()
@@ -144,8 +147,7 @@ def test_ubisense_positions_are_turned_and_moved_into_the_world() -> None:
 
 def test_the_systems_clock_gives_the_times_between_positions() -> None:
     """Positions measured 40 ms apart that arrive together."""
-    source = Ubisense(listen="udp://127.0.0.1:0", tag="11", latency_s=0.05)
-    with listening(source), sending(source) as send:
+    with sending(tag="11", latency_s=0.05) as (source, send):
         for tick in range(3):
             send(source_ns=10**15 + tick * 40_000_000)
         received: list[Fix] = []
@@ -162,8 +164,7 @@ def test_the_systems_clock_gives_the_times_between_positions() -> None:
 
 @pytest.mark.usefixtures("impatient")
 def test_several_unnamed_tags_are_an_error_with_a_list() -> None:
-    source = Ubisense(listen="udp://127.0.0.1:0")
-    with listening(source), sending(source) as send:
+    with sending() as (source, send):
 
         def look() -> str:
             send(tag="A1")
@@ -182,8 +183,7 @@ def test_several_unnamed_tags_are_an_error_with_a_list() -> None:
 
 @pytest.mark.usefixtures("impatient")
 def test_the_only_tag_needs_no_name() -> None:
-    source = Ubisense(listen="udp://127.0.0.1:0")
-    with listening(source), sending(source) as send:
+    with sending() as (source, send):
         assert wait(lambda: send() or fixes(source))[0].position == pytest.approx((1.0, 2.0, 0.5))
 
 
@@ -231,12 +231,9 @@ def test_wrong_parameters_are_named(kind: Any, table: dict[str, Any], error_text
 
 @pytest.mark.usefixtures("impatient")
 def test_silence_has_a_cause_and_an_end_notice() -> None:
-    source = Ubisense(listen="udp://127.0.0.1:0", tag="11")
-    with listening(source), sending(source) as send:
+    with sending(tag="11") as (source, send):
         assert "location engine" in wait(causes(source, "nothing comes"))[0]
-        port = int(source.device.rpartition(":")[2])
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
-            out.sendto(b"hello", ("127.0.0.1", port))
+        send(b"hello")
         assert wait(causes(source, "are not Ubisense's"))
         send(tag="22")
         assert "0000000000000022" in wait(causes(source, "received tags"))[0]
@@ -252,8 +249,7 @@ def test_silence_has_a_cause_and_an_end_notice() -> None:
 
 @pytest.mark.usefixtures("impatient")
 def test_a_clock_jump_is_reported() -> None:
-    source = Ubisense(listen="udp://127.0.0.1:0", tag="11")
-    with listening(source), sending(source) as send:
+    with sending(tag="11") as (source, send):
         for stamp in (1000, 1001, 1002, 9_001_000, 9_001_001, 9_001_002):
             send(source_ns=stamp * 1_000_000)
         assert wait(causes(source, "clock"))
