@@ -33,7 +33,7 @@ class Witness(Agent):
 
 def cars(*tables: Mapping[str, Any], duration_s: float = 5.0, **more: Any) -> dict[str, Any]:
     """A scenario with car1, car2, ... side by side, 3 m apart, over a perfect radio."""
-    named = [{"name": f"car{n}", "kind": "p2dx", "position": [0.0, -3.0 * n, 0.0], **each} for n, each in enumerate(tables, 1)]
+    named = [{"name": f"car{n}", "kind": "p2dx", "pose": [0.0, -3.0 * n, 0.0], **each} for n, each in enumerate(tables, 1)]
     scenario = {"name": "clocks", "duration_s": duration_s, "physics": {"kind": "kinematic"}, "radio": {"preset": "ideal"}}
     return {**scenario, **more, "vehicle": named}
 
@@ -48,16 +48,8 @@ def leader_and_follower(leader: Mapping[str, Any], follower: Mapping[str, Any], 
     """A follower 1 m behind a leader that drives straight ahead; reports from the future are accepted."""
     lead = {"kind": "trajectory", "path": "straight", "speed": SPEED}
     follow = {"kind": "leader_follower", "leader": "car1", "slot": [-1.0, 0.0], "clock_bound_s": 10.0}
-    return cars(
-        {"pose": [0.0, 0.0, 0.0], "position": None, "agent": lead, **leader},
-        {"pose": [-1.0, 0.0, 0.0], "position": None, "agent": follow, **follower},
-        **more,
-    )
-
-
-def without_none(scenario: dict[str, Any]) -> dict[str, Any]:
-    vehicles = [{name: value for name, value in each.items() if value is not None} for each in scenario["vehicle"]]
-    return {**scenario, "vehicle": vehicles}
+    ahead, behind = {"pose": [0.0, 0.0, 0.0], "agent": lead}, {"pose": [-1.0, 0.0, 0.0], "agent": follow}
+    return cars({**ahead, **leader}, {**behind, **follower}, **more)
 
 
 def gap_m(out: Path, time_s: float) -> float:
@@ -128,7 +120,7 @@ def test_readings_have_the_time_of_their_vehicle() -> None:
 def test_a_followers_error_is_speed_times_the_difference_of_the_clocks(tmp_path: Path) -> None:
     """It extrapolates the leader's report by its age, with an error of offset + drift t."""
     clock = {"offset_s": OFFSET_S, "drift_ppm": DRIFT_PPM}
-    scenario = without_none(leader_and_follower({}, {"clock": clock}, duration_s=61.0))
+    scenario = leader_and_follower({}, {"clock": clock}, duration_s=61.0)
     vcmvsp.run(scenario, out=tmp_path / "late")
     vcmvsp.run(scenario, out=tmp_path / "exact", set={"vehicle.car2.clock.offset_s": 0, "vehicle.car2.clock.drift_ppm": 0})
     for time_s in (20.0, 40.0, 60.0):
@@ -169,19 +161,12 @@ def synchronised(task: Agent) -> Agent:
 
 def test_synchronised_followers_keep_their_slot(tmp_path: Path) -> None:
     """With equal delays in both directions, and clocks 30 s apart."""
-    plain = without_none(leader_and_follower({}, {}, duration_s=30.0))
+    plain = leader_and_follower({}, {}, duration_s=30.0)
     lead, follow = (each["agent"] for each in plain["vehicle"])
-    layered = without_none(
-        leader_and_follower(
-            {"agent": {"kind": "time_sync", "task": lead}},
-            {
-                "agent": {"kind": "time_sync", "reference": "car1", "task": follow},
-                "clock": {"offset_s": 30.0, "drift_ppm": 50.0},
-            },
-            duration_s=30.0,
-        )
-    )
-    layered["vehicle"][1]["agent"]["task"] = {**follow, "clock_bound_s": 1.0}
+    leader = {"agent": {"kind": "time_sync", "task": lead}}
+    task, clock = {**follow, "clock_bound_s": 1.0}, {"offset_s": 30.0, "drift_ppm": 50.0}
+    follower = {"agent": {"kind": "time_sync", "reference": "car1", "task": task}, "clock": clock}
+    layered = leader_and_follower(leader, follower, duration_s=30.0)
     vcmvsp.run(plain, out=tmp_path / "plain")
     vcmvsp.run(layered, out=tmp_path / "layered")
     assert gap_m(tmp_path / "layered", 29.0) == pytest.approx(gap_m(tmp_path / "plain", 29.0), abs=1e-3)
@@ -190,7 +175,7 @@ def test_synchronised_followers_keep_their_slot(tmp_path: Path) -> None:
 @pytest.mark.processes
 def test_clocks_are_equal_in_other_processes(tmp_path: Path) -> None:
     clock = {"offset_s": OFFSET_S, "drift_ppm": DRIFT_PPM, "jitter_s": 1e-3}
-    scenario = without_none(leader_and_follower({}, {"clock": clock}, duration_s=3.0))
+    scenario = leader_and_follower({}, {"clock": clock}, duration_s=3.0)
     for runs in ("inprocess", "process"):
         vcmvsp.run(scenario, out=tmp_path / runs, set={"agents.runs": runs})
     assert (tmp_path / "inprocess" / "run.mcap").read_bytes() == (tmp_path / "process" / "run.mcap").read_bytes()
@@ -198,7 +183,7 @@ def test_clocks_are_equal_in_other_processes(tmp_path: Path) -> None:
 
 def test_the_resolved_scenario_gives_the_same_bytes(tmp_path: Path) -> None:
     clock = {"offset_s": OFFSET_S, "step": {"at_s": 1.0, "by_s": 0.2}}
-    vcmvsp.run(without_none(leader_and_follower({}, {"clock": clock}, duration_s=3.0)), out=tmp_path / "first")
+    vcmvsp.run(leader_and_follower({}, {"clock": clock}, duration_s=3.0), out=tmp_path / "first")
     vcmvsp.run(tmp_path / "first" / "scenario.toml", out=tmp_path / "again")
     assert (tmp_path / "first" / "run.mcap").read_bytes() == (tmp_path / "again" / "run.mcap").read_bytes()
 

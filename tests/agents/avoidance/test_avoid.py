@@ -30,12 +30,10 @@ class ScriptedTask(Agent):
     """Task: returns the given commands in turn and notes the number of calls."""
 
     period = 0.2
-    sensors: tuple[str, ...] | None = ("gps",)
+    sensors = ("gps",)
 
-    def __init__(self, *commands: Velocity | Waypoint | None, looks: bool = True) -> None:
+    def __init__(self, *commands: Velocity | Waypoint | None) -> None:
         self.commands, self.calls = list(commands), list[str]()
-        if not looks:
-            self.sensors = None
 
     def start(self, info: VehicleInfo) -> None:
         self.calls.append("start")

@@ -28,10 +28,7 @@ class FixedAnswer(Settings, frozen=True, kw_only=True, tag="asked"):
     """A method that returns the task, or a fixed answer, and records its inputs."""
 
     answer: tuple[float, float, float] | None = None
-
-    @property
-    def reach_m(self) -> float:
-        return 1.2
+    reach: float = 1.2
 
     def default_keep_m(self, body: Body) -> float:
         return 0.5
@@ -231,8 +228,6 @@ def test_far_returns_may_vanish_at_once() -> None:
 
 
 near = st.lists(st.floats(0.0, 7.0) | st.just(math.inf), min_size=32, max_size=32)
-
-
 angles = st.floats(-4.0, 4.0) | st.floats(1e-5, 0.3) | st.floats()
 methods = st.sampled_from([PotentialField, Gap, Vfh, DynamicWindow])
 
@@ -274,7 +269,6 @@ def test_level_2_begins_earlier_with_command_latency() -> None:
 
 # --- levels of nearness, and limits of the speed: rules, random scans and closed forms ---
 
-
 KEEP, APPROACH = 0.5, 0.4
 AMIGO = Body(width_m=0.279, radius_m=0.216)
 DRONE = Body(width_m=0.5, radius_m=0.25, flies=True)
@@ -287,9 +281,9 @@ def seen(distances: list[float]) -> View:
     return view(distances, math.tau, 0.0)
 
 
-def walls(half_width: float, end: float = math.inf, count: int = 361) -> View:
+def walls(half_width: float, end: float = math.inf) -> View:
     """View of the half turn ahead in a corridor along x, closed by a wall at ``end``."""
-    bearing = np.linspace(-math.pi / 2, math.pi / 2, count)
+    bearing = np.linspace(-math.pi / 2, math.pi / 2, 361)
     with np.errstate(divide="ignore"):
         aside = half_width / np.abs(np.sin(bearing))
         ahead = np.where(np.cos(bearing) > 1e-9, end / np.maximum(np.cos(bearing), 1e-9), np.inf)

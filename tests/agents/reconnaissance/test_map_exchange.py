@@ -31,31 +31,21 @@ pytestmark = pytest.mark.slow
 # -- without loss
 
 
-@pytest.mark.parametrize("max_bytes", [100, 1400])
-def test_without_loss_a_ledger_is_the_central_map_bit_for_bit(max_bytes: int) -> None:
-    rng = np.random.default_rng(1)
-    central = ledger("a")
-    minds: dict[str, MapExchange] = {name: ledger(name, max_bytes=max_bytes) for name in TEAM}
-    for tick in range(1, 40):
+@pytest.mark.parametrize(
+    ("kind", "max_bytes", "ticks", "within"), [("ledger", 100, 40, 0.0), ("ledger", 1400, 40, 0.0), ("delta", 1400, 6, 1e-9)]
+)
+def test_without_loss_all_have_the_central_map(kind: Kind, max_bytes: int, ticks: int, within: float) -> None:
+    """A ledger bit for bit."""
+    rng, central = np.random.default_rng(1), ledger("a")
+    minds = {name: exchange(kind, SMALL, SENSOR, name, TEAM, max_bytes=max_bytes) for name in TEAM}
+    for tick in range(1, ticks):
         for mind in minds.values():
             central.look(*look(mind, rng, tick * S), tick * S)
         for name, mind in minds.items():
             tell(mind, {other: minds[other] for other in TEAM if other != name}, name, tick * S)
         for mind in minds.values():
-            assert mind.log_odds.tobytes() == central.log_odds.tobytes()
-    assert len(np.unique(central.log_odds)) > 20
-
-
-def test_without_loss_delta_gives_the_central_map() -> None:
-    rng, central = np.random.default_rng(3), ledger("a")
-    minds: dict[str, MapExchange] = {name: exchange("delta", SMALL, SENSOR, name, TEAM) for name in TEAM}
-    for tick in range(1, 6):
-        for mind in minds.values():
-            central.look(*look(mind, rng, tick * S), tick * S)
-        for name, mind in minds.items():
-            tell(mind, {other: minds[other] for other in TEAM if other != name}, name, tick * S)
-    for mind in minds.values():
-        assert mind.log_odds == pytest.approx(central.log_odds, abs=1e-9)
+            assert np.abs(mind.log_odds - central.log_odds).max() <= within
+    assert len(np.unique(central.log_odds)) > 10
 
 
 def test_in_consensus_all_end_up_with_the_nth_part_of_all_evidence() -> None:

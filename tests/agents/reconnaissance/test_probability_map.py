@@ -121,15 +121,11 @@ def test_a_footprint_may_be_concave() -> None:
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_corners_at_infinity_contain_no_cells(bad: float) -> None:
-    assert GRID.inside(np.array([[0, 6], [4, 6], [4, bad], [0, 10]])).size == 0
+def test_corners_at_infinity_or_fewer_than_three_contain_no_cells(bad: float) -> None:
+    for corners in ([[0, 6], [4, 6], [4, bad], [0, 10]], [], [[0, 6]], [[0, 6], [4, 10]]):
+        assert GRID.inside(np.array(corners)).size == 0
     assert GRID.within(bad, 10.0, 5.0).size == 0
     assert GRID.within(0.0, 10.0, bad).size == 0
-
-
-@pytest.mark.parametrize("corners", [[], [[0, 6]], [[0, 6], [4, 10]]])
-def test_fewer_than_three_corners_contain_no_cells(corners: list[list[float]]) -> None:
-    assert GRID.inside(np.array(corners)).size == 0
 
 
 @pytest.mark.parametrize(

@@ -27,8 +27,8 @@ def at(state: MissionState, when_s: float, **facts: Any) -> MissionState:
     return run(state, when_s, when_s, **facts)
 
 
-def searching(to_s: float = 9.9) -> MissionState:
-    return run(MissionState(), 0.0, to_s)
+def searching() -> MissionState:
+    return run(MissionState(), 0.0, 9.9)
 
 
 def tracking(from_s: float = 5.0, to_s: float = 9.9) -> MissionState:
@@ -40,9 +40,9 @@ def tracking(from_s: float = 5.0, to_s: float = 9.9) -> MissionState:
     return state
 
 
-def avoiding(level: int, before: MissionState, from_s: float = 10.0) -> MissionState:
+def avoiding(level: int, before: MissionState) -> MissionState:
     """State in which avoidance has just begun."""
-    state = at(before, from_s, nearest_m=NEAR if level == 1 else NEARER, closing=True, seen_ns=round(from_s * SECOND))
+    state = at(before, 10.0, nearest_m=NEAR if level == 1 else NEARER, closing=True, seen_ns=10 * SECOND)
     assert state.name == f"avoid{level}"
     return state
 
@@ -255,9 +255,8 @@ def test_a_suspended_task_returns(sequence: list[MissionFacts]) -> None:
     state = steps[-1][0] if steps else MissionState()
     now_ns = state.now_ns or 0
     for tick in range(1, 25):
-        state = step(
-            state, MissionFacts(now_ns + tick * 100 * MS, seen_ns=now_ns + tick * 100 * MS, shared=state.task == "formation")
-        )
+        then_ns = now_ns + tick * 100 * MS
+        state = step(state, MissionFacts(then_ns, seen_ns=then_ns, shared=state.task == "formation"))
     assert state.name == state.task
 
 

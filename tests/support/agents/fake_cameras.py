@@ -15,6 +15,7 @@ from vcmvsp.cosim.agent import Observation, Radio
 from vcmvsp.cosim.types import Image, Sighting, Waypoint
 
 T_NS = round(T * 1e9)
+MEMBERS = ("me", "other")
 
 Point = tuple[float, float]
 Targets = Callable[[float], Mapping[str, Point]]
@@ -31,8 +32,10 @@ class FakeWatch:
 
     region: GroundDisc | None = None
 
-    def __init__(self, targets: Targets, names: tuple[str, ...] = ("alpha", "bravo"), every: int = 1) -> None:
-        self.targets, self.names, self._every_ns = targets, names, every * T_NS
+    names = ("alpha", "bravo")
+
+    def __init__(self, targets: Targets, every: int = 1) -> None:
+        self.targets, self._every_ns = targets, every * T_NS
         self.settings = Watching(targets=(), camera="eye")
         self.regions: list[GroundDisc | None] = []
         self._last: tuple[int, WatchFrame | None] = -1, None
@@ -59,20 +62,18 @@ class FakeWatch:
         return WatchFrame(obs.time_ns, nadir, tuple(found), image, (0, 0, 640, 480), self.region is None)
 
 
-def started_agent(
-    track: TrackTarget, eye: FakeWatch, members: tuple[str, ...] = ("me", "other"), *, alone: bool = True
-) -> TrackTarget:
+def started_agent(track: TrackTarget, eye: FakeWatch, *, alone: bool = True) -> TrackTarget:
     """The agent with that camera, started under the name ``me``."""
     track.watch = eye  # type: ignore[assignment]
-    track.roster = None if alone else Roster("me", members)
-    track.start(info("me", members, body=BODY))
+    track.roster = None if alone else Roster("me", MEMBERS)
+    track.start(info("me", MEMBERS, body=BODY))
     return track
 
 
-def positions_over(track: TrackTarget, uav: Uav, ticks: int, *, from_tick: int = 0) -> list[Uav]:
+def positions_over(track: TrackTarget, uav: Uav, ticks: int) -> list[Uav]:
     """Positions of the vehicle at every tick; a hover command stops it."""
-    radio, was = Radio("me", ("me", "other")), []
-    for tick in range(from_tick, from_tick + ticks):
+    radio, was = Radio("me", MEMBERS), []
+    for tick in range(ticks):
         was.append(Uav(uav.position, uav.yaw))
         command = track.act(uav.see(tick * T_NS), radio)
         if not isinstance(command, Waypoint):

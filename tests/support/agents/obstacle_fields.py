@@ -35,10 +35,10 @@ def there(pose: Pose) -> bool:
     return math.dist(pose[:2], GOAL) < 0.15
 
 
-def rooms(seed: int, beams: int = 181) -> Array:
+def rooms(seed: int) -> Array:
     """Ranges to walls at random distances."""
     rng = np.random.default_rng(seed)
-    return np.repeat(rng.uniform(0.3, 2.5, 12), 16)[:beams] + rng.uniform(0.0, 0.05, beams)
+    return np.repeat(rng.uniform(0.3, 2.5, 12), 16)[:181] + rng.uniform(0.0, 0.05, 181)
 
 
 def look(pose: Pose, boxes: Sequence[Box], *, beams: int = 32, fov: float = math.tau) -> View:

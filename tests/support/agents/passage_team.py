@@ -36,7 +36,7 @@ def formation(**passage: Any) -> Formation:
 
 def lookout(name: str = "car1", team_formation: Formation | None = None, **about: Any) -> Lookout:
     of = team_formation or formation()
-    return Lookout(present(of.passage), Team(of, CARS, name), info(name))
+    return Lookout(present(of.passage), Team(of, CARS, name), info(name, **about))
 
 
 def scan(*points: tuple[float, float], time_ns: int = 0) -> Scan:
@@ -51,10 +51,8 @@ def observation(reading: Any, tick: int = 0, *received: Reception) -> Observatio
     return observe((0.03 * tick, 0.0, 0.0), tick * TICK_NS, received, v=0.3, scan=reading)
 
 
-def free(
-    reading: Any, *, ahead_m: float = 2.0, receiver: ReportReceiver | None = None, tick: int = 0, of: Lookout | None = None
-) -> bool:
-    return (of or lookout()).is_free(observation(reading, tick), receiver or ReportReceiver((), 0.0), DeadReckoning(), ahead_m)
+def free(reading: Any, *, ahead_m: float = 2.0, receiver: ReportReceiver | None = None, of: Lookout | None = None) -> bool:
+    return (of or lookout()).is_free(observation(reading), receiver or ReportReceiver((), 0.0), DeadReckoning(), ahead_m)
 
 
 def receptions_of(*receptions: Reception) -> ReportReceiver:

@@ -126,10 +126,6 @@ def even_uniforms(count: int) -> NDArray[np.float64]:
     return np.stack([first, np.random.default_rng(5).permutation(first)], axis=-1)
 
 
-def each_alone(paths: Paths) -> Sequence[Paths]:
-    return [Line.between(paths.tx, receiver[None], paths.seed) for receiver in paths.rx]
-
-
 def _frame(links: SenderLinks, start_ns: int, end_ns: int) -> Frame:
     count = len(links.receivers)
     return Frame(start_ns, start_ns, end_ns, 100, Line.between(np.zeros(3), np.zeros((count, 3))), np.zeros(count), links)

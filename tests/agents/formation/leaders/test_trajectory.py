@@ -165,10 +165,10 @@ def test_the_leader_of_the_readme_works() -> None:
 LINE = Formation(shape="line", spacing=1.0, changes=((0.5, "column"), (1.0, "line")))
 
 
-def reported_shapes(*received: tuple[int, dict[str, Any]], formation: Formation = LINE) -> list[tuple[Any, Any, Any]]:
+def reported_shapes(*received: tuple[int, dict[str, Any]]) -> list[tuple[Any, Any, Any]]:
     """Shape, number and order in each report of a leader of five; ``received``: ticks and bodies of received reports."""
     names = tuple(f"car{number}" for number in range(1, 6))
-    leader, radio = Trajectory("straight", formation=formation), Radio("car1", names)
+    leader, radio = Trajectory("straight", formation=LINE), Radio("car1", names)
     leader.start(info("car1", names))
     for tick in range(15):
         came = [reception_of_body(body["from"], body) for at, body in received if at == tick]

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from tests.support.agents.agent_loop import observe, reception_of_body
+from tests.support.agents.agent_loop import Uav, observe, reception_of_body
 from tests.support.agents.formation_member import TICK_NS, report_of
 from tests.support.agents.passage_team import (
     BEAMS,
@@ -30,9 +30,8 @@ from vcmvsp.agents.avoidance import Gap, Vfh
 from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.agents.formation.reports.prediction import DeadReckoning
 from vcmvsp.agents.formation.reports.report import ReportReceiver
-from vcmvsp.agents.formation.team.passage import Lookout, Widening
+from vcmvsp.agents.formation.team.passage import Widening
 from vcmvsp.agents.formation.team.shape import Formation, Passage
-from vcmvsp.agents.formation.team.team import Team
 from vcmvsp.cosim.agent import Body, Radio
 from vcmvsp.cosim.types import Scan, Velocity
 
@@ -124,13 +123,9 @@ def test_returns_at_other_heights_are_no_members(z: Any, is_level: bool) -> None
 
 
 def test_returns_in_the_air_are_no_vehicles_on_wheels() -> None:
-    aloft = info(body=Body(width_m=0.28, radius_m=0.22, flies=True))
-    team_formation = formation()
-    assert team_formation.passage is not None
-    looks = Lookout(team_formation.passage, Team(team_formation, CARS, "car1"), aloft)
+    looks = lookout(body=Body(width_m=0.28, radius_m=0.22, flies=True))
     for z, is_level in ((2.0, False), (0.3, True)):
-        obs = observation(scan((0.63, 0.0)))
-        obs = msgspec.structs.replace(obs, state=msgspec.structs.replace(obs.state, position=(0.0, 0.0, z)))
+        obs = Uav((0.0, 0.0, z)).see(0, scan=scan((0.63, 0.0)))
         assert looks.is_free(obs, receptions_of(at("car2", 0.8, 0.0)), DeadReckoning(), 2.0) == is_level
 
 

@@ -120,9 +120,10 @@ def test_every_member_descends_from_the_first(topology: TopologyName, count: int
     assert ranks(tree) == tuple(range(count))  # so that places follow all places on which they depend
 
 
-def test_stars_and_chains() -> None:
+def test_stars_chains_and_trees() -> None:
     assert parents("star", 4) == (ROOT, 0, 0, 0)
-    assert parents("chain", 4) == (ROOT, 0, 1, 2)
+    assert parents("chain", 4) == parents("k-tree", 4, 1) == (ROOT, 0, 1, 2)
+    assert parents("k-tree", 7, 2) == (ROOT, 0, 0, 1, 1, 2, 2)
     assert depth(parents("star", 9)) == 1
     assert depth(parents("chain", 9)) == 8
     assert depth(parents("chain", 1)) == 0
@@ -138,11 +139,6 @@ def test_the_depth_of_a_tree_is_the_logarithm_of_its_number(count: int, k: int) 
     assert k ** (d - 1) < count
     assert d <= math.ceil(math.log(count, k) - 1e-9)
     assert max((tree.count(place) for place in range(count)), default=0) <= k
-
-
-def test_a_tree_of_seven() -> None:
-    assert parents("k-tree", 7, 2) == (ROOT, 0, 0, 1, 1, 2, 2)
-    assert parents("k-tree", 4, 1) == parents("chain", 4)
 
 
 def test_a_graph_is_given_by_names() -> None:

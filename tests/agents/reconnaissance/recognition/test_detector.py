@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from vcmvsp.agents.reconnaissance.recognition import ground
-from vcmvsp.agents.reconnaissance.recognition.detector import Detection, Detector
+from vcmvsp.agents.reconnaissance.recognition.detector import Detection, Detector, Region
 from vcmvsp.agents.reconnaissance.recognition.ground import FOCAL_PX, YELLOW, SyntheticFrame, frame, glyph, tilted
 from vcmvsp.agents.reconnaissance.recognition.stages import TargetPicture
 from vcmvsp.cosim.errors import ScenarioError
@@ -199,10 +199,15 @@ def test_a_region_gives_the_detections_of_the_whole_picture(frames: list[Synthet
             assert detector.detect(made.image, made.seen.height_m, FOCAL_PX, beside) == []
 
 
-@pytest.mark.parametrize("region", [(700.0, 0.0, 800.0, 100.0), (50.0, 50.0, 40.0, 60.0), (-90.0, -90.0, -10.0, -10.0)])
-def test_regions_outside_the_picture_hold_nothing(region: tuple[float, float, float, float]) -> None:
-    image = frame(np.random.default_rng(0), 20.0).image
-    assert Detector([GLYPH]).detect(image, 20.0, FOCAL_PX, region) == []
+@pytest.mark.parametrize(
+    ("height", "region"),
+    [
+        *((20.0, region) for region in ((700.0, 0.0, 800.0, 100.0), (50.0, 50.0, 40.0, 60.0), (-90.0, -90.0, -10.0, -10.0))),
+        *((height, None) for height in (80.0, 1e9, 0.5, 0.0, -3.0, math.nan, math.inf)),
+    ],
+)
+def test_outside_the_picture_and_at_unusable_heights_there_are_no_detections(height: float, region: Region | None) -> None:
+    assert Detector([GLYPH]).detect(frame(np.random.default_rng(0), 20.0).image, height, FOCAL_PX, region) == []
 
 
 def test_targets_partly_outside_are_never_misplaced() -> None:
@@ -215,11 +220,6 @@ def test_targets_partly_outside_are_never_misplaced() -> None:
             assert at_least <= len(detections) <= 1
             for one in detections:
                 assert math.dist(one.centre_px, place) < 0.1 * 40.0
-
-
-@pytest.mark.parametrize("height", [80.0, 1e9, 0.5, 0.0, -3.0, math.nan, math.inf])
-def test_at_unusable_heights_there_are_no_detections(height: float) -> None:
-    assert Detector([GLYPH]).detect(frame(np.random.default_rng(0), 20.0).image, height, FOCAL_PX) == []
 
 
 def test_detections_do_not_depend_on_history_or_threads(frames: list[SyntheticFrame]) -> None:

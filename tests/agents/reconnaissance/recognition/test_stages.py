@@ -36,10 +36,10 @@ def turned(picture: Array, angle: float, side: int = 48) -> Array:
     return np.asarray(cv2.warpAffine(smooth, M, (144, 144), flags=cv2.INTER_AREA, borderValue=(110, 110, 110)))
 
 
-def rings(picture: Array, side: float = 48.0) -> tuple[float, Array]:
+def rings(picture: Array) -> tuple[float, Array]:
     """The cosine between the target and the middle of a picture, and the spectra."""
     at = np.array([71.5])
-    spectra = FULL.spectra(picture, at, at, np.array([side]))
+    spectra = FULL.spectra(picture, at, at, np.array([48.0]))
     return float(FULL.signatures(spectra).unit[0] @ TEMPLATE.full.unit[0]), spectra[:, 0]
 
 
