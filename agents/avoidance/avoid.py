@@ -36,10 +36,6 @@ class GetAround(Agent):
         self._steering.start(info)
         self._flies = info.body is not None and info.body.flies
 
-    def act(self, obs: Observation, radio: Radio) -> Velocity | Waypoint | None:
-        """Without a task: evade approaching obstacles."""
-        return self.around(obs, radio, Velocity())
-
     def around(self, obs: Observation, radio: Radio, requested: Velocity | Waypoint | None) -> Velocity | Waypoint | None:
         """The requested command, led around obstacles."""
         command = self._around(obs, requested)

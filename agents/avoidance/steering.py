@@ -159,8 +159,6 @@ class AvoidanceSteering:
         self.settings, self._make = settings, settings.maker()
         self._looking = ScanReader(settings.scanner, settings.stale_s)
         self.sensors = (settings.scanner,)
-        self.notes: dict[str, float | str | bool] = {}
-        self.level = 0
 
     def start(self, info: VehicleInfo) -> None:
         """Take scanner and body of the vehicle; `ValueError`: one is missing, or the method does not suit the vehicle."""
@@ -175,7 +173,8 @@ class AvoidanceSteering:
         self._empty_ns: int | None = None  # since when all returns are gone
         self._speed, self._now = 0.0, (0.0, 0.0)  # m/s; m/s ahead and rad/s: as last commanded
         self._note: dict[str, float | str | bool] = {}
-        self.notes, self.level = {}, 0
+        self.notes: dict[str, float | str | bool] = {}
+        self.level = 0
 
     def steer(self, obs: Observation, task: Task) -> Decision:
         """Decision of a tick in place of the task's motion."""

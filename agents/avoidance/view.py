@@ -105,19 +105,14 @@ class ScanReader:
 
     def __init__(self, scanner: str, stale_s: float) -> None:
         self.scanner, self._stale_ns = scanner, seconds_to_ns(stale_s)
-        self._beside_m = 0.0
-        self._forget()
-
-    def _forget(self) -> None:
-        self._geometry: Geometry | None = None  # of its scans
-        self._new_geometry: Geometry | None = None  # of the last ones, which lie otherwise,
-        self._since_ns: int | None = None  # and since when they do
 
     def start(self, info: VehicleInfo, key: str) -> None:
         """Check the scanner before the first tick; `ValueError` with ``key``, which names the scanner: the vehicle has none."""
         check_carried(info, self.scanner, key)
         self._beside_m = info.beside_m.get(self.scanner, 0.0)
-        self._forget()
+        self._geometry: Geometry | None = None  # of its scans
+        self._new_geometry: Geometry | None = None  # of the last ones, which lie otherwise,
+        self._since_ns: int | None = None  # and since when they do
 
     def look(self, obs: Observation) -> View | None:
         """View of the present scan; None: the scan is missing, stale, from the future, or has other beams.

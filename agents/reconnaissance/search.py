@@ -140,11 +140,9 @@ class Search(Agent):
         """Begin with an empty map."""
         check_flies(info)
         self._check_sensor(info)
-        self._own_roster = self._own_roster or self.roster is None
-        if self._own_roster:
-            self.roster = Roster(info.name, members_of(info, self.members), **self._team)
-        roster = self.roster
-        assert roster is not None  # noqa: S101
+        if self.roster is None or self._own_roster:
+            self._own_roster, self.roster = True, Roster(info.name, members_of(info, self.members), **self._team)
+        self._known_roster = roster = self.roster
         self.map = SearchMap(
             self.grid, exchange(**self._exchange, me=info.name, members=roster.members, clock_bound_s=roster.clock_bound_s)
         )
@@ -181,16 +179,16 @@ class Search(Agent):
 
     def _tick(self, obs: Observation) -> Roster:
         """Update everything, once a tick, at the first call."""
-        assert self.roster is not None  # noqa: S101
+        roster = self._known_roster
         if obs.clock_ns == self._now_ns:
-            return self.roster
+            return roster
         self._now_ns = obs.clock_ns
         if self._hold is None:
             self._hold = self.height if self.height is not None else obs.state.position[2], obs.state.yaw
             if self.swath_m is not None:
                 self._lay((self.swath_m, self.swath_m))
         if self._own_roster:
-            self.roster.hear(obs)
+            roster.hear(obs)
         self.map.hear(obs)
         look = self._camera(obs) if self.sensor == CAMERA else self._detector(obs)
         if look is not None:
@@ -201,7 +199,7 @@ class Search(Agent):
         if obs.clock_ns >= self._show_at_ns:
             self._show_at_ns = obs.clock_ns + SHOW_NS
             self.show(self.map.for_recording())
-        return self.roster
+        return roster
 
     def _camera(self, obs: Observation) -> tuple[Array, Array] | None:
         """Cells of a picture that counts as a look, and those with a detection."""
@@ -264,13 +262,12 @@ class Search(Agent):
 
     def _lay(self, swaths: Point) -> None:
         """Lay the lanes for visible distances along x and y, m; lanes across show what buildings hide."""
-        assert self.roster is not None  # noqa: S101
 
         def is_open(start: Point, end: Point) -> bool:
             return self.map.is_open(start, end, swaths[0] if start[0] == end[0] else swaths[1])
 
         across = swaths[1] if self.sensor == CAMERA else 0.0
-        comb = Comb(self.roster.sector, self.grid.area, swaths[0], **self._lanes, across=across, is_open=is_open)
+        comb = Comb(self._known_roster.sector, self.grid.area, swaths[0], **self._lanes, across=across, is_open=is_open)
         self._way = LaneFollower(comb, **self._flight)
 
     def _check_sensor(self, info: VehicleInfo) -> None:

@@ -66,6 +66,7 @@ def _way(xs: list[float], ends: tuple[float, float]) -> tuple[Point, ...]:
     return tuple(points)
 
 
+@dataclass
 class Comb:
     """One vehicle's path over its strip, repeated until the search ends: back and forth, or up and down and then across.
 
@@ -76,22 +77,16 @@ class Comb:
     others are skipped as long as there are such. ``came`` is the way-point at the start of the present line; None: none yet.
     """
 
-    def __init__(
-        self,
-        me: str,
-        area: Rectangle,
-        radius: float,
-        *,
-        overlap: float = 0.2,
-        reached: float = 1.0,
-        across: float = 0.0,
-        is_open: Callable[[Point, Point], bool] = lambda *_: True,
-    ) -> None:
-        self.me, self.area, self.radius, self.overlap, self.reached = me, area, radius, overlap, reached
-        self._across, self._is_open = across, is_open
-        self.came: Point | None = None
-        self._ways: dict[tuple[str, ...], _Way] = {}  # by living members
-        self._way: _Way | None = None
+    me: str
+    area: Rectangle
+    radius: float
+    overlap: float = 0.2
+    reached: float = 1.0
+    across: float = 0.0
+    is_open: Callable[[Point, Point], bool] = lambda *_: True
+    came: Point | None = None
+    _ways: dict[tuple[str, ...], "_Way"] = field(default_factory=dict)  # by living members
+    _way: "_Way | None" = None
 
     def goal(self, position: Point, living: Iterable[str]) -> Point:
         """The next way-point, m, world; this vehicle always counts as living.
@@ -105,26 +100,26 @@ class Comb:
         way = self._ways[names]
         if way is not self._way:
             self._way, self.came = way, None
-            if not self._is_open(*way.lane) and any(self._is_open(*lane) for lane in (*way.lanes, *way.across)):
-                way.turn(self._is_open, position)
+            if not self.is_open(*way.lane) and any(self.is_open(*lane) for lane in (*way.lanes, *way.across)):
+                way.turn(self.is_open, position)
         if math.dist(position, way.goal) > self.reached:
             return way.goal
         self.came = way.goal
-        way.go_on(self._is_open)
+        way.go_on(self.is_open)
         return way.goal
 
     def _laid(self, strip: Rectangle, position: Point) -> "_Way":
         way = _pairs(lanes(strip, self.radius, self.overlap, position))
-        if not self._across:
+        if not self.across:
             return _Way(way)
-        turned = lanes(Rectangle(strip.bottom, strip.left, strip.top, strip.right), self._across, self.overlap)
+        turned = lanes(Rectangle(strip.bottom, strip.left, strip.top, strip.right), self.across, self.overlap)
         return _Way(way, _pairs([(x, y) for y, x in turned]))
 
     def skip(self) -> None:
         """Skip the present way-point, which cannot be reached."""
         self.came = None
         if self._way is not None:
-            self._way.go_on(self._is_open)
+            self._way.go_on(self.is_open)
 
 
 def _pairs(points: Sequence[Point]) -> list[tuple[Point, Point]]:

@@ -96,14 +96,14 @@ class TrackTarget(Agent):
     def start(self, info: VehicleInfo) -> None:
         """Begin without a target; `ValueError`: the vehicle lacks equipment, or the gain is too large."""
         check_flies(info)
-        self._alone = self._alone or self.roster is None
-        if self._alone:
-            self.roster = Roster(info.name, members_of(info, self.members))
+        if self.roster is None or self._alone:
+            self._alone, self.roster = True, Roster(info.name, members_of(info, self.members))
         self.watch = self.watch or self._own
         if self.watch is None:
             raise ValueError("watching is missing: tracking needs the camera and the targets")
         if self.watch is self._own:
             self.watch.start(info)
+        self._equipment = self.watch, self.roster
         self._camera = self.watch.settings.camera
         timing = {"latency_s": info.latency_s, "spiral_pitch_m": self._pitch_m, "spiral_speed": self._spiral_speed}
         searching = self._searching if self._alone else {"lost_s": LOST_S, "spiral_s": SPIRAL_S}  # as its table has it
@@ -139,7 +139,7 @@ class TrackTarget(Agent):
 
     def facts(self, obs: Observation) -> Mapping[str, Any]:
         """Facts from the newest picture: confirmed targets or, while tracking, the state of tracking."""
-        watch, roster = self._ready()
+        watch, roster = self._equipment
         self._asked_ns = obs.clock_ns
         frame = watch.look(obs)
         self._candidate = None
@@ -158,22 +158,18 @@ class TrackTarget(Agent):
         place = obs.state.position[:2] if place is None else place
         candidate = self._candidate
         way_m = math.dist(place, obs.state.position[:2])
+        self._since_ns = last_seen_ns = obs.clock_ns
         if candidate is not None and math.dist(candidate.place, place) <= self._tracker.within_m:
-            self._target, last_seen_ns, there_ns = candidate.target, candidate.since_ns, 0
+            self._target, last_seen_ns, self._there_ns = candidate.target, candidate.since_ns, 0
         else:
-            self._target, last_seen_ns, there_ns = (
-                "",
-                obs.clock_ns,
-                obs.clock_ns + seconds_to_ns(DETOUR * way_m / self.max_speed),
-            )
+            self._target, self._there_ns = "", obs.clock_ns + seconds_to_ns(DETOUR * way_m / self.max_speed)
         self._tracker.begin(last_seen_ns, place)
-        self._since_ns, self._there_ns = obs.clock_ns, there_ns
         self._height = obs.state.position[2] if self.height is None else self.height
         self._note_target()
 
     def end(self, obs: Observation) -> None:
         """End tracking; its last place is given up if the target was lost or another vehicle tracks it."""
-        watch, roster = self._ready()
+        watch, roster = self._equipment
         claim = self.claim
         lost = self._tracker.phase(obs.clock_ns) in ("spiral", "lost")
         if claim is not None and (lost or roster.has_prior_claim(claim, obs.clock_ns)):
@@ -202,12 +198,8 @@ class TrackTarget(Agent):
         if self._asked_ns != obs.clock_ns:
             self.facts(obs)
 
-    def _ready(self) -> tuple[Watch, Roster]:
-        assert self.watch is not None and self.roster is not None  # noqa: S101, PT018  both are there since the start
-        return self.watch, self.roster
-
     def _decide(self, obs: Observation, radio: Radio) -> None:
-        _, roster = self._ready()
+        _, roster = self._equipment
         roster.hear(obs)
         facts = self.facts(obs)
         if self._since_ns is not None:

@@ -142,7 +142,7 @@ class FormationFollower(Agent):
         """Once a tick: report the own speeds, m/s and rad/s, where others need them; acknowledge the parent's report."""
         if self._broadcast:
             if self._team is not None:
-                more.update(self._team.fields())
+                more.update(self._team.fields)
             if self._lookout is not None:
                 more["cl"] = int(self._lookout.is_free(obs, self._listening, self.estimator, self._lookout.passage.clear_m))
             self._reporter.tell(radio, obs, v, w, **more)

@@ -137,7 +137,7 @@ class Leader(Agent):
             if outline != team.shape:
                 self._change(team, outline, obs)
             self.note(**self._guide.notes)
-        return dict(team.fields())
+        return dict(team.fields)
 
     def _go_on(self, team: Team, obs: Observation) -> None:
         """Take over the shape that members report from a run with another host, once from each member.

@@ -34,7 +34,8 @@ class Team:
     The first of all ``members`` leads. ``shape`` is the present one, ``wide`` that outside of passages, ``changed`` the number
     of changes. ``place`` is the number of this member's place, 0 the leader's, and ``slot`` where that is, m in the leader's
     frame. ``parent`` is the vehicle to follow (None: it leads), ``ancestors`` continue up to the leader, and ``ranks`` has all
-    places, the nearest to the leader first. `ValueError` with the key: the formation does not fit these vehicles.
+    places, the nearest to the leader first. ``fields``, shape and places for the own reports, are empty until the shape first
+    changes. `ValueError` with the key: the formation does not fit these vehicles.
     """
 
     def __init__(self, formation: Formation, vehicles: Sequence[str], name: str) -> None:
@@ -57,10 +58,6 @@ class Team:
         self._settle()
         if self.parent is None and (formation.changes or narrow is not None):
             assign(self._slots[self.shape], self._slots[self.shape])  # loads the solver now, not in the middle of a run
-
-    def fields(self) -> Mapping[str, Any]:
-        """Shape and places for the own reports; empty until the shape first changes."""
-        return self._fields
 
     def places(self, shape: str) -> Slots:
         """The slots of a shape, m in the leader's frame."""
@@ -136,10 +133,9 @@ class Team:
         self.parent = self.ancestors[0] if self.ancestors else None
         self.children = tuple(names[child] for child, parent in enumerate(self._tree) if parent == node)
         self.ranks = tuple(names[each] for each in ranks(self._tree))
-        fields: dict[str, Any] = {"shape": self.shape, "sn": self.changed} if self.changed else {}
+        self.fields: dict[str, Any] = {"shape": self.shape, "sn": self.changed} if self.changed else {}
         if self._order != tuple(range(len(self.members))):
-            fields["order"] = list(self._order)
-        self._fields = fields
+            self.fields["order"] = list(self._order)
 
 
 def _all_slots(formation: Formation, count: int) -> Mapping[str, Slots]:

@@ -172,15 +172,15 @@ def _places(rng: np.random.Generator, n: int, side: float, occupied: Sequence[Po
     """Random places inside the picture, apart from each other; drawn anew until they fit."""
     edge = 0.75 * side
     for _ in range(1000):
-        places = list(occupied)
-        for _ in range(200):
-            if len(places) == n + len(occupied):
-                return places[len(occupied) :]
+        places: list[Point] = []
+        tries = 200
+        while len(places) < n and tries:
+            tries -= 1
             at = (float(rng.uniform(edge, WIDTH - 1 - edge)), float(rng.uniform(edge, HEIGHT - 1 - edge)))
-            if all(math.dist(at, place) > CLEAR * side for place in places):
+            if all(math.dist(at, place) > CLEAR * side for place in (*occupied, *places)):
                 places.append(at)
-        if len(places) == n + len(occupied):
-            return places[len(occupied) :]
+        if len(places) == n:
+            return places
     raise ValueError("the picture is too small for all shapes")
 
 

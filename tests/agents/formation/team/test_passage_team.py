@@ -86,7 +86,7 @@ def test_a_new_leader_continues_from_the_shape_of_the_members() -> None:
     """The members are still in the column; number 1 for 'wedge' would be older to them than their number."""
     front, member = ScriptedLeader(formation()), Team(formation(), CARS, "car2")
     assert member.take({"shape": "column", "sn": 7, "order": [0, 2, 1]})
-    known = [report_of(car, 0, cl=0, **member.fields()) for car in CARS[1:]]
+    known = [report_of(car, 0, cl=0, **member.fields) for car in CARS[1:]]
     assert front.act(scan())[1].get("sn") is None
     notes, report = front.act(scan(), *known)
     assert (notes["shape"], report["shape"], report["sn"], report["order"]) == ("column", "column", 7, [0, 2, 1])

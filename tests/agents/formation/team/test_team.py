@@ -52,26 +52,26 @@ def test_a_graph_keeps_its_names_when_places_change() -> None:
     formation = Formation(shape="line", topology="graph", parents={"b": "a", "c": "b", "d": "b"})
     leader, b = (Team(formation, tuple("abcd"), name) for name in "ab")
     leader.change("column", {"b": (-5.0, 0.0), "c": (-1.0, 0.0), "d": (-2.0, 0.0)})
-    assert b.take(leader.fields())
+    assert b.take(leader.fields)
     assert (b.parent, b.children) == ("a", ("c", "d"))
     assert b.slot == (-3.0, 0.0)  # it was last and remains last
 
 
 def test_reports_have_no_shape_until_it_changes() -> None:
     leader, *_ = teams()
-    assert leader.fields() == {}
+    assert leader.fields == {}
     leader.change("column", {})
-    assert leader.fields()["shape"] == "column"
-    assert leader.fields()["sn"] == 1
+    assert leader.fields["shape"] == "column"
+    assert leader.fields["sn"] == 1
 
 
 def test_parents_by_place_change_with_the_place() -> None:
     everybody = teams(CARS[:4], shape="line", topology="chain", spacing=1.0)
     leader = everybody[0]
     leader.change("column", {"car2": (-3.0, 0.0), "car3": (-2.0, 0.0), "car4": (-1.0, 0.0)})
-    assert leader.fields()["order"] == [0, 3, 2, 1]
+    assert leader.fields["order"] == [0, 3, 2, 1]
     for team in everybody[1:]:
-        assert team.take(leader.fields())
+        assert team.take(leader.fields)
     assert [team.parent for team in everybody] == [None, "car3", "car4", "car1"]
     assert [team.slot for team in everybody] == [(0, 0), (-3, 0), (-2, 0), (-1, 0)]
     assert all(team.beside(str(team.parent)) == (-1.0, 0.0) for team in everybody[1:])
@@ -82,7 +82,7 @@ def test_members_without_reports_are_assumed_in_their_slots() -> None:
     one, other, *_ = (Team(Formation(shape="wedge"), CARS, "car1") for _ in range(2))
     one.change("line", {})
     other.change("line", dict(zip(CARS, slots("wedge", 7, 1.0), strict=True)))
-    assert one.fields() == other.fields()
+    assert one.fields == other.fields
 
 
 @given(st.lists(st.sampled_from(("column", "line", "wedge", "box")), min_size=1, max_size=6), st.data())
@@ -91,12 +91,12 @@ def test_the_newest_shape_wins_in_any_order_and_with_copies(shapes: list[Any], d
     bodies = []
     for shape in shapes:
         leader.change(shape, {})
-        bodies.append(leader.fields())
+        bodies.append(leader.fields)
     received = data.draw(st.lists(st.sampled_from(bodies), max_size=12))
     for body in [*received, bodies[-1], *received]:
         before = rest[3].changed
         assert rest[3].take(body) == (body["sn"] > before)
-    assert (rest[3].shape, rest[3].changed, rest[3].fields()) == (leader.shape, leader.changed, leader.fields())
+    assert (rest[3].shape, rest[3].changed, rest[3].fields) == (leader.shape, leader.changed, leader.fields)
 
 
 GOOD = {"shape": "column", "sn": 3, "order": [0, 2, 1]}
