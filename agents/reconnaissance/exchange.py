@@ -377,10 +377,8 @@ def exchange(
 ) -> MapExchange:
     """One member's end of an exchange; all arguments but ``me`` must be equal for all members (`search.Search` explains them).
 
-    `ValueError`: ``me`` is not among the members, the prior is 0 or 1, or no cell fits into a message.
+    `ValueError`: the prior is 0 or 1, or no cell fits into a message.
     """
-    if me not in members:
-        raise ValueError(f"members must include {me!r}; members: {', '.join(members)}")
     common = Tiling(grid, max_bytes), sensor, log_odds(prior), me, members, round(clock_bound_s * 1000.0)
     match kind:
         case "none":

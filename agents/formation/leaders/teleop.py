@@ -62,16 +62,10 @@ class Device(Protocol):
 
 
 def open_device(name: str, *, limits: Speeds, axes: tuple[int, int], deadband: float) -> Device:
-    """Open an input device by its name.
+    """Open an input device by its name: ``keyboard``, or the path of a joystick, a terminal or a table ``*.csv``.
 
-    Args:
-        name: ``keyboard``, or a path: of a joystick such as ``/dev/input/js0``, a terminal, or a table ``*.csv``.
-        limits: speed and yaw rate of a key held down, or a stick pushed to its end.
-        axes: of a joystick, for the speed and the yaw rate.
-        deadband: of a joystick: the share of an axis about its middle that counts as none.
-
-    Raises:
-        ValueError: there is no such device, or it cannot be used here.
+    ``limits`` are the speed and yaw rate of a key held down, or a stick pushed to its end; `Teleop` explains the others.
+    `ValueError`: there is no such device, or it cannot be used here.
     """
     path = TERMINAL if name == KEYBOARD else Path(name)
     if path.suffix == ".csv":

@@ -29,8 +29,6 @@ def test_a_slot_replaces_distance_and_bearing() -> None:
     by_bearing = LeaderFollower("car1", 1.0, 30.0)
     assert by_slot.place == pytest.approx(by_bearing.place)
     assert LeaderFollower("car1", slot=(0.5, 1.0), handle=0.3).place == (0.8, 1.0, 0.3)
-    with pytest.raises(ValueError, match=r"slot = \[0.0, 1.0\] m does not put this vehicle behind its leader .* set it"):
-        LeaderFollower("car1", slot=(0.0, 1.0))
 
 
 def test_parent_and_shape_are_noted_when_they_change() -> None:
@@ -190,7 +188,7 @@ def test_the_first_member_must_have_a_leader_agent() -> None:
             r"heartbeat_s = 2.0 s must be longer than .*silence_s = 2.0 s",
         ),
         ({"leader": "car1", "slot": [1.0]}, r"^agent.slot: must be a list of 2 values, each a number"),
-        ({"leader": "car1", "slot": [0.0, 1.0]}, r"^agent: slot = \[0.0, 1.0\] m does not put this vehicle behind"),
+        ({"leader": "car1", "slot": [0.0, 1.0]}, r"^agent: slot = \[0.0, 1.0\] m does not put this vehicle behind .* set it"),
         ({"formation": {"shape": "wegde"}}, r"^agent.formation.shape: must be one of 'column', .*'wedge'.*, not 'wegde'"),
         ({"formation": {"spacing": 0}}, r"^agent.formation.spacing: must be a number > 0"),
         ({"formation": {"shap": "wedge"}}, r"^agent.formation: unknown key 'shap'; did you mean 'shape'\?"),
@@ -229,9 +227,10 @@ def test_the_speed_of_the_leader_may_be_relayed() -> None:
     assert speed("leader", report_of("car2", 2, v=0.5)) == pytest.approx(0.5)  # leader unknown: speed of the parent
 
 
-@pytest.mark.parametrize(
-    "lead", [[], [0], None, "lead", [9 * TICK_NS, 0, 0, 0, 0.9, 0], [0, 0, 0, 0, math.nan, 0], [0.5, 0, 0, 0, 0.9, 0]]
-)
+FUTURE, FRACTION = [9 * TICK_NS, 0, 0, 0, 0.9, 0], [0.5, 0, 0, 0, 0.9, 0]
+
+
+@pytest.mark.parametrize("lead", [[], [0, 0, 0, 0, 0.9], None, 7, "lead", FUTURE, [0, 0, 0, 0, math.nan, 0], FRACTION])
 def test_malformed_relays_of_the_leader_are_ignored(lead: Any) -> None:
     assert speed("leader", report_of("car2", 2, v=0.5, lead=lead)) == pytest.approx(0.5)
 

@@ -6,11 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.agents.agent_loop import present
 from tests.support.docs.readme_pages import block
 from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.agents.formation.reports.prediction import Acceleration, DeadReckoning, Hold, PlanPrediction, estimator_of
-from vcmvsp.agents.formation.reports.report import LeaderState, Report, accelerations, lead_of, plan_of
+from vcmvsp.agents.formation.reports.report import LeaderState, Report, accelerations, plan_of
 from vcmvsp.cosim.config.binding import call
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.frames import arc
@@ -199,24 +198,6 @@ def test_malformed_accelerations_count_as_zero() -> None:
     for bad in (math.nan, math.inf, 1e10, "1", None, [0.1]):
         assert accelerations(Report(0, state, {"a": bad, "al": 0.1})) == (0.0, 0.0)
         assert accelerations(Report(0, state, {"a": 0.1, "al": bad})) == (0.0, 0.0)
-
-
-def test_relayed_reports_are_checked_like_received_ones() -> None:
-    state = LeaderState(0.0, 0.0, 0.0, 0.3, 0.0)
-    lead = present(lead_of(Report(100, state, {"lead": [90, 1.0, 2.0, 0.5, 0.3, -0.1]}), 100))
-    assert (lead.t_ns, lead.state) == (90, LeaderState(1.0, 2.0, 0.5, 0.3, -0.1))
-    for bad in (
-        None,
-        7,
-        "90",
-        [90, 1.0, 2.0, 0.5, 0.3],
-        [101, 1, 2, 3, 4, 5],
-        [90.0, 1, 2, 3, 4, 5],
-        [90, 1, math.nan, 3, 4, 5],
-        [],
-    ):
-        assert lead_of(Report(100, state, {"lead": bad}), 100) is None
-    assert lead_of(Report(100, state, {}), 100) is None
 
 
 class AtOrigin:
