@@ -9,13 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.agents.agent_loop import Pose, drive
-from vcmvsp.agents.formation.followers.laws import (
-    Demand,
-    FollowerPlace,
-    axle_velocity,
-    formation_law,
-    hand_point,
-)
+from vcmvsp.agents.formation.followers.laws import Demand, FollowerPlace, axle_velocity, formation_law, hand_point
 from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.agents.formation.leaders.trajectory import Trajectory
 from vcmvsp.agents.formation.reports.report import LeaderState

@@ -88,7 +88,6 @@ def test_an_own_shape_has_its_offsets() -> None:
 @pytest.mark.parametrize(
     ("offsets", "says"),
     [
-        (((0.0, 0.0), (1.0, 0.0)), r"needs offsets for all 3 members, not 2"),
         (((1.0, 0.0), (0.0, 0.0), (2.0, 0.0)), r"offsets.0. is the leader's place and must be \[0, 0\], not \[1.0, 0.0\]"),
         (((0.0, 0.0), (1.0, 0.0), (1.0, 0.0)), r"offsets.1. and offsets.2. are both \[1.0, 0.0\]"),
     ],

@@ -186,7 +186,7 @@ def test_in_a_star_the_lowest_living_member_leads() -> None:
         ({"members": ("car1", "car2", "car1")}, r"formation.members names car1 twice"),
         ({"members": ("car1", "car3")}, r"formation.members \(car1, car3\) does not contain car2"),
         ({"topology": "graph", "parents": {"car2": "car3", "car3": "car2"}}, r"car2 follows car3, car3 follows car2"),
-        ({"shape": "own"}, r"needs offsets for all 3 members"),
+        ({"shape": "own", "offsets": ((0.0, 0.0), (1.0, 0.0))}, r"needs offsets for all 3 members, not 2"),
         ({"changes": ((5.0, "own"),)}, r"needs offsets for all 3 members"),
     ],
 )

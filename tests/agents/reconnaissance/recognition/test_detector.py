@@ -259,9 +259,3 @@ def test_pictures_are_read_from_files(tmp_path: Path) -> None:
 def test_invalid_targets_are_refused(picture: Array, size_m: float, words: str) -> None:
     with pytest.raises(ScenarioError, match=words):
         TargetPicture("glyph", picture, size_m)
-
-
-def test_detectors_need_targets_of_different_names() -> None:
-    for targets in ([], [GLYPH, GLYPH]):
-        with pytest.raises(ScenarioError, match="target"):
-            Detector(targets)
