@@ -179,20 +179,15 @@ class BridgeProcess:
             return
         self._awaits_confirmation = True
         self._forwarded += len(numbers)
-        store, gateways = self._store, {id(gateway): row for row, (_, gateway) in enumerate(self._gateways)}
-        rows: list[tuple[int, ...]] = []
-        for each in numbers:
-            datagram = store[each]
-            gateway_row = gateways[id(datagram.gateway)]
-            rows.append(
-                (each, gateway_row, datagram.sender, datagram.to, datagram.size_bytes, datagram.came_ns, datagram.radio)
-            )
-        number, gateway, sender, to, size, came_ns, radio = np.array(rows, np.int64).T
-        whose = {"gateway": gateway.astype(np.int32), "sender": sender.astype(np.int32), "to": to.astype(np.int32)}
-        payloads = tuple(store[each].payload for each in numbers) if self._payloads else ()
-        radios = radio.astype(np.int32) if self.radios else None
-        batch = messages.NewDatagrams(number=number, **whose, size_bytes=size, came_ns=came_ns, payloads=payloads, radio=radios)
-        self._send(batch)
+        datagrams = [self._store[each] for each in numbers]
+        rows = {id(gateway): row for row, (_, gateway) in enumerate(self._gateways)}
+        ends = [(rows[id(each.gateway)], each.sender, each.to, each.radio) for each in datagrams]
+        gateway, sender, to, radio = np.array(ends, np.int32).T
+        size_bytes, came_ns = np.array([(each.size_bytes, each.came_ns) for each in datagrams], np.int64).T
+        batch = {"number": np.array(numbers, np.int64), "gateway": gateway, "sender": sender, "to": to}
+        payloads = tuple([each.payload for each in datagrams if self._payloads])
+        radios = radio if self.radios else None
+        self._send(messages.NewDatagrams(**batch, size_bytes=size_bytes, came_ns=came_ns, payloads=payloads, radio=radios))
 
     def _send(self, message: messages.Up) -> None:
         self._outbox.append(encode(message))

@@ -77,13 +77,14 @@ class Bridge:
         self._vehicles = tuple(vehicles)
         self._row = {name: row for row, name in enumerate(vehicles)}
         self._radios = dict(radios or {})
+        members = {name: tuple(map(self._row.__getitem__, radio.members)) for name, radio in self._radios.items()}
         self._opening = messages.Opening(
             run=run,
             folder=folder,
             vehicles=self._vehicles,
             gateways=tuple(gateways),
             payloads=agents,
-            radios={name: tuple([self._row[each] for each in radio.members]) for name, radio in self._radios.items()},
+            radios=members,
         )
         self._levels_dbm, self._tell, self._connect = levels_dbm, tell, connect
         self._process: BridgeClient | None = None
@@ -167,7 +168,8 @@ class Bridge:
         if self._process is not None:
             self._receive(self._process.close())
             if self._process.killed:
-                self._tell(f"{KILLED}{_NETWORKS if any(each.kind == 'ip' for each in self._opening.gateways) else ''}")
+                kinds = {each.kind for each in self._opening.gateways}
+                self._tell(KILLED + _NETWORKS if "ip" in kinds else KILLED)
 
     def _behind(self, now_ns: int) -> bool:
         wall_ns = time.monotonic_ns()
@@ -233,19 +235,14 @@ class Bridge:
         self._late.sent(batch.number, batch.gateway, batch.sender, batch.to, sent_ns, to_all)
         if self._opening.payloads:
             self._echoes.sent(batch)
-        fields: dict[str, Any] = {
-            "number": batch.number,
-            "sender": batch.sender,
-            "to": batch.to,
-            "size_bytes": batch.size_bytes,
-        }
+        fields: dict[str, Any] = {name: getattr(batch, name) for name in ("number", "sender", "to", "size_bytes")}
         if batch.radio is None:
             return [Datagrams(**fields, sent_ns=frozen(sent_ns), payloads=batch.payloads)]
         fields["sent_ns"] = sent_ns
         datagrams = []
         for number, name in enumerate(self._radios):
             (own,) = np.nonzero(batch.radio == number)
-            payloads = tuple([batch.payloads[each] for each in own]) if batch.payloads else ()
+            payloads = tuple([batch.payloads[each] for each in own if batch.payloads])
             if len(own):
                 columns = {key: frozen(values[own]) for key, values in fields.items()}
                 datagrams.append(Datagrams(**columns, payloads=payloads, radio=name))

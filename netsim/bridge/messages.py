@@ -129,12 +129,10 @@ def confirmation_only(taken: int) -> Deliveries:
 def due_in_chunks(taken: int, traffic: Traffic, at_ns: Array) -> Iterator[Deliveries]:
     """All deliveries, then all settled numbers, in messages of limited length; ``at_ns``: monotonic time of each, (n,)."""
     deliveries, settled = _parts(len(traffic.number)), _parts(len(traffic.settled))
-    together = (deliveries[-1], settled[0])
-    for rows, settled_rows in [*((each, _NO) for each in deliveries[:-1]), together, *((_NO, each) for each in settled[1:])]:
-        number, receiver = traffic.number[rows], traffic.receiver[rows]
-        yield Deliveries(
-            taken=taken, number=number, receiver=receiver, at_ns=at_ns[rows], settled=traffic.settled[settled_rows]
-        )
+    deliveries, settled = deliveries + [_NO] * (len(settled) - 1), [_NO] * (len(deliveries) - 1) + settled
+    for rows, settled_rows in zip(deliveries, settled, strict=True):
+        number, receiver, numbers = traffic.number[rows], traffic.receiver[rows], traffic.settled[settled_rows]
+        yield Deliveries(taken=taken, number=number, receiver=receiver, at_ns=at_ns[rows], settled=numbers)
 
 
 def levels_in_chunks(dbm: Array, radio: str = "") -> Iterator[LevelRows]:

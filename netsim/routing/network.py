@@ -269,9 +269,13 @@ class RoutingNetwork:
             self._report_packet(packet)
 
     def _report_packet(self, packet: Packet) -> None:
-        names, reached = self._names, packet.reached.values()
         if packet.datagram is not None:
             self._traffic.settle(packet.datagram)
+        names, arrivals = self._names, packet.reached.values()
+        receivers = [names[row] for row in packet.reached]
+        hops = [each.hops for each in arrivals]
+        via = [names[each.via] for each in arrivals]
+        received_ns = [each.received_ns for each in arrivals]
         self._routed.append(
             Routed(
                 origin=names[packet.origin],
@@ -281,10 +285,10 @@ class RoutingNetwork:
                 size_bytes=packet.message.size_bytes,
                 frame_bytes=packet.message.size_bytes + HEADER_BYTES,
                 frames=tuple(packet.frames),
-                receivers=tuple(names[row] for row in packet.reached),
-                hops=tuple(each.hops for each in reached),
-                via=tuple(names[each.via] for each in reached),
-                received_ns=tuple(each.received_ns for each in reached),
+                receivers=tuple(receivers),
+                hops=tuple(hops),
+                via=tuple(via),
+                received_ns=tuple(received_ns),
                 update=packet.update is not None,
                 under_way=packet.under_way,
             )

@@ -153,8 +153,6 @@ def _icmp6_type(packet: bytes) -> int:
 
 @dataclass(frozen=True)
 class _Link:
-    """A radio as a link of the vehicles in ``rows``."""
-
     radio: str  # its name; empty: the only one
     interface: str
     networks: tuple[Network, ...]
@@ -207,7 +205,8 @@ class Ip:
         both = network_of(network, "network", 4), network_of(network6, "network6", 6)
         self._networks: tuple[Network, ...] = both if mtu_bytes >= LEAST_MTU6 else both[:1]
         self._mtu_bytes, self._chosen, self._layer = mtu_bytes, vehicles, layer
-        self._routes = {name: [network_of(each, "routes") for each in behind] for name, behind in (routes or {}).items()}
+        network_behind = functools.partial(network_of, key="routes")
+        self._routes = {name: list(map(network_behind, behind)) for name, behind in (routes or {}).items()}
         self._radios: dict[tuple[int, str], _Radio] = {}  # by row and radio
         self._links: list[_Link] = []
         self._lease: run_networks.Lease | None = None
@@ -290,7 +289,6 @@ class Ip:
         return self._lines(list(spaces.values()))
 
     def _links_of(self, chosen: Sequence[int]) -> list[_Link]:
-        """The radios as links of the chosen vehicles."""
         vehicles, radios = self._context.vehicles, self._context.radios
         routed = {row: self._routes[name] for row, name in enumerate(vehicles) if name in self._routes}
         links = []
@@ -305,7 +303,6 @@ class Ip:
         return links
 
     def _links_at(self, row: int) -> list[_Link]:
-        """The radios of a vehicle."""
         return [link for link in self._links if row in link.rows]
 
     def _space(self, row: int) -> Space:
@@ -327,17 +324,15 @@ class Ip:
     def _interface_of(self, row: int, link: _Link) -> namespaces.RadioInterface:
         """The interface of a vehicle: its addresses, and routes to the networks behind other vehicles."""
         addresses = [(address, each.prefixlen) for address, each in zip(link.addresses(row), link.networks, strict=True)]
+        beyond = self._beyond(self._context.vehicles[row])
         if self._layer == 3:
-            beyond: list[tuple[Network, str | None]] = [
-                (network, None) for network in self._beyond(self._context.vehicles[row])
-            ]
-            return namespaces.RadioInterface(addresses, beyond, self._mtu_bytes)
+            return namespaces.RadioInterface(addresses, [(network, None) for network in beyond], self._mtu_bytes)
         number = self._links.index(link)
         mac = ethernet.mac_of(row, number)
         if len(self._networks) > 1:
             addresses.append((ethernet.link_local(mac), 64))
         routes: list[tuple[Network, str | None]] = []
-        for network in self._beyond(self._context.vehicles[row]):
+        for network in beyond:
             at = self._behind_whom(network)
             if next((each for each in self._links_at(row) if at in each.rows), None) is link:  # the first radio of both
                 shared = next(each for each in link.networks if each.version == network.version)

@@ -70,7 +70,9 @@ class Space(Value, frozen=True, kw_only=True):
     @property
     def interfaces(self) -> tuple[str, ...]:
         """Names of the interfaces of its radios."""
-        return tuple([each.radio for each in self.radios]) if self.radios else (namespaces.RADIO,)
+        if not self.radios:
+            return (namespaces.RADIO,)
+        return tuple([each.radio for each in self.radios])
 
     @property
     def host_names(self) -> list[tuple[str, str]]:
