@@ -4,7 +4,6 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from decimal import Decimal, InvalidOperation
-from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,7 @@ def grid(text: str, option: str) -> Floats:
         start, stop, step = (Decimal(part.strip()) for part in text.split(":"))
     except (InvalidOperation, ValueError):
         raise UsageError(f"{option} {text}: write START:STOP:STEP, three numbers, e.g. 0:10:0.5") from None
-    if not all(value.is_finite() and isfinite(float(value)) for value in (start, stop, step)):
+    if not all(value.is_finite() and math.isfinite(float(value)) for value in (start, stop, step)):
         raise UsageError(f"{option} {text}: all three numbers must be finite")
     if step == 0:
         raise UsageError(f"{option} {text}: STEP must not be 0")

@@ -47,8 +47,7 @@ def ray_paths(channel: Channel, points: Floats) -> pa.Table:
     rows: list[dict[str, Any]] = []
     for first in range(0, len(a), _BLOCK):
         some = slice(first, first + _BLOCK)
-        starts, ends = points[a[some]], points[b[some]]
-        rows += _rows(rays.traced(starts, ends), starts, ends, first)
+        rows += _rows(rays.traced(points[a[some]], points[b[some]]), first)
     rows.sort(key=lambda row: (row["pair"], row["delay_ns"]))
     for row in rows:
         pair = row.pop("pair")
@@ -56,21 +55,21 @@ def ray_paths(channel: Channel, points: Floats) -> pa.Table:
     return pa.Table.from_pylist(rows, SCHEMA)
 
 
-def _rows(traced: Traced, a: Floats, b: Floats, first: int) -> list[dict[str, Any]]:
+def _rows(traced: Traced, first: int) -> list[dict[str, Any]]:
     rows, table, roofs = [], traced.table, traced.roofs
     for path, pair in enumerate(table.pair.tolist()):
-        rows.append(_row(first + pair, table.gain[path], table.length_m[path], *_steps(traced, path, a, b)))
+        rows.append(_row(first + pair, table.gain[path], table.length_m[path], *_steps(traced, path)))
     for number, pair in enumerate(traced.dark.tolist()):
         edges = roofs.edge[roofs.edge_of == number].tolist()
         rows.append(_row(first + pair, roofs.gain[number], roofs.length_m[number], ["diffraction"] * len(edges), edges))
     return rows
 
 
-def _steps(traced: Traced, path: int, a: Floats, b: Floats) -> tuple[list[str], list[list[float]]]:
+def _steps(traced: Traced, path: int) -> tuple[list[str], list[list[float]]]:
     """Kinds and points of the interactions of a path, in order."""
     table = traced.table
     pair, count = table.pair[path], int(table.steps[path])
-    corners = [a[pair], *table.point[path, :count], b[pair]]
+    corners = [traced.a[pair], *table.point[path, :count], traced.b[pair]]
     steps = []
     for leg in range(count):
         kind = "reflection" if table.element[path, leg] >= 0 else "diffraction"

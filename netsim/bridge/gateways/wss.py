@@ -151,14 +151,14 @@ class Wss:
         if len(payload) >= HEADER.size:
             number, place = HEADER.unpack_from(payload)
             if relay := self._relay(number, sender, receiver):
-                relay.deliver(sender, place, payload[HEADER.size :])
+                relay.streams[sender].deliver(place, payload[HEADER.size :])
 
     def lost(self, sender: int, receiver: int, payload: bytes) -> None:
         """Report a lost chunk to its relay."""
         number, place = HEADER.unpack_from(payload)
         if relay := self._relay(number, sender, receiver):
             self._context.count(sender, "chunks of connections sent again")
-            relay.lost(sender, place)
+            relay.streams[sender].lost(place)
 
     async def close(self) -> None:
         """Close all connections."""

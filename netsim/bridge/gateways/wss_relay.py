@@ -194,7 +194,7 @@ class Relay:
         self._context, self._gateway = context, gateway
         room = chunk_bytes - HEADER.size
         ends = (pair.caller, pair.called), (pair.called, pair.caller)
-        self._streams = {sender: RelayStream(context.loop, partial(self._offer, sender, to), room) for sender, to in ends}
+        self.streams = {sender: RelayStream(context.loop, partial(self._offer, sender, to), room) for sender, to in ends}
 
     async def run(self, near: socket.socket, host: str) -> None:
         """Connect to the other robot and relay both directions, until both have ended or one has failed."""
@@ -210,21 +210,13 @@ class Relay:
     async def _carry(self, near: socket.socket, far: socket.socket) -> None:
         for each in (near, far):
             each.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        forth, back = self._streams.values()
+        forth, back = self.streams.values()
         try:
             async with asyncio.TaskGroup() as both:
                 both.create_task(forth.run(near, far))
                 both.create_task(back.run(far, near))
         except* OSError:
             pass
-
-    def deliver(self, sender: int, number: int, chunk: bytes) -> None:
-        """Pass an arrived chunk to its stream."""
-        self._streams[sender].deliver(number, chunk)
-
-    def lost(self, sender: int, number: int) -> None:
-        """Report a lost chunk to its stream."""
-        self._streams[sender].lost(number)
 
     def _offer(self, sender: int, to: int, number: int, chunk: bytes) -> bool:
         return self._context.offer(self._gateway, sender, to, HEADER.pack(self.number, number) + chunk)

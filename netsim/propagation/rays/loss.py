@@ -38,11 +38,11 @@ class LinkPaths(NamedTuple):
     power: Floats  # (n,) sum of the powers of the paths, as a ratio
     gain: Complex  # (m,)
     length_m: Floats  # (m,)
-    blocks: "Sequence[Block]" = ()  # from which it was made
+    blocks: "Sequence[Traced]" = ()  # from which it was made
 
     def directions(self) -> tuple[Floats, Floats]:
         """Unit vectors of all paths away from the end that comes first, and from the other one, (m, 3) each."""
-        first, last = zip(*(block.directions() for block in self.blocks), strict=True)
+        first, last = zip(*(traced.directions() for traced in self.blocks), strict=True)
         return np.concatenate(first), np.concatenate(last)
 
     def delays_ns(self) -> tuple[Floats, Floats]:
@@ -59,39 +59,42 @@ class LinkPaths(NamedTuple):
 NO_LINKS = LinkPaths(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.complex128), np.zeros(0))
 
 
-class Block(NamedTuple):
-    """Traced paths of some links from a to b, and their order by link."""
+class Traced(NamedTuple):
+    """All m paths between some pairs of points."""
 
-    found: "Traced"
     a: Floats  # (n, 3) m
     b: Floats
-    order: Ints  # (m,)
+    table: PathTable
+    dark: Ints  # (k,) pairs that these reach with less than `ARRIVES`
+    roofs: RoofPaths  # of the k
+
+    @property
+    def pair(self) -> Ints:
+        """Pair of each path: of the table, then of the roofs, (m,)."""
+        return np.concatenate([self.table.pair, self.dark])
+
+    @property
+    def order(self) -> Ints:
+        """The paths by pair, (m,)."""
+        return np.argsort(self.pair, kind="stable")
 
     def directions(self) -> tuple[Floats, Floats]:
-        """Unit vectors of the paths in their order: away from a, and away from b, (m, 3) each."""
-        table, roofs = self.found.table, self.found.roofs
+        """Unit vectors of the paths by pair: away from a, and away from b, (m, 3) each."""
+        table, roofs = self.table, self.roofs
         edge, rows = np.append(roofs.edge, np.zeros((1, 3)), axis=0), np.arange(len(roofs.gain))
         begin, end = np.searchsorted(roofs.edge_of, rows), np.searchsorted(roofs.edge_of, rows, side="right")
         steps = np.concatenate([table.steps, end - begin])[:, None]
-        pair, last = np.concatenate([table.pair, self.found.dark]), np.maximum(table.steps - 1, 0)
+        pair, last, order = self.pair, np.maximum(table.steps - 1, 0), self.order
         first_point = np.concatenate([table.point[:, 0], edge[begin]])
         last_point = np.concatenate([table.point[np.arange(len(last)), last], edge[end - 1]])
         leaving = np.where(steps > 0, first_point, self.b[pair]) - self.a[pair]
         arriving = np.where(steps > 0, last_point, self.a[pair]) - self.b[pair]
-        return _units(leaving)[self.order], _units(arriving)[self.order]
+        return _units(leaving)[order], _units(arriving)[order]
 
 
 def _units(vectors: Floats) -> Floats:
     """Directions of vectors, (m, 3)."""
     return np.asarray(vectors / np.maximum(np.sqrt((vectors * vectors).sum(axis=1)), 1e-9)[:, None])
-
-
-class Traced(NamedTuple):
-    """All paths of some pairs of points."""
-
-    table: PathTable
-    dark: Ints  # (k,) pairs that these reach with less than `ARRIVES`
-    roofs: RoofPaths  # of the k
 
 
 @dataclass(frozen=True)
@@ -185,7 +188,7 @@ class Rays:
         table = self._tracer.paths(a, b)
         power = np.bincount(table.pair, power_of(table.gain), len(a))
         (dark,) = np.nonzero(power < ARRIVES)
-        return Traced(table, dark, over_roofs(self.world, a[dark], b[dark], self.wave.length_m))
+        return Traced(a, b, table, dark, over_roofs(self.world, a[dark], b[dark], self.wave.length_m))
 
     def _links(self, a: Floats, b: Floats) -> LinkPaths:
         """The paths of many links, each computed from the end that comes first, so that both directions are equal."""
@@ -194,15 +197,12 @@ class Rays:
         blocks = []
         for first in range(0, len(a), _BLOCK):
             found = self.traced(here[first : first + _BLOCK], there[first : first + _BLOCK])
-            pair = np.concatenate([found.table.pair, found.dark])
-            order = np.argsort(pair, kind="stable")
+            pair, order, count = found.pair, found.order, len(found.a)
             gain = np.concatenate([found.table.gain, found.roofs.gain])[order]
             length = np.concatenate([found.table.length_m, found.roofs.length_m])[order]
-            count = len(here[first : first + _BLOCK])
             power = np.bincount(pair[order], power_of(gain), count).astype(np.float64)
             of_link = np.bincount(pair, minlength=count).astype(np.int64)
-            block = Block(found, here[first : first + count], there[first : first + count], order)
-            blocks.append(LinkPaths(of_link, power, gain, length, (block,)))
+            blocks.append(LinkPaths(of_link, power, gain, length, (found,)))
         parts = [each[:-1] for each in (NO_LINKS, *blocks)]
         columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
         return LinkPaths._make([*columns, [block for each in blocks for block in each.blocks]])

@@ -51,18 +51,6 @@ class PathTable(NamedTuple):
     pass_at: Floats  # (m,) share of the leg
 
 
-class Views:
-    """Facets and edges that may be seen from the cells of the world; each cell is looked up once.
-
-    A view is conservative: it leaves out only what no point of the cell can see.
-    """
-
-    def __init__(self) -> None:
-        self.number: dict[Cell, int] = {}
-        self.of_cell: list[Ints] = []  # facets, and edges numbered behind all facets
-        self.first, self.target = starts_and_items([])
-
-
 class Tracer:
     """The paths among the solids of a world.
 
@@ -76,7 +64,9 @@ class Tracer:
     def __init__(self, world: RayWorld, reflections: int, *, diffraction: bool, transmission: bool) -> None:
         self.world, self.reflections = world, reflections
         self._facets, self._edges = len(world.terrain.plane_at), len(world.terrain.angle)
-        self._views = Views()
+        self._cells: dict[Cell, int] = {}  # numbers of the cells whose view is known
+        self._views: list[Ints] = []  # of these: facets, and edges numbered behind all facets
+        self._view_first, self._view_target = starts_and_items([])
         self._work = _new_work(world, reflections, diffraction=diffraction, transmission=transmission)
         self._core = Core(CORE, world.terrain, self._work)
 
@@ -89,16 +79,15 @@ class Tracer:
         """All paths between points a (P, 3) m and b (P, 3) m, pair by pair; in a pair in the order of the search."""
         sites, of = np.unique(np.concatenate([a, b]), axis=0, return_inverse=True)
         cells = self._look_from_cells(sites)
-        views = self._views
-        most = int(np.diff(views.first)[cells].sum())
+        most = int(np.diff(self._view_first)[cells].sum())
         columns: dict[str, Any] = {f"site_{axis}": np.ascontiguousarray(sites[:, k]) for k, axis in enumerate("xyz")}
         s = self._work = self._work._replace(
             **columns,
             site_cell=cells,
             a=of.ravel()[: len(a)].copy(),
             b=of.ravel()[len(a) :].copy(),
-            view_first=views.first,
-            view_target=views.target,
+            view_first=self._view_first,
+            view_target=self._view_target,
             site_facet_first=np.zeros(len(sites) + 1, np.int64),
             site_facet=np.zeros(most, np.int64),
             site_edge_first=np.zeros(len(sites) + 1, np.int64),
@@ -157,17 +146,19 @@ class Tracer:
     # --- views ---
 
     def _look_from_cells(self, sites: Floats) -> Ints:
-        """The cell of each site, (n,); looks from all cells that are needed for the first time."""
-        views = self._views
+        """The cell of each site, (n,); looks from all cells that are needed for the first time.
+
+        A view is conservative: it leaves out only what no point of the cell can see.
+        """
         numbers = np.floor(sites / (CELL_M, CELL_M, STOREY_M)).astype(np.int64)
         cells: list[Cell] = [(x, y, z) for x, y, z in numbers.tolist()]
-        new = [cell for cell in dict.fromkeys(cells) if cell not in views.number]
+        new = [cell for cell in dict.fromkeys(cells) if cell not in self._cells]
         for cell in new:
-            views.number[cell] = len(views.of_cell)
-            views.of_cell.append(self._seen_from(_box_of(cell)))
+            self._cells[cell] = len(self._views)
+            self._views.append(self._seen_from(_box_of(cell)))
         if new:
-            views.first, views.target = starts_and_items(views.of_cell)
-        return np.array([views.number[cell] for cell in cells], np.int64)
+            self._view_first, self._view_target = starts_and_items(self._views)
+        return np.array([self._cells[cell] for cell in cells], np.int64)
 
     def _seen_from(self, corners: Floats) -> Ints:
         """Facets and edges that may be seen from the hull of some corners."""
@@ -200,7 +191,6 @@ def starts_and_items(parts: list[Ints]) -> tuple[Ints, Ints]:
 
 
 def _new_work(world: RayWorld, reflections: int, *, diffraction: bool, transmission: bool) -> Work:
-    """A work with nothing to do yet."""
     facets, edges = len(world.terrain.plane_at), len(world.terrain.angle)
     row, most = facets + edges, max(reflections, 2)
     depth = most + 2

@@ -404,7 +404,7 @@ async def test_a_slow_reader_holds_the_sender_back() -> None:
             await asyncio.sleep(0.2)
         assert sum(len(each.payload) for each in world.context.offered) < 9_000_000
         relay, _ = next(iter(world.gateway._relays.values()))
-        stream = relay._streams[0]
+        stream = relay.streams[0]
         assert len(stream._under_way) + stream._in_order.qsize() <= WINDOW
         reads.set()
         assert len(await rest_of(reader)) == 12_000_000
