@@ -79,15 +79,8 @@ def test_the_ten_lines_of_the_radios_page(capsys: pytest.CaptureFixture[str], mo
     run = BridgeRun("car1", "car2", "car3", delay={"seconds": 0.02})
     with background_run(run):
         space: dict[str, Any] = {}
-        exec(
-            compile(
-                at_ports(run.first_port, block("docs/howto/programs.md", "where are you?")),
-                "radio.md",
-                "exec",
-                dont_inherit=True,
-            ),
-            space,
-        )
+        text = at_ports(run.first_port, block("docs/howto/programs.md", "where are you?"))
+        exec(compile(text, "radio.md", "exec", dont_inherit=True), space)
         for each in ("car1", "car2"):
             space[each].close()
     assert capsys.readouterr().out == "b'behind you'\n"

@@ -156,13 +156,13 @@ def test_ports_in_use_end_the_run_before_it_begins_and_leave_no_process() -> Non
 
 
 class Agents(PlainFederate):
-    """Sends for its vehicles ten times a second, a set number of times, and collects the receptions."""
+    """Sends for its vehicles ten times a second, and collects the receptions."""
 
     name, slot, wake_slot = "agents", Slot.AGENT, Slot.AGENT
     reads: tuple[str, ...] = ("radio/receptions",)
 
-    def __init__(self, says: dict[str, Any], times: int = 1000) -> None:
-        self.says, self.times, self.acted = says, times, 0
+    def __init__(self, says: dict[str, Any]) -> None:
+        self.says = says
         self.receptions: list[Event] = []
 
     def start(self, run: RunInfo) -> int:
@@ -171,9 +171,8 @@ class Agents(PlainFederate):
 
     def step(self, now_ns: int, inbox: Any) -> Step:
         self.receptions += inbox
-        says = self.says if self.acted < self.times else {}
-        events = [Event(f"{name}/send", now_ns, Message(sender=name, body=body, size_bytes=20)) for name, body in says.items()]
-        self.acted += 1
+        said = [Message(sender=name, body=body, size_bytes=20) for name, body in self.says.items()]
+        events = [Event(f"{each.sender}/send", now_ns, each) for each in said]
         return Step(events, min(self._end_ns, now_ns + 100_000_000))
 
 
@@ -201,30 +200,6 @@ def test_programs_and_agents_hear_each_other_and_nothing_twice() -> None:
     assert {each for each in received_b if each not in program_payloads} == {agent_payload}
     assert received_c.count(b"one") == received_c.count(b"two") == received_c.count(b"") == 1
     assert sorted(by_agents()) == sorted((name, "a", each) for name in "bc" for each in program_payloads if each)
-
-
-def test_messages_of_agents_are_delivered_once_per_reception() -> None:
-    agents = Agents({"b": b"said"}, times=10)
-    run = BridgeRun("a", "b", "c", hear=True, agents=[agents])
-    with run.program(2) as c:
-        with background_run(run), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as b:
-            for _ in range(5):
-                b.sendto(b"said", run.port(1, BROADCAST))  # as its agent sends
-            assert receive_all(c, 5 + 10) == [b"said"] * (5 + 10)
-            wait_for(lambda: agents.acted > 10)
-        assert receive_available(c) == []
-
-
-def test_many_deliveries_are_split_into_messages(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vcmvsp.netsim.bridge.messages.MOST_DUE", 3)
-    names = [f"v{k}" for k in range(8)]
-    run = BridgeRun(*names)
-    with run.program(3) as receiver, background_run(run), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
-        for k in range(100):
-            program.sendto(b"%d" % k, run.port(0, BROADCAST))
-        assert receive_all(receiver, 100) == [b"%d" % k for k in range(100)]
-        wait_for(lambda: run.left == 700)
-    assert run.bridge.lateness["delivered"] == 700
 
 
 def test_datagrams_contend_for_the_air_as_frames_of_agents_do() -> None:

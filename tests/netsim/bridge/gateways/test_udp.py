@@ -3,7 +3,7 @@ import contextlib
 import errno
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator
 from typing import Any
 
 import pytest
@@ -29,33 +29,39 @@ def program(port: int, host: str = "127.0.0.1") -> Iterator[socket.socket]:
         yield client
 
 
+@contextlib.asynccontextmanager
+async def served(*names: str) -> AsyncIterator[tuple[RunlessContext, int, list[socket.socket]]]:
+    """The context of an open gateway for all vehicles, its first port, and programs of the vehicles with these names."""
+    first = free_ports(300)
+    with contextlib.ExitStack() as programs:
+        sockets = [programs.enter_context(program(first + 100 * NAMES.index(name) + 99)) for name in names]
+        async with open_gateway(Udp(first_port=first), RunlessContext(NAMES)) as context:
+            yield context, first, sockets
+
+
 async def next_datagram(by: socket.socket) -> tuple[bytes, Any]:
     return await asyncio.wait_for(asyncio.get_running_loop().sock_recvfrom(by, 65_536), PATIENCE_S)
 
 
 async def test_a_broadcast_reaches_all_others() -> None:
-    first = free_ports(300)
-    with program(first + 99) as a, program(first + 199) as b, program(first + 299) as c:
-        async with open_gateway(Udp(first_port=first), RunlessContext(NAMES)) as context:
-            a.sendto(b"hello", ("127.0.0.1", first))
-            assert (await next_datagram(b))[0] == (await next_datagram(c))[0] == b"hello"
-            assert [(each.sender, each.to) for each in context.offered] == [(0, BROADCAST)]
-            with pytest.raises(BlockingIOError):
-                a.recv(100)
+    async with served("a", "b", "c") as (context, first, (a, b, c)):
+        a.sendto(b"hello", ("127.0.0.1", first))
+        assert (await next_datagram(b))[0] == (await next_datagram(c))[0] == b"hello"
+        assert [(each.sender, each.to) for each in context.offered] == [(0, BROADCAST)]
+        with pytest.raises(BlockingIOError):
+            a.recv(100)
 
 
 async def test_a_reply_to_the_source_address_reaches_the_sender() -> None:
-    first = free_ports(300)
-    with program(first + 99) as a, program(first + 199) as b:
-        async with open_gateway(Udp(first_port=first), RunlessContext(NAMES)) as context:
-            a.sendto(b"question", ("127.0.0.1", first + 2))
-            question, source = await next_datagram(b)
-            b.sendto(question + b", answer", source)
-            assert (await next_datagram(a))[0] == b"question, answer"
-            assert [(each.sender, each.to) for each in context.offered] == [(0, 1), (1, 0)]
-            a.sendto(b"all", ("127.0.0.1", first))
-            _, source = await next_datagram(b)
-            assert source == ("127.0.0.1", first + 101)  # back to a, the sender of the broadcast
+    async with served("a", "b") as (context, first, (a, b)):
+        a.sendto(b"question", ("127.0.0.1", first + 2))
+        question, source = await next_datagram(b)
+        b.sendto(question + b", answer", source)
+        assert (await next_datagram(a))[0] == b"question, answer"
+        assert [(each.sender, each.to) for each in context.offered] == [(0, 1), (1, 0)]
+        a.sendto(b"all", ("127.0.0.1", first))
+        _, source = await next_datagram(b)
+        assert source == ("127.0.0.1", first + 101)  # back to a, the sender of the broadcast
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "::1"])
@@ -75,33 +81,29 @@ async def test_bytes_stay_as_they_are_from_none_to_the_longest(host: str) -> Non
 
 
 async def test_an_oversized_datagram_is_counted_and_not_sent() -> None:
-    first = free_ports(200)
-    with program(first + 199) as b, program(first + 99) as a:
-        async with open_gateway(Udp(first_port=first), RunlessContext(("a", "b"))) as context:
-            a.sendto(bytes(1473), ("127.0.0.1", first + 2))
-            a.sendto(bytes(60_000), ("127.0.0.1", first))
-            a.sendto(bytes(1472), ("127.0.0.1", first + 2))
-            assert len((await next_datagram(b))[0]) == 1472
-            await until(lambda: context.counts == {"a": {"longer than max_bytes": 2}})
-            assert len(context.offered) == 1
+    async with served("b", "a") as (context, first, (b, a)):
+        a.sendto(bytes(1473), ("127.0.0.1", first + 2))
+        a.sendto(bytes(60_000), ("127.0.0.1", first))
+        a.sendto(bytes(1472), ("127.0.0.1", first + 2))
+        assert len((await next_datagram(b))[0]) == 1472
+        await until(lambda: context.counts == {"a": {"longer than max_bytes": 2}})
+        assert len(context.offered) == 1
 
 
 async def test_where_there_is_no_room_nothing_is_lost_nor_overtaken_until_the_operating_system_has_none() -> None:
-    first = free_ports(300)
-    with program(first + 99) as a:
-        async with open_gateway(Udp(first_port=first), RunlessContext(NAMES)) as context:
-            context.room = False
-            for k in range(1000):
-                a.sendto(b"%d" % k, ("127.0.0.1", first))
-            await asyncio.sleep(0.02)
-            assert context.offered == []
-            read_ns = time.monotonic_ns()
-            context.room = True
-            await until(lambda: len(context.offered) == 1000)
-            assert [each.payload for each in context.offered] == [b"%d" % k for k in range(1000)]
-            times = [each.came_ns for each in context.offered]
-            assert times == sorted(times)
-            assert times[-1] < read_ns  # times of arrival, not of reading
+    async with served("a") as (context, first, (a,)):
+        context.room = False
+        for k in range(1000):
+            a.sendto(b"%d" % k, ("127.0.0.1", first))
+        await asyncio.sleep(0.02)
+        assert context.offered == []
+        read_ns = time.monotonic_ns()
+        context.room = True
+        await until(lambda: len(context.offered) == 1000)
+        assert [each.payload for each in context.offered] == [b"%d" % k for k in range(1000)]
+        times = [each.came_ns for each in context.offered]
+        assert times == sorted(times)
+        assert times[-1] < read_ns  # times of arrival, not of reading
 
 
 async def test_datagrams_without_room_in_the_system_are_counted() -> None:
@@ -123,13 +125,11 @@ async def test_datagrams_without_room_in_the_system_are_counted() -> None:
 
 
 async def test_missing_receivers_have_no_effect_on_others() -> None:
-    first = free_ports(300)
-    with program(first + 99) as a, program(first + 299) as c:
-        async with open_gateway(Udp(first_port=first), RunlessContext(NAMES)) as context:
-            for _ in range(20):  # no program listens on b's port
-                a.sendto(b"hello", ("127.0.0.1", first))
-                assert (await next_datagram(c))[0] == b"hello"
-            assert context.counts == {}
+    async with served("a", "c") as (context, first, (a, c)):
+        for _ in range(20):  # no program listens on b's port
+            a.sendto(b"hello", ("127.0.0.1", first))
+            assert (await next_datagram(c))[0] == b"hello"
+        assert context.counts == {}
 
 
 async def test_programs_of_some_vehicles_take_part_and_others_have_no_ports() -> None:
