@@ -67,14 +67,7 @@ def fit(
         raise UsageError("no row has a received level: there is nothing to fit")
     if not reference_distance_m > 0.0:
         raise UsageError(f"the reference distance is {reference_distance_m:g} m; it must be > 0")
-    least_dbm = float(np.nanmin(links.level_dbm))
-    if sensitivity_dbm is None:
-        sensitivity_dbm = least_dbm
-    weaker = float((links.level_dbm[~links.lost] < sensitivity_dbm).mean())
-    if weaker > _WEAKER:
-        raise UsageError(
-            f"sensitivity {sensitivity_dbm:g} dBm: {weaker:.0%} of the received rows are weaker, down to {least_dbm:g}"
-        )
+    sensitivity_dbm = _sensitivity(links, sensitivity_dbm)
     used = links.only(sample(links, MOST_ROWS))
     design, materials = design_of(used, reference_distance_m, sightline)
     require_told(used, design, materials)
@@ -89,9 +82,7 @@ def fit(
         if materials:
             aic["without walls"] = _without(survey, range(2, 2 + len(materials)), best)
 
-    errors, naive_errors = np.sqrt(np.diagonal(best.coefficients_spread)), np.sqrt(np.diagonal(naive.coefficients_spread))
-    rows = zip(best.coefficients.tolist(), errors.tolist(), naive_errors.tolist(), best.freedom.tolist(), strict=True)
-    level, exponent, *walls = [ParameterEstimate.of_mean(*row) for row in rows]
+    level, exponent, *walls = _coefficients(best, naive)
     spacing_m = float(np.median(survey.nearest_m))
     shadowing, reach, fading = _variation(best, spacing_m)
     margin = design @ best.coefficients - sensitivity_dbm
@@ -132,7 +123,7 @@ def fit_rays(
         UsageError: see `fit`.
     """
     log_distance = fit(links, **options)
-    sensitivity_dbm = np.nanmin(links.level_dbm) if log_distance.sensitivity_dbm is None else log_distance.sensitivity_dbm
+    sensitivity_dbm = _sensitivity(links, log_distance.sensitivity_dbm)
     used = links.only(sample(links, MOST_ROWS))
     computed_dbm = log_distance.tx_power_dbm - loss_db(used.a, used.b)
     levels: dict[str, Any] = {"level_dbm": used.level_dbm - computed_dbm, "lost": used.lost}
@@ -141,8 +132,7 @@ def fit_rays(
     with threadpool_limits(1):
         models = _models(survey, survey.only(sample(used, _SCOUTS)))
     best, naive = models[_choose(models, survey.nearest_m)], models[INDEPENDENT]
-    error, naive_error = math.sqrt(best.coefficients_spread[0, 0]), math.sqrt(naive.coefficients_spread[0, 0])
-    offset = ParameterEstimate.of_mean(float(best.coefficients[0]), error, naive_error, float(best.freedom[0]))
+    (offset,) = _coefficients(best, naive)
     shadowing, reach, fading = _variation(best, log_distance.spacing_m)
     return RayCalibration(
         offset_db=offset,
@@ -162,6 +152,26 @@ def calibrate_file(path: Path, fitted: Callable[..., Any] = fit, **options: Any)
         return links, fitted(links, **options)
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from error
+
+
+def _sensitivity(links: MeasuredLinks, sensitivity_dbm: float | None) -> float:
+    """The given sensitivity, if the received rows allow it, or the lowest received level."""
+    least_dbm = float(np.nanmin(links.level_dbm))
+    if sensitivity_dbm is None:
+        return least_dbm
+    weaker = float((links.level_dbm[~links.lost] < sensitivity_dbm).mean())
+    if weaker > _WEAKER:
+        raise UsageError(
+            f"sensitivity {sensitivity_dbm:g} dBm: {weaker:.0%} of the received rows are weaker, down to {least_dbm:g}"
+        )
+    return sensitivity_dbm
+
+
+def _coefficients(best: FittedModel, naive: FittedModel) -> list[ParameterEstimate]:
+    """Estimates of the mean's coefficients."""
+    errors, naive_errors = (np.sqrt(np.diagonal(each.coefficients_spread)).tolist() for each in (best, naive))
+    rows = zip(best.coefficients.tolist(), errors, naive_errors, best.freedom.tolist(), strict=True)
+    return [ParameterEstimate.of_mean(*row) for row in rows]
 
 
 def _models(survey: Survey, scouts: Survey) -> dict[int, FittedModel]:

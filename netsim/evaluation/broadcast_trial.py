@@ -318,33 +318,24 @@ def run(channel: Channel, plan: TrialTraffic, *, sink: Sink | None = None, progr
         `FrameTally.summary`, and ``cpu_s``: CPU time of the trial, without ``sink`` and without compilation.
     """
     with threadpool_limits(1):  # as in a run: sums come out the same on any number of cores
-        return _run(channel, plan, sink, progress)
-
-
-def _run(channel: Channel, plan: TrialTraffic, sink: Sink | None, progress: Progress | None) -> dict[str, Any]:
-    _warm_up(channel, plan)
-    begun_s = time.process_time()
-    channel.start(plan.seed)
-    channel.expect(plan.frames)
-    alike = sink is None and plan.kind != "saturated" and plan.to is None and not plan.waypoints.moving
-    bulk = channel.bulk(plan.names, plan.waypoints.at(0)) if alike else None
-    if bulk is not None:
-        tally = FrameTally()
-        _run_bulk(bulk, plan, tally, progress)
-        return {**tally.summary(), "cpu_s": time.process_time() - begun_s}
-    trial = _Trial(channel, plan, sink, progress)
-    if plan.kind == "saturated":
-        trial.send_saturated()
-    else:
-        trial.send_planned()
-    trial.finish()
-    summary = trial.tally.summary()
-    return {**summary, "cpu_s": time.process_time() - begun_s - trial.elsewhere_s}
+        _warm_up(channel, plan)
+        begun_s = time.process_time()
+        channel.start(plan.seed)
+        channel.expect(plan.frames)
+        trial = _Trial(channel, plan, sink, progress)
+        alike = sink is None and plan.kind != "saturated" and plan.to is None and not plan.waypoints.moving
+        bulk = channel.bulk(plan.names, plan.waypoints.at(0)) if alike else None
+        if bulk is not None:
+            _run_bulk(bulk, plan, trial.tally, progress)
+        elif plan.kind == "saturated":
+            trial.send_saturated()
+        else:
+            trial.send_planned()
+        summary = trial.tally.summary()
+        return {**summary, "cpu_s": time.process_time() - begun_s - trial.elsewhere_s}
 
 
 class _Trial:
-    """A trial frame by frame."""
-
     def __init__(self, channel: Channel, plan: TrialTraffic, sink: Sink | None, progress: Progress | None) -> None:
         self._channel, self._plan, self._sink, self._progress = channel, plan, sink, progress
         self._messages = plan.messages()
@@ -353,12 +344,14 @@ class _Trial:
         self.elsewhere_s = 0.0  # CPU time of the sink
 
     def send_planned(self) -> None:
-        """Send all frames at the times of the plan."""
+        """Send all frames at the times of the plan, and wait until they are decided."""
         for number, (sent_ns, row) in enumerate(self._plan.sendings()):
             self._note(self._send(sent_ns, row))
             if number % _ADVANCE_EVERY == 0:
                 self._note(self._channel.advance(sent_ns))
                 self._tell(sent_ns)
+        while (due_ns := self._channel.next_ns()) is not None:
+            self._note(self._channel.advance(due_ns + SECOND_NS))
 
     def send_saturated(self) -> None:
         """Hand each radio its next frame at the time at which its former one is decided, until the end of sending."""
@@ -380,11 +373,6 @@ class _Trial:
                 heappush(ready, (end_ns, rows[report.sender]))
             if number % _ADVANCE_EVERY == 0 and now_ns < self._plan.end_ns:
                 self._tell(now_ns)
-
-    def finish(self) -> None:
-        """Wait until all frames are decided."""
-        while (due_ns := self._channel.next_ns()) is not None:
-            self._note(self._channel.advance(due_ns + SECOND_NS))
 
     def _send(self, sent_ns: int, row: int) -> list[FrameReport]:
         waypoints = self._plan.waypoints
