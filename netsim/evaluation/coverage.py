@@ -76,9 +76,8 @@ def range_m(channel: Channel, sender: str, height_m: float) -> float | None:
 
 def _mean_at(channel: Channel, sender: str, position: Floats, antennas: Floats, seed: int) -> tuple[MeanBudget, SenderLinks]:
     """Mean budgets at any positions: the receivers are vehicles without their own radio."""
-    links = SenderLinks(
-        seed, sender, tuple(f"{sender} at {number}" for number in range(len(antennas)))
-    )  # not valid as vehicle names
+    places = tuple(f"{sender} at {number}" for number in range(len(antennas)))  # not valid as vehicle names
+    links = SenderLinks(seed, sender, places)
     return _mean(channel, links, (sender, *links.receivers), np.concatenate([position[None], antennas]), bodies=False), links
 
 

@@ -176,15 +176,9 @@ def _columns(name: str, table: Floats) -> dict[str, Any]:
 
 def _boxes(found: Surfaces, bodies: Ints, facets: Ints) -> Floats:
     """West, south, east, north of bodies and facets, (n, 4) m."""
-    rows = []
-    for body in bodies.tolist():
-        sides = found.side[found.side_first[body] : found.side_first[body + 1]]
-        corners = _plan(sides)
-        rows.append((*corners.min(axis=0), *corners.max(axis=0)))
-    for facet in facets.tolist():
-        corners = found.corner[found.first[facet] : found.first[facet + 1], :2]
-        rows.append((*corners.min(axis=0), *corners.max(axis=0)))
-    return np.array(rows).reshape(-1, 4)
+    outlines = [_plan(found.side[found.side_first[body] : found.side_first[body + 1]]) for body in bodies.tolist()]
+    outlines += [found.corner[found.first[facet] : found.first[facet + 1], :2] for facet in facets.tolist()]
+    return np.array([(*each.min(axis=0), *each.max(axis=0)) for each in outlines]).reshape(-1, 4)
 
 
 def _plan(sides: Floats) -> Floats:

@@ -7,13 +7,14 @@ import socket
 import subprocess
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
+import tomli_w
 
 import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
@@ -98,19 +99,6 @@ def test_gateways_have_the_radio_of_their_tables_and_a_replay_repeats_both(agent
         assert (tmp_path / "run" / name).read_bytes() == (again.folder / name).read_bytes()  # type: ignore[operator]
 
 
-@contextlib.contextmanager
-def up(folder: Path) -> Iterator[None]:
-    """A run in which each vehicle is a machine."""
-    (folder / "radios.toml").write_text(
-        f'name = "{NAME}"\nduration_s = 600.0\nphysics.kind = "kinematic"\nvehicles.kind = "kinematic"\n'
-        + "".join(f'[[radio]]\nname = "{name}"\nloss.probability = {loss}\n' for name, loss in LOSS.items())
-        + '[[vehicle]]\nname = "car1"\n[[vehicle]]\nname = "car2"\nposition = [1.0, 0.0, 0.0]\n'
-        + '[[vehicle]]\nname = "car3"\nposition = [2.0, 0.0, 0.0]\nradios = ["far"]\n'
-    )
-    with network_up(folder / "radios.toml", NAME):
-        yield
-
-
 def on(vehicle: str, words: str, tries: int = 1) -> str:
     """Output of a command on a vehicle's machine; retried if it fails."""
     command = [*VCMVSP, "net", "exec", vehicle, "--run", NAME, "--", *words.split()]
@@ -133,8 +121,9 @@ def received(listener: socket.socket) -> list[int]:
 @in_namespaces
 def test_datagrams_are_lost_as_recorded_on_their_radio(tmp_path: Path) -> None:
     """The recording lists the datagrams that must arrive; the machine's load changes neither."""
+    (tmp_path / "radios.toml").write_text(tomli_w.dumps(scenario(duration_s=600.0)))
     with contextlib.ExitStack() as open_sockets:
-        with up(tmp_path):
+        with network_up(tmp_path / "radios.toml", NAME):
             output = vcmvsp_command("net", "status").out
             listeners = {}
             for name, (own, other) in ADDRESSES.items():
