@@ -1,6 +1,7 @@
 """CSMA/CA of IEEE 802.15.4: access, reception and acknowledgements by hand, laws of every run, and broadcasts of ns-3."""
 
 import itertools
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -100,10 +101,10 @@ def test_parameters_without_a_meaning_are_refused() -> None:
         Csma154().open(Dsss(), 2, keys(2), 1e-9)
 
 
-def by_start(world: World, *starts: tuple[int, int], sizes: dict[int, int] = {}, **offer: Any) -> list[Decided]:  # noqa: B006
+def by_start(world: World, *starts: tuple[int, int], sizes: Sequence[int] = (50, 50), **offer: Any) -> list[Decided]:
     """Decisions of the first frames of radios, which begin at these times if the channel is free, by their starts."""
-    for time_ns, sender in sorted((at(start_ns, sender), sender) for start_ns, sender in starts):
-        world.offer(time_ns, sender, size=sizes.get(sender, 50), **offer)
+    for time_ns, sender, size in sorted((at(*start), start[1], size) for start, size in zip(starts, sizes, strict=True)):
+        world.offer(time_ns, sender, size=size, **offer)
     return sorted(world.finish().values(), key=lambda each: each.start_ns)
 
 
@@ -141,7 +142,7 @@ def test_hazards_of_the_pieces_add_up(forget: bool, sizes: tuple[int, int]) -> N
     for factor, fate in ((1.0 + 1e-9, Fate.RECEIVED), (1.0 - 1e-9, Fate.COLLISION)):
         world = World(line(NOISE_DBM + 3.0, NOISE_DBM + 1.0), forget_interference=forget)
         starts = (100 * MS, 0), (100 * MS + 32 * later_bytes * US, 2)
-        decided, _ = by_start(world, *starts, sizes={0: sizes[0], 2: sizes[1]}, patience=float(hazard) * factor)
+        decided, _ = by_start(world, *starts, sizes=sizes, patience=float(hazard) * factor)
         expected = fate if disturbed or fate == Fate.RECEIVED else Fate.ERROR
         assert decided.fate[1] == expected
         assert decided.least_sinr[1] == pytest.approx(power / (noise + other))

@@ -160,16 +160,26 @@ def test_frames_offered_as_arrays_fare_as_one_by_one(cuts: list[int], seed: int)
     assert together.next_ns() is None
 
 
+def saturated(count: int, phy: Dsss | Ofdm, until_ns: int, *, unicast: bool, size: int = 100) -> list[Decided]:
+    """Decisions of frames that all wait from the start, at equal levels: none survives a collision."""
+    medium = open_air(count, phy, Dcf(lifetime_s=1e6, queue_frames=10**6))
+    to = [(k + 1) % count if unicast else -1 for k in range(count)]
+    frames = [frame(k, 0, k % count, all_equal(count), to=to[k % count], size=size, patience=1.0) for k in range(9000)]
+    decided = run(medium, frames, until_ns)
+    assert len(decided) < 0.9 * len(frames)  # saturated to the end
+    return decided
+
+
+def receptions(decided: list[Decided]) -> int:
+    return sum(bool((each.fate == Fate.RECEIVED).any()) for each in decided)
+
+
 @pytest.mark.parametrize("count", [3, 10])
 def test_saturated_unicast_is_bianchis(count: int) -> None:
-    """Equal levels: no frame survives a collision, whose end is followed by DIFS."""
-    medium = open_air(count, Dsss(11e6), Dcf(lifetime_s=1e6, queue_frames=10**6))
-    level = np.full(count, 1e-6)
-    frames = [frame(k, 0, k % count, level, to=(k + 1) % count, size=1000, patience=1.0) for k in range(9000)]
+    """The end of a collision is followed by DIFS."""
     until_ns = 8000 * MS
-    decided = run(medium, frames, until_ns)
-    assert len(decided) < 0.8 * len(frames)  # saturated to the end
-    received = sum(bool((each.fate == Fate.RECEIVED).any()) for each in decided)
+    decided = saturated(count, Dsss(11e6), until_ns, unicast=True, size=1000)
+    received = receptions(decided)
     attempts = sum(each.attempts for each in decided)
     tau = sending_chance(count)
     p = 1 - (1 - tau) ** (count - 1)
@@ -183,19 +193,15 @@ def test_saturated_unicast_is_bianchis(count: int) -> None:
 @pytest.mark.parametrize(("rate_bps", "frames_hz"), [(6.5e6, 2190.0), (26e6, 3349.4), (65e6, 3662.4)])
 def test_two_saturated_radios_of_802_11n_send_as_many_frames_as_in_ns_3(rate_bps: float, frames_hz: float) -> None:
     """Acknowledged frames of 100 bytes, ns-3.44, 5 runs of 1 s (``bench.ns3.compare``)."""
-    medium = open_air(2, Ofdm(rate_bps), Dcf(lifetime_s=1e6, queue_frames=10**6))
-    frames = [frame(k, 0, k % 2, all_equal(2), to=(k + 1) % 2) for k in range(9000)]
-    decided = run(medium, frames, 2000 * MS)
-    assert sum(bool((each.fate == Fate.RECEIVED).any()) for each in decided) / 2.0 == pytest.approx(frames_hz, rel=0.02)
+    received = receptions(saturated(2, Ofdm(rate_bps), 2000 * MS, unicast=True))
+    assert received / 2.0 == pytest.approx(frames_hz, rel=0.02)
 
 
 @pytest.mark.parametrize("count", [3, 20])
 def test_saturated_broadcast_sends_in_a_slot_with_2_over_w_plus_1(count: int) -> None:
     """Bianchi without retries: the share of collisions is 1 - (1 - 2 / 33)^(n - 1)."""
-    medium = open_air(count, Dsss(11e6), Dcf(lifetime_s=1e6, queue_frames=10**6))
-    level = np.full(count, 1e-6)
-    frames = [frame(k, 0, k % count, level, patience=1.0) for k in range(5000)]
-    decided = [each for each in run(medium, frames, 10_000 * MS) if each.start_ns > 20 * MS][:4000]
+    decided = saturated(count, Dsss(11e6), 1500 * MS, unicast=False)
+    decided = [each for each in decided if each.start_ns > 20 * MS][:4000]
     alone = np.mean([(each.fate == Fate.RECEIVED).sum() == count - 1 for each in decided])
     assert 1 - alone == pytest.approx(1 - (1 - 2 / 33) ** (count - 1), abs=0.02)
 

@@ -40,8 +40,8 @@ def by_link(count: int, *links: tuple[int, int]) -> Floats:
     return levels
 
 
-def air(levels: Floats, mac: Dcf = ALWAYS, phy: Dsss | Ofdm = PHY, *, seed: int = 1) -> DcfMedium:
-    medium = open_air(len(levels), phy, mac, seed=seed)
+def air(levels: Floats, mac: Dcf = ALWAYS) -> DcfMedium:
+    medium = open_air(len(levels), PHY, mac)
     medium.levels[:] = levels
     return medium
 
@@ -62,10 +62,8 @@ def test_a_radio_that_hears_one_of_both_is_silent_until_the_end_of_the_acknowled
     """Radio 2 hears the sender alone, or the destination alone; its frame follows the reservation."""
     levels = by_link(3, (0, 1), (near, 2))
     exchange = RTS + SIFS + CTS + SIFS + DATA + SIFS + ACK
-    frames = [
-        frame(0, LATER, 0, levels[0], to=1, size=1000),
-        frame(1, LATER + DIFS + known_after + 2 * US, 2, levels[2]),
-    ]
+    other = frame(1, LATER + DIFS + known_after + 2 * US, 2, levels[2])
+    frames = [frame(0, LATER, 0, levels[0], to=1, size=1000), other]
     decided = {each.number: each for each in run(air(levels), frames, UNTIL)}
     assert decided[0].fate[1] == Fate.RECEIVED
     whole_slots(decided[1].start_ns - LATER - DIFS - exchange - DIFS, largest=15)
