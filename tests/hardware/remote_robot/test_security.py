@@ -3,6 +3,7 @@
 import contextlib
 import queue
 import time
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -50,6 +51,27 @@ class ListenerHarness:
     def all(self) -> list[News]:
         return [self.news.get() for _ in range(self.news.qsize())]
 
+    def heard(self, act: Callable[[], object] = lambda: None) -> list[News]:
+        """All news, once a message of a robot is among them; ``act`` is repeated meanwhile."""
+        box: list[News] = []
+
+        def came() -> bool:
+            act()
+            box.extend(self.all())
+            return any(isinstance(each, RobotMessage) for each in box)
+
+        eventually(came)
+        return box
+
+    def say_until(self, condition: Callable[[], object]) -> None:
+        """Send to the followed robot until a condition holds."""
+
+        def said() -> object:
+            self.door.say(b"there")
+            return condition()
+
+        eventually(said)
+
     def dial(self, name: str) -> zenoh.Session:
         return self._stack.enter_context(dial(self.endpoint, bundle(self._keys, name)))
 
@@ -80,15 +102,8 @@ def test_a_certificate_for_the_vehicle_permits_both_ways(
     stage.door.follow(peer)
     texts = received_texts(robot, key_of(robot, name, what="down"))
     token = robot.liveliness().declare_token(key_of(robot, name, what="alive"))
-    box: list[News] = []
-
-    def both() -> bool:
-        robot.put(key_of(robot, name), b"here")
-        stage.door.say(b"there")
-        box.extend(stage.all())
-        return bool(texts) and any(isinstance(each, RobotMessage) for each in box)
-
-    eventually(both)
+    stage.say_until(lambda: texts)
+    box = stage.heard(lambda: robot.put(key_of(robot, name), b"here"))
     assert {each.peer for each in box if isinstance(each, RobotMessage)} == {peer}
     token.undeclare()  # type: ignore[no-untyped-call]
     eventually(lambda: LinkEnded(peer) in stage.all())
@@ -101,12 +116,7 @@ def test_others_cannot_send_receive_or_replace_it(keys: certificates.Keys, stack
     peer = Peer("car3", str(robot.zid()))
     stage.door.follow(peer)
     texts = received_texts(robot, key_of(robot, "car3", what="down"))
-
-    def is_told() -> bool:
-        stage.door.say(b"there")
-        return bool(texts)
-
-    eventually(is_told)
+    stage.say_until(lambda: texts)
     others = {name: stage.dial(name) for name in ("car2", "anna", "gone")}
     texts_by_session = {}
     for name, session in others.items():
@@ -133,13 +143,7 @@ def test_others_cannot_send_receive_or_replace_it(keys: certificates.Keys, stack
         (key_of(robot, "car3"), b"truth"),
     ):
         robot.put(key, data, congestion_control=ALL_GO)
-    box: list[News] = []
-
-    def is_heard() -> bool:
-        box.extend(stage.all())
-        return any(isinstance(each, RobotMessage) for each in box)
-
-    eventually(is_heard)
+    box = stage.heard()
     time.sleep(0.1)  # for messages that should not arrive
     box += stage.all()
     assert [each.data for each in box if isinstance(each, RobotMessage)] == [b"truth"]
@@ -159,15 +163,8 @@ def test_without_the_rules_others_get_through(
     stage.door.follow(peer)
     other = stage.dial("car2")
     texts = received_texts(other, key_of(other, "car3", what="down", zid="a1"))
-    box: list[News] = []
-
-    def through() -> bool:
-        other.put(key_of(other, "car3", zid="a1"), b"lie")
-        stage.door.say(b"there")
-        box.extend(stage.all())
-        return "there" in texts and any(isinstance(each, RobotMessage) for each in box)
-
-    eventually(through)
+    stage.say_until(lambda: "there" in texts)
+    stage.heard(lambda: other.put(key_of(other, "car3", zid="a1"), b"lie"))
 
 
 def test_keys_name_the_sender_and_names_cannot_forge_keys() -> None:
