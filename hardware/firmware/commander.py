@@ -92,7 +92,8 @@ class MavlinkCommander:
             self._session = MavlinkSession(peer, orders, self._sampler, now_ns)
 
     def _converse(self, session: MavlinkSession, now_ns: int) -> None:
-        session.feed(self._chunks(), now_ns)
+        for message in session.decode(self._chunks()):
+            session.receive(message, now_ns)
         if session.ready and now_ns >= self._repeat_ns:
             self._repeat_ns = now_ns + REPEAT_NS
             session.command(towards(self._command, self._sampler.state), now_ns)

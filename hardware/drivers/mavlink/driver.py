@@ -202,13 +202,15 @@ class MavlinkDriver(ReconnectingDriver):
         if messages:
             link.write(self._encode(*messages))
         chunks = link.read() if self._wait(link.fileno(), min(due_ns, until_ns)) else []
+        received = session.decode(chunks)  # without the lock: it takes its time for a burst of bytes
         with self._lock:
-            count, samples = session.feed(chunks, time.monotonic_ns())
+            now_ns = time.monotonic_ns()
+            samples = [sample for each in received if (sample := session.receive(each, now_ns)) is not None]
             self._sample = samples[-1] if samples else self._sample
             news, session.news = session.news, []
         for what, cause in news:
             self._notice(what, cause)
-        return count, len(samples)
+        return len(received), len(samples)
 
     def _give_up(self) -> None:
         self._say_goodbye()  # a failed take-off ends in the air

@@ -257,16 +257,12 @@ class MavlinkSession:
             return due_ns
         return 0 if self._request_ns is None else min(due_ns, self._request_ns + ASK_NS)
 
-    def feed(self, chunks: Chunks, now_ns: int) -> tuple[int, list[Sample]]:
-        """Process received bytes; the number of messages of the vehicle, and the samples that they complete."""
-        count, samples = 0, []
+    def decode(self, chunks: Chunks) -> list[Message]:
+        """Messages of the vehicle in received bytes, for `receive`."""
+        messages = []
         for _, data in chunks:
-            for message in self._reader.feed(data):
-                if protocol.sender_of(message) == self._peer.sender:
-                    count += 1
-                    if (sample := self.receive(message, now_ns)) is not None:
-                        samples.append(sample)
-        return count, samples
+            messages += [each for each in self._reader.feed(data) if protocol.sender_of(each) == self._peer.sender]
+        return messages
 
     def receive(self, message: Message, now_ns: int) -> Sample | None:
         """Process a message of the vehicle; a sample, if it completes one."""

@@ -40,7 +40,9 @@ class Flight:
                 self.pilot.command(command, self.now_ns)
             messages = self.pilot.advance(self.now_ns)
             self.sent += [(self.now_ns, each) for each in messages]
-            self.pilot.feed([("", self.vehicle.receive(self._encode(*messages), self.now_ns))], self.now_ns)
+            answer = self.vehicle.receive(self._encode(*messages), self.now_ns)
+            for message in self.pilot.decode([("", answer)]):
+                self.pilot.receive(message, self.now_ns)
 
     def until_ready(self) -> None:
         for _ in range(300):
