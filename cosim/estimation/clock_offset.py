@@ -3,10 +3,10 @@
 Positioning servers, robots and autopilots stamp measurements with their own clocks. There are two methods:
 
 - `ForeignClock`, for devices that only send. A message stamped s that arrives at a says ``a - s = offset + delay``; the
-smallest of many delays is nearest to the minimum delay (minimum filter of clock synchronisation by one-way delays: Moon,
-Skelly, Towsley 1999, "Estimation and removal of clock skew from network delay measurements", INFOCOM). - `EchoClock`, for
-devices that answer. Four times give offset and round trip; the exchange with the least round trip is the best [RFC 5905,
-clauses 8 and 10].
+  smallest of many delays is nearest to the minimum delay (minimum filter of clock synchronisation by one-way delays: Moon,
+  Skelly, Towsley 1999, "Estimation and removal of clock skew from network delay measurements", INFOCOM).
+- `EchoClock`, for devices that answer. Four times give offset and round trip; the exchange with the least round trip is the
+  best [RFC 5905, clauses 8 and 10].
 
 An offset is added to the other clock's time. No function reads a clock: times are arguments, whole ns.
 """

@@ -59,7 +59,7 @@ class FusedPose(msgspec.Struct, frozen=True, kw_only=True):
     v: float  # m/s, from the newest odometry
     w: float  # rad/s, from the newest odometry
     age_s: float  # since the last accepted position was measured; inf: none yet
-    scale: float  # see `kalman`
+    scale: float  # see `kalman_filter`
     veer: float  # rad/m
     bias: float  # rad/s
     accepted: int  # accepted positions

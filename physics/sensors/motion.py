@@ -61,7 +61,8 @@ _FIELD = Noise(sigma=0.3, bias_sd=1.0)  # assumed, as after a calibration
 class Magnetometer(Sensor):
     """``x_ut``, ``y_ut``, ``z_ut``: the magnetic field of the earth along the body axes, microtesla.
 
-    The default field is that near Zurich: 48 uT, 3 degrees east of north, 63.5 degrees downwards (geo_magnetic_tables.hpp of PX
+    The default field is that near Zurich: 48 uT, 3 degrees east of north, 63.5 degrees downwards (geo_magnetic_tables.hpp of
+    PX4).
     """
 
     rate_hz: Rate = 60.0  # readings a second
