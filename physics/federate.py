@@ -22,7 +22,8 @@ External vehicles (`cosim.federate.ExternalMotion`) are included in all of this,
 ``fix``, which another federate publishes.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Annotated, Any
 
 import msgspec
@@ -109,14 +110,15 @@ class Physics:
         self._run, self._now_ns = run, 0
         self._scenes = SceneBuilder(self.world, self.vehicles, self.gravity)
         external = [self.vehicles[number] for number in self._external]
-        self._external_engine = ExternalEngine(self._outside, external) if self._outside and self._outside.names else None
+        if self._outside and self._outside.names:
+            self._external_engine = ExternalEngine(self._outside, external)
         self._sources = PoseSources(self.vehicles, self._simulated, run.seed)
         self._sensors = SensorScheduler({spec.name: spec.sensors for spec in self.vehicles}, run.seed, requested=run.wanted)
         own = (*self._sensors.instants, *self._sources.instants, *([Instants(PACE)] if run.paced else []))
         self._needed, self._stops = Needed(run), Needed(msgspec.structs.replace(run, instants=(*run.instants, *own)))
         checks.check_names(self.world, self.vehicles)
         checks.check_places(self.world, self.vehicles)
-        checks.check_sensors(self.vehicles, () if self._outside is None else self._outside.names)
+        checks.check_sensors(self.vehicles, [spec.name for spec in external])
         self._engines = [(engine, np.array(numbers, int)) for engine, numbers in self.engines()]
         for engine, _ in self._engines:
             engine.expect(run.duration_ns, now=run.paced)
@@ -221,8 +223,9 @@ class Physics:
         motion = self._motion()
         events = []
         if states:
-            arrays = dict(zip(("position", "velocity", "attitude", "angular_velocity"), motion[:4], strict=True))
-            events.append(Event("world/states", now_ns, States(names=self._names, **arrays)))
+            position, velocity, attitude, spin, *_ = motion
+            value = States(names=self._names, position=position, velocity=velocity, attitude=attitude, angular_velocity=spin)
+            events.append(Event("world/states", now_ns, value))
         events += self._sources.measure(now_ns, motion)
         if readings:
             scene = self._scenes.scene(now_ns, motion, self._movables(), self._contacts.now(passing=False))
@@ -244,8 +247,9 @@ class Physics:
         return None
 
     def _fly_by_firmware(self, engine: FleetEngine, specs: Sequence[VehicleSpec]) -> None:
-        """Give quadrotors of an engine, by the rows of its fleet, to their firmware."""
-        assert self._firmware is not None  # noqa: S101  for type checkers
+        """Give quadrotors of an engine, by the rows of its fleet, to their firmware if they have one."""
+        if self._firmware is None:
+            return
         if self.rate_hz < LEAST_HZ:
             problem = f"firmware needs at least {LEAST_HZ:g} steps a second, not {self.rate_hz:g}: 250 suit PX4, 400 ArduPilot"
             raise ScenarioError(problem, key="physics.rate_hz")
@@ -260,21 +264,26 @@ class Physics:
         )
 
     def _bodiless(self, numbers: Sequence[int]) -> list[tuple[Engine, list[int]]]:
-        """Engines without bodies, on the ground, in the air and of stations, each with its numbered vehicles."""
+        """Engines without bodies: on the ground, in the air, of stations, external; each with its numbered vehicles."""
+        makers: list[tuple[Any, Callable[..., Engine]]] = [
+            (GroundVehicle, partial(GroundEngine, sensed=any(spec.sensors for spec in self.vehicles))),
+            (Point | Quadrotor, AerialEngine),
+            (FixedStation, StationEngine),
+        ]
         engines: list[tuple[Engine, list[int]]] = []
-        starts = {n: (self.vehicles[n].start, self.vehicles[n].heading) for n in numbers}
-        ground = {n: model for n in numbers if isinstance(model := self.vehicles[n].model, GroundVehicle)}
-        if ground:
-            sensed = any(spec.sensors for spec in self.vehicles)
-            at = zip(*(starts[n] for n in ground), strict=True)
-            engines.append((GroundEngine([*ground.values()], *at, sensed=sensed), [*ground]))
-        air = {n: model for n in numbers if isinstance(model := self.vehicles[n].model, Point | Quadrotor)}
-        if air:
-            engines.append((AerialEngine([*air.values()], *zip(*(starts[n] for n in air), strict=True)), [*air]))
-        fixed = [n for n in numbers if isinstance(self.vehicles[n].model, FixedStation)]
-        if fixed:
-            engines.append((StationEngine(*zip(*(starts[n] for n in fixed), strict=True)), fixed))
+        for kind, make in makers:
+            own = [n for n in numbers if n not in self._external and isinstance(self.vehicles[n].model, kind)]
+            if own:
+                engines.append((make(*_starts([self.vehicles[n] for n in own])), own))
+        external = [n for n in numbers if n in self._external]
+        if self._external_engine and external:
+            engines.append((self._external_engine, external))
         return engines
+
+
+def _starts(specs: Sequence[VehicleSpec]) -> Iterator[tuple[Any, ...]]:
+    """Models, positions, m, and headings, rad, of one vehicle or more."""
+    return zip(*((spec.model, spec.start, spec.heading) for spec in specs), strict=True)
 
 
 class KinematicPhysics(Physics):
@@ -285,8 +294,7 @@ class KinematicPhysics(Physics):
         if self._firmware is not None:
             key = f"vehicle.{self._firmware.names[0]}.firmware"
             raise ScenarioError('needs rotors: use physics.kind = "bullet" or "mujoco"', key=key)
-        simulated = self._bodiless(self._simulated)
-        return [*simulated, (self._external_engine, self._external)] if self._external_engine else simulated
+        return self._bodiless(range(len(self.vehicles)))
 
 
 class FlightPhysics(Physics):
@@ -296,24 +304,16 @@ class FlightPhysics(Physics):
         """The engine of quadrotors, and the engines of vehicles without bodies."""
         checks.check_instants(self._run, self.rate_hz, self._sources.instants)
         self._sensors.check(Ticks.rate(self.rate_hz))
-        specs = {n: self.vehicles[n] for n in self._simulated}
-        flyers = {n: each for n, each in specs.items() if isinstance(each.model, Quadrotor)}
-        checks.check_lift([*flyers.values()], self.gravity)
-        engines = self._bodiless([n for n in self._simulated if n not in flyers])
+        flyers = [n for n in self._simulated if isinstance(self.vehicles[n].model, Quadrotor)]
+        specs = [self.vehicles[n] for n in flyers]
+        checks.check_lift(specs, self.gravity)
+        engines = self._bodiless([n for n in range(len(self.vehicles)) if n not in flyers])
         if flyers:
-            models: list[Any] = [each.model for each in flyers.values()]
-            engine = FreeFlightEngine(
-                models,
-                [each.start for each in flyers.values()],
-                [each.heading for each in flyers.values()],
-                wind=Gusts(self.world.wind, [each.name for each in flyers.values()], self._run.seed).advance,
-                rate_hz=self.rate_hz,
-                gravity=self.gravity,
-            )
-            engines.append((engine, [*flyers]))
-            if self._firmware is not None:
-                self._fly_by_firmware(engine, [*flyers.values()])
-        return [*engines, (self._external_engine, self._external)] if self._external_engine else engines
+            wind = Gusts(self.world.wind, [spec.name for spec in specs], self._run.seed).advance
+            engine = FreeFlightEngine(*_starts(specs), wind=wind, rate_hz=self.rate_hz, gravity=self.gravity)
+            engines.append((engine, flyers))
+            self._fly_by_firmware(engine, specs)
+        return engines
 
 
 class RigidBodyPhysics(Physics):
@@ -321,14 +321,14 @@ class RigidBodyPhysics(Physics):
 
     def engines(self) -> list[tuple[Engine, list[int]]]:
         """The engine with bodies, and the engines of vehicles without bodies."""
-        outside = () if self._outside is None else self._outside.names
         checks.check_instants(self._run, self.rate_hz, self._sources.instants)
         self._sensors.check(Ticks.rate(self.rate_hz))
         rigid = DifferentialDrive | UrdfDrive | Quadrotor
         bodies = [n for n, spec in enumerate(self.vehicles) if n in self._external or isinstance(spec.model, rigid)]
         specs = [self.vehicles[n] for n in bodies]
         checks.check_overlaps(self.world, specs)
-        checks.check_lift([self.vehicles[n] for n in bodies if n not in self._external], self.gravity)
+        simulated = [self.vehicles[n] for n in bodies if n not in self._external]
+        checks.check_lift(simulated, self.gravity)
         engine = self._engine(
             world=self.world,
             vehicles=specs,
@@ -338,10 +338,7 @@ class RigidBodyPhysics(Physics):
             accelerations=any(spec.sensors for spec in specs),
             external=self._external_engine,
         )
-        if self._firmware is not None:
-            self._fly_by_firmware(
-                engine, [spec for spec in specs if isinstance(spec.model, Quadrotor) and spec.name not in outside]
-            )
+        self._fly_by_firmware(engine, [spec for spec in simulated if isinstance(spec.model, Quadrotor)])
         return [(engine, bodies), *self._bodiless([n for n in range(len(self.vehicles)) if n not in bodies])]
 
     def _engine(self, **arguments: Any) -> FleetEngine:

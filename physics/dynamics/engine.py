@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.federate import Event, FlightFirmware
 from vcmvsp.cosim.types import Array, Contact, Vec3, Velocity, Waypoint
@@ -68,8 +68,7 @@ class Engine:
         raise NotImplementedError
 
     def advance(self, to_ns: int) -> None:
-        """Advance to ``to_ns``."""
-        raise NotImplementedError
+        """Advance to ``to_ns``; by default nothing moves."""
 
     def read(self) -> BodyMotion:
         """Motion of every vehicle. Reading changes nothing."""
@@ -91,12 +90,26 @@ class Engine:
 
 
 class FleetEngine(Engine):
-    """An engine with quadrotors in a fleet."""
+    """An engine with quadrotors in a fleet, and with steps of its own: ``advance`` goes to the nearest one."""
 
-    @property
-    def fleet(self) -> QuadrotorFleet:
-        """The quadrotors, in the order of their vehicles."""
-        raise NotImplementedError
+    stepped = True
+    fleet: QuadrotorFleet  # in the order of their vehicles
+    _flyer_of: Mapping[int, int] | Sequence[int]  # rows of the fleet by rows of the engine
+
+    def __init__(self, rate_hz: float) -> None:
+        self._ticks, self._step, self._step_s = Ticks.rate(rate_hz), 0, 1.0 / rate_hz
+
+    def expect(self, duration_ns: int, *, now: bool) -> None:
+        """Compile the laws of quadrotors, if that pays or has to be done now."""
+        self.fleet.expect(duration_ns / SECOND_NS / self._step_s, now=now)
+
+    def go_to(self, row: int, position: Vec3, yaw: float | None, speed: float | None) -> None:
+        """Fly to a position, m, and hover there."""
+        self.fleet.set_waypoint(self._flyer_of[row], position, yaw, speed)
+
+    def _step_at(self, time_ns: int) -> int:
+        """Number of the step nearest to a time."""
+        return (time_ns * self._ticks.per + self._ticks.ns // 2) // self._ticks.ns
 
 
 def side_by_side(*columns: Array) -> Array:
@@ -108,6 +121,13 @@ def without_wheels(position: Array, velocity: Array, attitude: Array, spin: Arra
     """Motion of bodies without wheels; arrays and units as in `BodyMotion`."""
     n = len(position)
     return BodyMotion(position, velocity, attitude, spin, acceleration, np.full((n, 2), np.nan), np.full((n, 5), np.nan))
+
+
+def flown(fleet: QuadrotorFleet, step_s: float) -> BodyMotion:
+    """Motion of quadrotors after a step of ``step_s``."""
+    acceleration = (fleet.velocity - fleet.velocity_before) / step_s
+    state = fleet.position, fleet.velocity, fleet.attitude, fleet.rate, acceleration
+    return without_wheels(*(each.copy() for each in state))
 
 
 def still(position: Array, heading: Array) -> BodyMotion:

@@ -8,13 +8,14 @@ The inertial unit is read at every step, whatever its rate. A reading that falls
 import dataclasses
 from collections import deque
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from vcmvsp.cosim.clock import Ticks, seconds_to_ns
 from vcmvsp.cosim.federate import FlightFirmware, FlightReadings
 from vcmvsp.cosim.rng import stream
-from vcmvsp.cosim.types import Fix, Imu, Measured, Reading, VehicleState
+from vcmvsp.cosim.types import Imu, Measured, Reading, VehicleState
 from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
 from vcmvsp.physics.sensors.motion import Altimeter, InertialUnit, Magnetometer
 from vcmvsp.physics.sensors.positioning import Gps
@@ -56,30 +57,26 @@ class Onboard:
     """The sensors of one vehicle for its firmware."""
 
     def __init__(self, spec: VehicleSpec, rate_hz: float, seed: int) -> None:
-        def own(kind: type[Sensor]) -> Sensor:
-            return next((each for each in spec.sensors.values() if isinstance(each, kind)), None) or kind()
-
-        imu = dataclasses.replace(own(InertialUnit), rate_hz=rate_hz, phase_s=0.0, latency_s=0.0, drop_out=0.0)
-        sensors = {"imu": imu, **{name: dataclasses.replace(own(kind)) for name, kind in _OTHERS.items()}}
-        self._sensors = {name: OnboardSensor(each, f"{spec.name}/firmware/{name}", seed) for name, each in sensors.items()}
+        at_every_step = {"rate_hz": rate_hz, "phase_s": 0.0, "latency_s": 0.0, "drop_out": 0.0}
+        self._sensors: list[OnboardSensor] = []
+        for name, kind in _SENSORS.items():
+            own = next((each for each in spec.sensors.values() if isinstance(each, kind)), None) or kind()
+            changes = at_every_step if kind is InertialUnit else {}
+            self._sensors.append(OnboardSensor(dataclasses.replace(own, **changes), f"{spec.name}/firmware/{name}", seed))
 
     def read(self, scene: Scene, row: int, state: VehicleState) -> FlightReadings:
         """Readings of a vehicle in a row of the scene."""
-        readings = {name: each.read(scene, row) for name, each in self._sensors.items()}
-        imu, field, height, fix = (readings[name] for name in ("imu", "magnetometer", "altimeter", "gps"))
+        imu, field, height, fix = (each.read(scene, row) for each in self._sensors)
         assert isinstance(imu, Imu)  # noqa: S101  it is read at every step
-        x_y_z = tuple(field.values.values()) if isinstance(field, Measured) else None
-        return FlightReadings(
-            now_ns=scene.now_ns,
-            state=state,
-            imu=imu,
-            field_ut=x_y_z,  # type: ignore[arg-type]  # a magnetometer has three values
-            height_m=height.values["height_m"] if isinstance(height, Measured) else None,
-            fix=fix if isinstance(fix, Fix) else None,
-        )
+        readings: dict[str, Any] = {"imu": imu, "fix": fix}
+        if isinstance(field, Measured):
+            readings["field_ut"] = tuple(field.values.values())
+        if isinstance(height, Measured):
+            readings["height_m"] = height.values["height_m"]
+        return FlightReadings(now_ns=scene.now_ns, state=state, **readings)
 
 
-_OTHERS: Mapping[str, type[Sensor]] = {"magnetometer": Magnetometer, "altimeter": Altimeter, "gps": Gps}
+_SENSORS: Mapping[str, type[Sensor]] = {"imu": InertialUnit, "magnetometer": Magnetometer, "altimeter": Altimeter, "gps": Gps}
 
 
 class FirmwarePilot:

@@ -16,6 +16,7 @@ from vcmvsp.physics.dynamics.engine import BodyMotion, Engine, side_by_side, sti
 from vcmvsp.physics.dynamics.wind import Floats
 from vcmvsp.physics.vehicles.models import DifferentialDrive, GroundVehicle, Point, Quadrotor
 from vcmvsp.physics.vehicles.specification import VehicleSpec
+from vcmvsp.physics.vehicles.station import FixedStation
 from vcmvsp.physics.vehicles.urdf import UrdfDrive
 from vcmvsp.physics.world.world import rotations
 
@@ -248,7 +249,7 @@ class AerialEngine(Engine):
 class StationEngine(Engine):
     """Stations, which keep their poses: positions (n, 3) m, headings (n,) rad."""
 
-    def __init__(self, positions: Sequence[Vec3], headings: Sequence[float]) -> None:
+    def __init__(self, models: Sequence[FixedStation], positions: Sequence[Vec3], headings: Sequence[float]) -> None:
         self._motion = still(np.array(positions, float).reshape(-1, 3), np.array(headings, float))
 
     def command(self, row: int, linear: Vec3, yaw_rate: float) -> None:
@@ -259,9 +260,6 @@ class StationEngine(Engine):
     def go_to(self, row: int, position: Vec3, yaw: float | None, speed: float | None) -> None:
         """Refuse a way-point."""
         raise FederateError("physics", NO_COMMAND)
-
-    def advance(self, to_ns: int) -> None:
-        """Do nothing."""
 
     def read(self) -> BodyMotion:
         """Motion of every station: none."""

@@ -1,12 +1,13 @@
 """Odometry of wheels: the arcs that two wheels have rolled, added up at each reading of their encoders."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from vcmvsp.cosim.frames import arc
 from vcmvsp.cosim.types import Array, Vec3
 from vcmvsp.physics.dynamics.kinematic import wrapped
+from vcmvsp.physics.vehicles.specification import VehicleSpec
 
 ENCODER_HZ = 40.0
 
@@ -14,14 +15,14 @@ ENCODER_HZ = 40.0
 class DifferentialOdometry:
     """Odometry of n robots from the angles of their left and right wheels, (n, 2) rad; forwards is positive.
 
-    ``radius_m`` and ``half_track_m`` are of each robot; ``starts`` are positions, m, and headings, rad.
+    ``wheels`` are the radius and half the track of each robot, m; ``starts`` its place.
     """
 
-    def __init__(self, radius_m: Sequence[float], half_track_m: Sequence[float], starts: Sequence[tuple[Vec3, float]]) -> None:
-        self._wheels = list(zip(radius_m, half_track_m, strict=True))
-        self._radius, self._half_track = np.array(radius_m, float), np.array(half_track_m, float)
-        self._angles = [(0.0, 0.0)] * len(starts)  # last readings
-        self._poses = [(x, y, yaw) for (x, y, _), yaw in starts]  # at these readings
+    def __init__(self, wheels: Sequence[tuple[float, float]], starts: Iterable[VehicleSpec]) -> None:
+        self._wheels = wheels
+        self._radius, self._half_track = np.array(wheels, float).reshape(-1, 2).T
+        self._angles = [(0.0, 0.0)] * len(wheels)  # last readings
+        self._poses = [(*spec.start[:2], spec.heading) for spec in starts]  # at these readings
 
     def encode(self, angles: Array) -> None:
         """Read the encoders."""

@@ -6,7 +6,8 @@ writes their states into the fleet's arrays. `QuadrotorFleet.fly` is both, for s
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from vcmvsp.physics.dynamics import quadrotor_laws as laws
 from vcmvsp.physics.dynamics.quadrotor_laws import FleetModel, FleetState
 from vcmvsp.physics.dynamics.wind import Floats, downwash
 from vcmvsp.physics.vehicles.models import Quadrotor
+from vcmvsp.physics.vehicles.specification import VehicleSpec
 
 VEHICLE_STEP_S = 1e-5  # CPU time of a step of a vehicle, interpreted
 COMPILE_FOR_S = 2.0  # of work, interpreted: the compilation takes twice as long, once for each computer
@@ -61,26 +63,21 @@ class QuadrotorFleet:
         # A row for each component, a column for each vehicle.
         arrays = {name: np.zeros((width, n)) for name, width in WIDTHS.items()}
         numbers: dict[str, Any] = {name: np.zeros(n) for name in FleetState.__annotations__ if name not in arrays}
-        numbers |= {
-            "clock": np.array([0.0, 1.0 / laws.LOOP_HZ]),
-            "counts": np.zeros(2, np.int64),
-        }  # outer loops are due at once
+        numbers["clock"] = np.array([0.0, 1.0 / laws.LOOP_HZ])  # outer loops are due at once
+        numbers["counts"] = np.zeros(2, np.int64)
         numbers |= {name: tuple(each) for name, each in arrays.items()}
         self._state = s = FleetState(**numbers)
-        self.position, self.velocity, self.velocity_before, self.attitude, self.rate, self.rotor = (
-            arrays[name].T for name in ("position", "velocity", "velocity_before", "attitude", "rate", "rotor")
-        )
-        self._force, self._torque, self._wind = (arrays[name].T for name in ("force", "torque", "wind"))
+        columns = {name: each.T for name, each in arrays.items()}  # views
+        self.position, self.attitude, self.rotor = columns["position"], columns["attitude"], columns["rotor"]
+        self.velocity, self.velocity_before, self.rate = columns["velocity"], columns["velocity_before"], columns["rate"]
+        self._force, self._torque, self._wind = columns["force"], columns["torque"], columns["wind"]
         self.position[:] = np.array(positions, float).reshape(n, 3)
         s.yaw[:] = s.heading[:] = np.array(headings, float).reshape(n)
         s.attitude[0][:], s.attitude[3][:] = np.cos(0.5 * s.heading), np.sin(0.5 * s.heading)
         s.cos[:], s.sin[:] = np.cos(s.heading), np.sin(s.heading)
         arrays["rotor"][:] = np.sqrt(0.25 * self._model.mass * gravity / self._model.thrust_factor)
-        s.speed[:], s.axis[2][:], s.lift_wanted[:] = (
-            self._model.max_speed,
-            1.0,
-            self._model.mass * self._model.autopilot_gravity,
-        )
+        s.speed[:], s.axis[2][:] = column(models, "max_speed"), 1.0
+        s.lift_wanted[:] = self._model.mass * self._model.autopilot_gravity
 
         self._pilot: Pilot | None = None
         self._core = Core((laws,), s, self._model)
@@ -164,6 +161,12 @@ class QuadrotorFleet:
             self._pilot(dt)
             self._do(1)
 
+    def fly_in(self, winds: Sequence[Any], dt: float) -> None:
+        """`fly` a step in each of these winds, (n, 3) m/s, world; equal neighbours are the same object."""
+        for _, group in groupby(winds, key=id):
+            same = list(group)
+            self.fly(len(same), dt, same[0])
+
     def _prepare(self, dt: float, wind: Any) -> None:
         self._wind[:] = wind
         self._state.clock[laws.STEP] = dt
@@ -181,25 +184,29 @@ class QuadrotorFleet:
             s.counts[laws.STAGE] = missing
 
 
+def fleet_of(specs: Collection[VehicleSpec], gravity: float) -> QuadrotorFleet:
+    """A fleet of quadrotors at their starts."""
+    models: list[Any] = [spec.model for spec in specs]
+    positions = [spec.start for spec in specs]
+    return QuadrotorFleet(models, positions, [spec.heading for spec in specs], gravity)
+
+
 def model_of(models: Sequence[Quadrotor], gravity: float) -> FleetModel:
     """Constants of vehicles in a gravity, m/s2."""
     n, pilot_gravity = len(models), max(gravity, _LEAST_GRAVITY)
-    inertia, arm, factor = (
-        columns([model.inertia for model in models], 3),
-        column(models, "arm_m"),
-        column(models, "thrust_factor"),
-    )
+    x, y, z = inertia = columns([model.inertia for model in models], 3)
+    arm, factor = column(models, "arm_m"), column(models, "thrust_factor")
     yaw_arm, mass, rate_gain = column(models, "torque_factor") / factor, column(models, "mass_kg"), column(models, "rate_gain")
     tan_tilt = np.tan(column(models, "max_tilt_rad"))
     sideways = pilot_gravity * tan_tilt
-    most = np.array([model.max_rotor_thrust for model in models])
+    most = column(models, "max_rotor_thrust")
     most_up = column(models, "max_thrust") * 4.0 * most / mass
     gain_squared, braking, yaw_reserve = column(models, "position_gain") ** 2, column(models, "braking"), _YAW_RESERVE * most
-    x, y, z = inertia
+    resistance, ground_effect = columns([model.drag for model in models], 3), column(models, "ground_effect")
     return FleetModel(
         gravity=gravity,
         autopilot_gravity=pilot_gravity,
-        washed=int(any(model.downwash for model in models)),
+        washed=int(column(models, "downwash").any()),
         mass=mass,
         flexibility=tuple(1.0 / inertia),
         gyration=(z - y, x - z, y - x),
@@ -208,9 +215,8 @@ def model_of(models: Sequence[Quadrotor], gravity: float) -> FleetModel:
         arm=arm,
         yaw_arm=yaw_arm,
         crossed=np.array([float(model.frame == "x") for model in models]),
-        resistance=tuple(-columns([model.drag for model in models], 3)),
-        ground_radius=np.where([model.ground_effect for model in models], column(models, "rotor_radius_m"), 0.0),
-        max_speed=column(models, "max_speed"),
+        resistance=tuple(-resistance),
+        ground_radius=np.where(ground_effect > 0.0, column(models, "rotor_radius_m"), 0.0),
         max_climb=column(models, "max_climb"),
         max_yaw_rate=column(models, "max_yaw_rate"),
         tan_tilt=tan_tilt,

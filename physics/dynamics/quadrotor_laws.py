@@ -142,7 +142,6 @@ class FleetModel(NamedTuple):
     resistance: Three  # N s/m
     ground_radius: Row  # m, of rotors with ground effect; 0: without
     # Limits
-    max_speed: Row
     max_climb: Row
     max_yaw_rate: Row
     tan_tilt: Row
@@ -309,17 +308,13 @@ def guide(s: FleetState, m: FleetModel) -> None:
         s.lift_wanted[k] = m.mass[k] * up
         s.axis[0][k], s.axis[1][k], s.axis[2][k] = clear_axis(s, k, x / size, y / size, up / size)
 
-        change_x, change_y, change_z = (
-            gain * (want_x - s.reference[0][k]),
-            gain * (want_y - s.reference[1][k]),
-            gain * (want_z - s.reference[2][k]),
-        )
+        reference_x, reference_y, reference_z = s.reference[0][k], s.reference[1][k], s.reference[2][k]
+        change_x, change_y = gain * (want_x - reference_x), gain * (want_y - reference_y)
+        change_z = gain * (want_z - reference_z)
         share = elapsed_s * m.sideways[k] / most(length(change_x, change_y, change_z), m.sideways[k])
-        reference_x, reference_y, reference_z = (
-            s.reference[0][k] + change_x * share,
-            s.reference[1][k] + change_y * share,
-            s.reference[2][k] + change_z * share,
-        )
+        reference_x += change_x * share
+        reference_y += change_y * share
+        reference_z += change_z * share
         s.reference[0][k], s.reference[1][k], s.reference[2][k] = reference_x, reference_y, reference_z
         free = 1.0 if sideways <= limit else 0.0
         rise = elapsed_s * m.integral[k]
@@ -381,8 +376,10 @@ def spin_rotors(s: FleetState, m: FleetModel) -> None:
         x, y = turned_in(m, k, x, y)
         a, b, c, d = mixed(m, k, x, y, z, thrust)
         driven = s.driven[k] != 0.0
-        a, b = s.rotor_wanted[0][k] if driven else a, s.rotor_wanted[1][k] if driven else b
-        c, d = s.rotor_wanted[2][k] if driven else c, s.rotor_wanted[3][k] if driven else d
+        a = s.rotor_wanted[0][k] if driven else a
+        b = s.rotor_wanted[1][k] if driven else b
+        c = s.rotor_wanted[2][k] if driven else c
+        d = s.rotor_wanted[3][k] if driven else d
         front[k] += m.follow[k] * (a - front[k])
         left[k] += m.follow[k] * (b - left[k])
         back[k] += m.follow[k] * (c - back[k])
@@ -392,13 +389,17 @@ def spin_rotors(s: FleetState, m: FleetModel) -> None:
 def turned_in(m: FleetModel, k: int, x: float, y: float) -> Pairs:
     """Horizontal components along the arms of the first two rotors' cross, of a vector in the body frame."""
     crossed = m.crossed[k] != 0.0
-    return (x - y) * _EIGHTH if crossed else x, (x + y) * _EIGHTH if crossed else y
+    along = (x - y) * _EIGHTH if crossed else x
+    across = (x + y) * _EIGHTH if crossed else y
+    return along, across
 
 
 def turned_out(m: FleetModel, k: int, x: float, y: float) -> Pairs:
     """The inverse of `turned_in`."""
     crossed = m.crossed[k] != 0.0
-    return (x + y) * _EIGHTH if crossed else x, (y - x) * _EIGHTH if crossed else y
+    ahead = (x + y) * _EIGHTH if crossed else x
+    left = (y - x) * _EIGHTH if crossed else y
+    return ahead, left
 
 
 def weigh(s: FleetState, m: FleetModel) -> None:

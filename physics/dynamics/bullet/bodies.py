@@ -21,7 +21,7 @@ from vcmvsp.physics.dynamics.external_path import ExternalPath
 from vcmvsp.physics.dynamics.kinematic import ExternalEngine
 from vcmvsp.physics.vehicles.models import DifferentialDrive
 from vcmvsp.physics.world.solids import Box, Cylinder, Hull, heading_of
-from vcmvsp.physics.world.world import World, rotation_columns
+from vcmvsp.physics.world.world import Movable, Moving, World, rotation_columns
 
 LEFT, RIGHT = 0, 1  # joints
 
@@ -132,8 +132,8 @@ class WorldBodies:
             sleep = {"activationState": p.ACTIVATION_STATE_ENABLE_SLEEPING, "sleepThreshold": _FALLS_ASLEEP}
             p.changeDynamics(body, -1, **sleep, physicsClientId=client)
         self.moving = [self._build(each.solid, HEAVY_KG, 0.5, SOLID) for each in world.moving]  # without contact to the floor
-        solids = [*(each.solid for each in world.movables), *(each.solid for each in world.moving)]
-        self._radii_m = np.array([0.5 * math.hypot(*solid.hull.size) for solid in solids])  # of spheres around them
+        things: list[Movable | Moving] = [*world.movables, *world.moving]
+        self._radii_m = np.array([0.5 * math.hypot(*each.solid.hull.size) for each in things])  # of spheres around them
         self.place(0)
 
     def _build(self, solid: Box | Cylinder, mass_kg: float, friction: float, mask: int) -> int:

@@ -1,12 +1,10 @@
 """The Bullet engine: ground robots, quadrotors, external vehicles and movables in one Bullet world, and their contacts."""
 
-from collections.abc import Callable, Container, Mapping, Sequence
-from functools import partial
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.types import Vec3
 from vcmvsp.physics.dynamics.bullet import p
 from vcmvsp.physics.dynamics.bullet.bodies import ExternalBodies, WorldBodies
@@ -15,8 +13,6 @@ from vcmvsp.physics.dynamics.bullet.quadrotors import REACH_M, BulletQuadrotors
 from vcmvsp.physics.dynamics.engine import BodyMotion, FleetEngine, Touch, gathered
 from vcmvsp.physics.dynamics.kinematic import ExternalEngine
 from vcmvsp.physics.dynamics.odometry import ENCODER_HZ
-from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
-from vcmvsp.physics.dynamics.wind import Gusts
 from vcmvsp.physics.vehicles.specification import VehicleSpec, roles_of
 from vcmvsp.physics.vehicles.urdf import UrdfDrive
 from vcmvsp.physics.world.world import World
@@ -29,14 +25,12 @@ class BulletEngine(FleetEngine):
         world: floor, solids, and what else is in it.
         vehicles: without overlap at the start; each name has its own gusts.
         seed: of the gusts.
-        rate_hz: Bullet steps a second; ``advance`` goes to the nearest step.
+        rate_hz: Bullet steps a second.
         iterations: of the constraint solver in each step.
         gravity: m/s2, downwards.
         accelerations: whether to compute accelerations of ground robots; else they are zero.
         external: the external vehicles among ``vehicles``, of any model.
     """
-
-    stepped = True
 
     def __init__(
         self,
@@ -50,14 +44,11 @@ class BulletEngine(FleetEngine):
         accelerations: bool = False,
         external: ExternalEngine | None = None,
     ) -> None:
-        self._ticks, self._step, self._step_s = Ticks.rate(rate_hz), 0, 1.0 / rate_hz
+        super().__init__(rate_hz)
         self._encoder_steps = max(1, round(rate_hz / ENCODER_HZ))
         self._count, self._accelerations, self._external = len(vehicles), accelerations, external
-        roles = roles_of(vehicles, external.names if external else ())
-        on_ground, in_air, self._external_rows = [*roles.ground.values()], [*roles.air.values()], [*roles.external]
-        self._ground_rows, self._air_rows = [*roles.ground], [*roles.air]
-        drives: list[Any] = [spec.model for spec in on_ground]
-        quadrotors: list[Any] = [spec.model for spec in in_air]
+        ground, air, outside = roles_of(vehicles, external.names if external else ())
+        self._ground_rows, self._air_rows, self._external_rows = [*ground], [*air], [*outside]
         self._robot_of = {row: k for k, row in enumerate(self._ground_rows)}
         self._flyer_of = {row: k for k, row in enumerate(self._air_rows)}
         self._client: int = p.connect(p.DIRECT)
@@ -68,36 +59,28 @@ class BulletEngine(FleetEngine):
         p.setGravity(0.0, 0.0, -gravity, physicsClientId=self._client)
         try:
             self._things = WorldBodies(self._client, world)
-            starts = [(spec.start, spec.heading) for spec in on_ground]
-            self._robots = GroundRobots(self._client, world, drives, starts, self._step_s)
-            starts, gusts = (
-                [(spec.start, spec.heading) for spec in in_air],
-                Gusts(world.wind, [spec.name for spec in in_air], seed),
-            )
+            self._robots = GroundRobots(self._client, world, [*ground.values()], self._step_s)
             step: dict[str, Any] = {"gravity": gravity, "step_s": self._step_s}
-            self._flyers = BulletQuadrotors(self._client, quadrotors, starts, gusts=gusts, shapes=world.shapes, **step)
+            self._flyers = BulletQuadrotors(self._client, world, [*air.values()], seed=seed, **step)
             self._external_bodies: ExternalBodies | None = None
             if external:
-                hulls = [spec.model.hull for spec in roles.external.values()]
+                hulls = [spec.model.hull for spec in outside.values()]
                 self._external_bodies = ExternalBodies(self._client, external, hulls, **step)
         except BaseException:
             self.close()
             raise
-        self._steered = self._steering()
+        self.fleet = self._flyers.fleet
         others = [*self._things.movables, *self._things.moving]
-        self._placed = [each for each in (self._things if others else None, self._external_bodies) if each]  # before each step
-        jointed = [row for row, model in zip(self._ground_rows, drives, strict=True) if isinstance(model, UrdfDrive)]
+        placed = self._things if others else None, self._external_bodies
+        self._placed = [each for each in placed if each]  # before each step
+        jointed = [row for row, spec in ground.items() if isinstance(spec.model, UrdfDrive)]
         self._contacts = ContactFinder(self._client, self._bodies(), others, jointed)
         self._passing: list[Touch] = []  # of quadrotors, since the last call of `touching` with ``passing``
+        drives: list[Any] = [spec.model for spec in ground.values()]
         # How far from its centre of mass each robot may touch something before the next look, m.
         models_m = [(float(np.linalg.norm(each.hull.size)), each.max_speed * self._flyers.look_s) for each in drives]
         self._robot_reach = np.array(models_m).reshape(-1, 2).sum(axis=1)
         self._robot_top = max((model.hull.size[2] for model in drives), default=0.0)
-
-    def _steering(self) -> Mapping[int, Callable[[Vec3, float], None]]:
-        """Functions of a velocity and a yaw rate, by rows."""
-        steered = {row: partial(self._flyers.fleet.set_velocity, k) for row, k in self._flyer_of.items()}
-        return steered | {row: partial(self._robots.steer, k) for row, k in self._robot_of.items()}
 
     def _bodies(self) -> dict[int, int]:
         """Bodies by rows."""
@@ -107,28 +90,17 @@ class BulletEngine(FleetEngine):
             bodies |= zip(self._external_rows, self._external_bodies.bodies, strict=True)
         return bodies
 
-    @property
-    def fleet(self) -> QuadrotorFleet:
-        """The quadrotors."""
-        return self._flyers.fleet
-
     def command(self, row: int, linear: Vec3, yaw_rate: float) -> None:
         """Set a velocity, m/s, and a yaw rate, rad/s, which firmware or autopilot approach."""
-        self._steered[row](linear, yaw_rate)
-
-    def go_to(self, row: int, position: Vec3, yaw: float | None, speed: float | None) -> None:
-        """Fly to a position."""
-        self._flyers.fleet.set_waypoint(self._flyer_of[row], position, yaw, speed)
-
-    def expect(self, duration_ns: int, *, now: bool) -> None:
-        """Compile the laws of quadrotors, if that pays or has to be done now."""
-        self._flyers.fleet.expect(duration_ns / SECOND_NS / self._step_s, now=now)
+        if row in self._robot_of:
+            self._robots.firmware.command(self._robot_of[row], linear[0], yaw_rate)
+        else:
+            self.fleet.set_velocity(self._flyer_of[row], linear, yaw_rate)
 
     def advance(self, to_ns: int) -> None:
         """Advance to the Bullet step nearest to ``to_ns``."""
-        ticks, flyers, drive = self._ticks, self._flyers, bool(self._ground_rows)
-        until = (to_ns * ticks.per + ticks.ns // 2) // ticks.ns
-        times_ns, ahead = [ticks.at(number) for number in range(self._step, until)], 0
+        flyers, drive = self._flyers, bool(self._ground_rows)
+        times_ns, ahead = [self._ticks.at(number) for number in range(self._step, self._step_at(to_ns))], 0
         for done, now_ns in enumerate(times_ns):
             if drive:
                 self._drive(last=done + 1 == len(times_ns))
@@ -164,7 +136,7 @@ class BulletEngine(FleetEngine):
 
     def _look(self, now_ns: int) -> None:
         places, reach = self._things.spheres(now_ns, self._flyers.look_s)
-        if self._ground_rows and float(self._flyers.fleet.position[:, 2].min()) < self._robot_top + REACH_M:
+        if self._ground_rows and float(self.fleet.position[:, 2].min()) < self._robot_top + REACH_M:
             at = [p.getBasePositionAndOrientation(body, self._client)[0] for body in self._robots.bodies]
             places, reach = np.concatenate([places, at]), np.concatenate([reach, self._robot_reach])
         if self._external_bodies:
@@ -212,10 +184,10 @@ class ContactFinder:
     Bodies in ``jointed`` count with all links, others with the base alone.
     """
 
-    def __init__(self, client: int, bodies: Mapping[int, int], others: Sequence[int], jointed: Container[int] = ()) -> None:
+    def __init__(self, client: int, bodies: Mapping[int, int], others: Sequence[int], jointed: Collection[int]) -> None:
         self._client, self._bodies = client, bodies
         # Where only the base can touch more than the floor, contacts of wheels need not be listed.
-        self._links = {row: _ANY_LINK if row in jointed else _BASE for row in bodies}
+        self._links = dict.fromkeys(bodies, _BASE) | dict.fromkeys(jointed, _ANY_LINK)
         self._row_of = {body: row for row, body in (*bodies.items(), *enumerate(others, len(bodies)))}
 
     def now(self, rows: Sequence[int]) -> list[Touch]:

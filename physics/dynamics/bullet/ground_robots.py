@@ -7,7 +7,7 @@ floor gets the friction of that zone.
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from vcmvsp.physics.dynamics.engine import BodyMotion
 from vcmvsp.physics.dynamics.kinematic import Firmware
 from vcmvsp.physics.dynamics.odometry import DifferentialOdometry
 from vcmvsp.physics.vehicles.models import DifferentialDrive
+from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.vehicles.urdf import UrdfDrive
 from vcmvsp.physics.world.world import World
 
@@ -44,38 +45,27 @@ _Joints = tuple[tuple[float, ...], tuple[float, ...]]  # left and right wheel: r
 
 
 class GroundRobots:
-    """n ground robots, a row each; ``starts`` are positions, m, and headings, rad."""
+    """n ground robots, a row each."""
 
-    def __init__(
-        self,
-        client: int,
-        world: World,
-        models: Sequence[DifferentialDrive | UrdfDrive],
-        starts: Sequence[tuple[Vec3, float]],
-        step_s: float,
-    ) -> None:
+    def __init__(self, client: int, world: World, specs: Sequence[VehicleSpec], step_s: float) -> None:
+        models: list[Any] = [spec.model for spec in specs]
         self._client, self._step_s = client, step_s
         self.firmware = Firmware(models)
-        built = [_build(client, model, *start) for model, start in zip(models, starts, strict=True)]
+        built = [_build(client, model, spec.start, spec.heading) for model, spec in zip(models, specs, strict=True)]
         self._wheels = [wheels for wheels, _ in built]
         self.bodies = [each.body for each in self._wheels]
         # From the centres of mass to the reference points, body frame.
-        self._references = np.array([reference for _, reference in built], float).reshape(len(models), 3)
+        self._references = np.array([reference for _, reference in built], float).reshape(len(specs), 3)
         self._twice = np.concatenate([self._references, self._references])
-        self._signs = np.array([each.signs for each in self._wheels], float).reshape(len(models), 2)
-        radius_m, half_track_m = ([getattr(each, name) for each in self._wheels] for name in ("radius_m", "half_track_m"))
-        self._odometry = DifferentialOdometry(radius_m, half_track_m, starts)
+        self._signs = np.array([each.signs for each in self._wheels], float).reshape(len(specs), 2)
+        self._odometry = DifferentialOdometry([(each.radius_m, each.half_track_m) for each in self._wheels], specs)
         self._joints: list[_Joints] = []  # cache, until the next step
         self._before: list[BaseState] = []  # states before the last step, for accelerations
-        for row in range(len(models)):
+        for row in range(len(specs)):
             self._drive(row, 0.0, 0.0)  # motors hold the wheels from the start
-        self._zones = _Zones(client, world, self._wheels) if world.zones and models else None
+        self._zones = _Zones(client, world, self._wheels) if world.zones and specs else None
         if self._zones:
             self._zones.scale()
-
-    def steer(self, row: int, linear: Vec3, yaw_rate: float) -> None:
-        """Set a velocity, m/s, body, and a yaw rate, rad/s."""
-        self.firmware.command(row, linear[0], yaw_rate)
 
     def cycle(self) -> None:
         """One cycle of the firmware, before a step."""

@@ -12,7 +12,7 @@ of a contact comes from Bullet. So near bodies without contact change no bit of 
 import math
 from collections.abc import Sequence
 from functools import lru_cache
-from itertools import groupby
+from typing import Any
 
 import numpy as np
 
@@ -20,12 +20,13 @@ from vcmvsp.cosim.types import Array, Vec3
 from vcmvsp.cosim.util.polygons import outward
 from vcmvsp.physics.dynamics.bullet import FLOOR, SOLID, UPRIGHT, p
 from vcmvsp.physics.dynamics.bullet.bodies import base_motion, rigid_body
-from vcmvsp.physics.dynamics.engine import BodyMotion, without_wheels
-from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
+from vcmvsp.physics.dynamics.engine import BodyMotion, flown
+from vcmvsp.physics.dynamics.quadrotor_fleet import fleet_of
 from vcmvsp.physics.dynamics.wind import Gusts
 from vcmvsp.physics.vehicles.models import Quadrotor
+from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.solids import Shapes
-from vcmvsp.physics.world.world import rotations
+from vcmvsp.physics.world.world import World, rotations
 
 _LOOK_HZ = 20.0
 _AWAY_LOOKS = 10  # parked after so many clear looks
@@ -42,24 +43,18 @@ def _parking_place(row: int) -> Vec3:
 
 
 class BulletQuadrotors:
-    """n quadrotors, a row each; ``starts`` are positions, m, and headings, rad."""
+    """n quadrotors, a row each."""
 
     def __init__(
-        self,
-        client: int,
-        models: Sequence[Quadrotor],
-        starts: Sequence[tuple[Vec3, float]],
-        *,
-        gravity: float,
-        step_s: float,
-        gusts: Gusts,
-        shapes: Shapes,
+        self, client: int, world: World, specs: Sequence[VehicleSpec], *, seed: int, gravity: float, step_s: float
     ) -> None:
+        models: list[Any] = [spec.model for spec in specs]
         n = len(models)
-        self._client, self._step_s, self._gusts = client, step_s, gusts
-        self.fleet = QuadrotorFleet(models, [position for position, _ in starts], [heading for _, heading in starts], gravity)
+        self._client, self._step_s = client, step_s
+        self._gusts = Gusts(world.wind, [spec.name for spec in specs], seed)
+        self.fleet = fleet_of(specs, gravity)
         self._reach = np.array([float(np.hypot(model.radius_m, 0.5 * model.height_m)) for model in models])
-        self._map = SolidsMap(shapes)
+        self._map = SolidsMap(world.shapes)
         self._steps_a_look = max(1, round(1.0 / (_LOOK_HZ * step_s)))
         self.look_s = (self._steps_a_look + 1) * step_s  # Bullet leaves a body out of the step in which it wakes
         self._step = 0
@@ -143,9 +138,7 @@ class BulletQuadrotors:
         if self.near_rows:
             self._push_near(winds[0])
         else:
-            for _, group in groupby(winds, key=id):
-                same = list(group)
-                self.fleet.fly(len(same), self._step_s, same[0])
+            self.fleet.fly_in(winds, self._step_s)
         self._step += steps
         self.look_is_due = self._step % self._steps_a_look == 0
         return steps
@@ -182,9 +175,7 @@ class BulletQuadrotors:
 
     def read(self) -> BodyMotion:
         """Motion of every quadrotor."""
-        fleet, acceleration = self.fleet, (self.fleet.velocity - self.fleet.velocity_before) / self._step_s
-        state = fleet.position, fleet.velocity, fleet.attitude, fleet.rate, acceleration
-        return without_wheels(*(each.copy() for each in state))
+        return flown(self.fleet, self._step_s)
 
 
 REACH_M = 1.5  # the map knows pieces this far around a cell: more than a vehicle and its way to the next look take together
@@ -213,7 +204,7 @@ class SolidsMap:
         edges = max(len(corners) for corners, _, _ in pieces)
         # Outward normals and offsets of all sides; a missing side has an infinite offset.
         self._normals, self._offsets = np.zeros((len(pieces), edges, 2)), np.full((len(pieces), edges), np.inf)
-        self._bottom, self._top = (np.array([piece[k] for piece in pieces], float) for k in (1, 2))
+        self._bottom, self._top = np.array([heights for _, *heights in pieces], float).T.copy()
         cells = [self._enter(number, corners) for number, (corners, _, _) in enumerate(pieces)]
         of = np.repeat(np.arange(len(pieces)), [len(each) for each in cells])
         where = np.concatenate(cells)

@@ -14,6 +14,7 @@ import mujoco as mj
 import numpy as np
 
 from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import Array, Vec3
 from vcmvsp.physics.vehicles.models import DifferentialDrive
 from vcmvsp.physics.vehicles.urdf import UrdfDrive
@@ -53,7 +54,7 @@ class Builder:
         fixed = {"contype": SOLID, "conaffinity": SOLID}
         for solid in world.solids:
             if isinstance(solid, Box | Cylinder):
-                _add_hull(top, solid.hull, pos=solid.center, quat=quaternion(heading_of(solid)), **fixed)
+                _add_hull(top, solid.hull, pos=solid.center, quat=quaternion_from_yaw(heading_of(solid)), **fixed)
             else:
                 self._add_parts(solid, fixed)
 
@@ -75,7 +76,7 @@ class Builder:
         return {"friction": (friction, 0.0, 0.0), "priority": 1, "contype": SOLID, "conaffinity": meets, **hard}
 
     def _free_body(self, name: str, place: Vec3, heading: float) -> Any:
-        body = self.spec.worldbody.add_body(name=name, pos=place, quat=quaternion(heading))
+        body = self.spec.worldbody.add_body(name=name, pos=place, quat=quaternion_from_yaw(heading))
         body.add_freejoint()
         return body
 
@@ -147,7 +148,7 @@ class Builder:
         root.add_freejoint()
         axle, cos, sin = model.plan.axle, math.cos(heading), math.sin(heading)
         at = (place[0] - cos * axle[0] + sin * axle[1], place[1] - sin * axle[0] - cos * axle[1], -axle[2])
-        self.spec.attach(child, frame=self.spec.worldbody.add_frame(pos=at, quat=quaternion(heading)))
+        self.spec.attach(child, frame=self.spec.worldbody.add_frame(pos=at, quat=quaternion_from_yaw(heading)))
         for each in (*self.spec.bodies, *self.spec.joints):
             each.name = each.name.removeprefix("/")  # of an attached model
 
@@ -172,11 +173,6 @@ def convex_parts_of(solid: AnySolid) -> Iterator[Array]:
         size = float(np.linalg.norm(normal))
         if size > 0.0:
             yield np.concatenate([triangle, triangle - normal * (_PLATE_M / size)])
-
-
-def quaternion(heading: float) -> tuple[float, float, float, float]:
-    """w, x, y, z of a heading, rad."""
-    return math.cos(0.5 * heading), 0.0, 0.0, math.sin(0.5 * heading)
 
 
 def _add_hull(body: Any, hull: Hull, **rest: Any) -> None:

@@ -8,22 +8,22 @@ commanded speed in the middle of each step.
 Quadrotors fly by `physics.dynamics.quadrotor_fleet`, like those in Bullet; the effect of a contact comes from MuJoCo.
 """
 
-import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import mujoco as mj
 import numpy as np
 
-from vcmvsp.cosim.clock import SECOND_NS, Ticks
+from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import FederateError
+from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.types import Array, Vec3
-from vcmvsp.physics.dynamics.engine import NO_BODIES, BodyMotion, FleetEngine, Touch, gathered, on_time, without_wheels
+from vcmvsp.physics.dynamics.engine import NO_BODIES, BodyMotion, FleetEngine, Touch, flown, gathered, on_time, without_wheels
 from vcmvsp.physics.dynamics.external_path import ExternalPath
 from vcmvsp.physics.dynamics.kinematic import ExternalEngine, Firmware
 from vcmvsp.physics.dynamics.mujoco.bodies import MOTOR_IMPEDANCE, MOTOR_STEPS, Builder, set_inertia
 from vcmvsp.physics.dynamics.odometry import ENCODER_HZ, DifferentialOdometry
-from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
+from vcmvsp.physics.dynamics.quadrotor_fleet import fleet_of
 from vcmvsp.physics.dynamics.wind import Gusts
 from vcmvsp.physics.vehicles.specification import VehicleSpec, roles_of
 from vcmvsp.physics.vehicles.urdf import UrdfDrive
@@ -42,8 +42,6 @@ _SLIP = 0.05  # m/s: faster sliding is slowed down no more than this
 class MujocoEngine(FleetEngine):
     """Moves differential drives and quadrotors in one MuJoCo world; arguments as for `BulletEngine`, without iterations."""
 
-    stepped = True
-
     def __init__(
         self,
         *,
@@ -55,9 +53,9 @@ class MujocoEngine(FleetEngine):
         accelerations: bool = False,
         external: ExternalEngine | None = None,
     ) -> None:
-        self._accelerations = accelerations
-        self._ticks, self._step, self._step_s, self._world = Ticks.rate(rate_hz), 0, 1.0 / rate_hz, world
-        self._encoder_steps, self._count = max(1, round(rate_hz / ENCODER_HZ)), len(vehicles)
+        super().__init__(rate_hz)
+        self._accelerations, self._world, self._count = accelerations, world, len(vehicles)
+        self._encoder_steps = max(1, round(rate_hz / ENCODER_HZ))
         ground, air, outside = roles_of(vehicles, external.names if external else ())
         self._external_rows = [*outside]
         builder = Builder(world, self._step_s, gravity)
@@ -80,9 +78,9 @@ class MujocoEngine(FleetEngine):
         self._rate = 1.0 / (MOTOR_STEPS * self._step_s)  # 1/s
         self._row_of_geom = self._rows_of_geoms()
         self._robots = _Robots(self._model, self._data, ground, world)
-        self._flyers = _Flyers(
-            self._model, self._data, air, gravity, Gusts(world.wind, [each.name for each in air.values()], seed)
-        )
+        gusts = Gusts(world.wind, [each.name for each in air.values()], seed)
+        self._flyers = _Flyers(self._model, self._data, air, gravity, gusts)
+        self.fleet, self._flyer_of = self._flyers.fleet, self._flyers.place_of
         self._external, self._path = external, ExternalPath(external, self._step_s) if external else None
         self._on_path = _Free(self._model, self._data, [*self._external_rows, *self._moving])
         self._pushed = _Movables(self._model, self._data, self._movables)
@@ -112,32 +110,18 @@ class MujocoEngine(FleetEngine):
         self._limit_slip()
         mj.mj_step2(self._model, self._data)
 
-    @property
-    def fleet(self) -> QuadrotorFleet:
-        """The quadrotors."""
-        return self._flyers.fleet
-
     def command(self, row: int, linear: Vec3, yaw_rate: float) -> None:
         """Set a velocity, m/s, and a yaw rate, rad/s, which firmware or autopilot approach."""
         if row in self._robots.place_of:
             self._robots.firmware.command(self._robots.place_of[row], linear[0], yaw_rate)
         else:
-            self._flyers.fleet.set_velocity(self._flyers.place_of[row], linear, yaw_rate)
-
-    def go_to(self, row: int, position: Vec3, yaw: float | None, speed: float | None) -> None:
-        """Fly to a position."""
-        self._flyers.fleet.set_waypoint(self._flyers.place_of[row], position, yaw, speed)
-
-    def expect(self, duration_ns: int, *, now: bool) -> None:
-        """Compile the laws of quadrotors, if that pays or has to be done now."""
-        self._flyers.fleet.expect(duration_ns / SECOND_NS / self._step_s, now=now)
+            self.fleet.set_velocity(self._flyer_of[row], linear, yaw_rate)
 
     def advance(self, to_ns: int) -> None:
         """Advance to the step nearest to ``to_ns``."""
-        ticks, robots, flyers = self._ticks, self._robots, self._flyers
-        until = (to_ns * ticks.per + ticks.ns // 2) // ticks.ns
+        robots, flyers, until = self._robots, self._flyers, self._step_at(to_ns)
         while self._step < until:
-            now_ns = ticks.at(self._step)
+            now_ns = self._ticks.at(self._step)
             robots.cycle(self._step_s)
             if self._accelerations and self._step + 1 == until:
                 robots.save_velocities()
@@ -150,9 +134,8 @@ class MujocoEngine(FleetEngine):
                 robots.encode()
                 self._pushed.look()
         if any(each.number for each in self._data.warning):
-            raise FederateError(
-                "physics", f"MuJoCo became unstable before {to_ns / SECOND_NS:.3f} s: a higher physics.rate_hz helps"
-            )
+            problem = f"MuJoCo became unstable before {to_ns / SECOND_NS:.3f} s: a higher physics.rate_hz helps"
+            raise FederateError("physics", problem)
         if self._external:
             self._external.advance(to_ns)
 
@@ -169,10 +152,9 @@ class MujocoEngine(FleetEngine):
         counts = (first >= 0) & (contact.dim == _SLIDING)
         rows = (first[counts][:, None] + _TANGENTS).ravel()
         slips = self._data.efc_aref[rows].reshape(-1, 2)
-        speeds = np.sqrt((slips * slips).sum(axis=1, keepdims=True)) * (0.5 * contact.solref[counts, :1])  # m/s
-        self._data.efc_aref[rows] = (
-            slips * (contact.solref[counts, :1] * self._rate / np.maximum(speeds / _SLIP, 1.0))
-        ).ravel()
+        lags = contact.solref[counts, :1]  # s
+        speeds = np.sqrt((slips * slips).sum(axis=1, keepdims=True)) * (0.5 * lags)  # m/s
+        self._data.efc_aref[rows] = (slips * (lags * self._rate / np.maximum(speeds / _SLIP, 1.0))).ravel()
 
     def _note_touches(self) -> None:
         """After a step: quadrotors in contact take the states of their bodies; note contacts that have begun."""
@@ -187,9 +169,8 @@ class MujocoEngine(FleetEngine):
         parts = [on_time(self._world.moving, now_ns)]
         if self._path:
             parts.insert(0, self._path.step(now_ns))
-        position, velocity, attitude, spin = (
-            np.concatenate(columns) for columns in zip(*(each[:4] for each in parts), strict=True)
-        )
+        columns = zip(*(each[:4] for each in parts), strict=True)
+        position, velocity, attitude, spin = map(np.concatenate, columns)
         self._on_path.write(position, velocity, attitude, np.einsum("nji,nj->ni", rotations(attitude), spin))
 
     def read(self) -> BodyMotion:
@@ -207,7 +188,7 @@ class MujocoEngine(FleetEngine):
 
     def put(self, number: int, place: Vec3, yaw: float) -> None:
         """Put a movable at a place."""
-        self._pushed.put(number, place, (math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)))
+        self._pushed.put(number, place, quaternion_from_yaw(yaw))
 
     def touching(self, *, passing: bool) -> list[Touch]:
         """Contacts in this step; with ``passing`` also those that began since the last such call."""
@@ -252,9 +233,6 @@ class MujocoEngine(FleetEngine):
                 rows[geom] = int(mj.mj_id2name(model, names, model.body_rootid[body]))
         rows[_FLOOR_GEOM] = _FLOOR
         return rows
-
-    def close(self) -> None:
-        """Nothing to release: MuJoCo's memory belongs to Python objects."""
 
 
 def _inside(touches: Sequence[Touch]) -> list[Touch]:
@@ -346,17 +324,14 @@ class _Robots:
         self.sunk = np.zeros(len(models))  # m, into the floor at rest: left out of heights
         joints = [mj.mj_name2id(model, mj.mjtObj.mjOBJ_JOINT, f"{row}/{side}") for row in specs for side in ("left", "right")]
         self._angle, self._dof = model.jnt_qposadr[joints].reshape(-1, 2), model.jnt_dofadr[joints].reshape(-1, 2)
-        self._signs = np.array([each.plan.signs if isinstance(each, UrdfDrive) else (1.0, 1.0) for each in models]).reshape(
-            -1, 2
-        )
-        self._axle = np.array([each.plan.axle if isinstance(each, UrdfDrive) else (0.0,) * 3 for each in models]).reshape(-1, 3)
+        self._signs, self._axle = np.ones((len(models), 2)), np.zeros((len(models), 3))
+        for place, each in enumerate(models):
+            if isinstance(each, UrdfDrive):
+                self._signs[place], self._axle[place] = each.plan.signs, each.plan.axle
         self._sizes = [(each.wheel_radius_m, 0.5 * each.track_m) for each in models]
-        self.odometry = DifferentialOdometry(
-            [size[0] for size in self._sizes], [size[1] for size in self._sizes], _starts(specs)
-        )
+        self.odometry = DifferentialOdometry(self._sizes, specs.values())
         # Of the speeds that the motors hold: order among the constraints is that of the joints.
-        order = np.argsort(self._dof.ravel())
-        self._order, self._speeds = order, np.zeros((len(models), 2))
+        self._order, self._speeds = np.argsort(self._dof.ravel()), np.zeros((len(models), 2))
         self._rate = 2.0 / (MOTOR_IMPEDANCE * MOTOR_STEPS * model.opt.timestep)  # 1/s, see `drive`
         self._before: Array | None = None
         self._zones = _Zones(model, [*specs], world) if world.zones and specs else None
@@ -409,10 +384,6 @@ class _Robots:
         return position + axle, velocity + swept, attitude, rate
 
 
-def _starts(specs: Mapping[int, VehicleSpec]) -> list[tuple[Vec3, float]]:
-    return [(spec.start, spec.heading) for spec in specs.values()]
-
-
 class _Zones:
     """Friction of robots by the zone of the floor that they are in."""
 
@@ -432,12 +403,9 @@ class _Flyers:
     """Quadrotors, in the order of ``specs`` by row."""
 
     def __init__(self, model: Any, data: Any, specs: Mapping[int, VehicleSpec], gravity: float, gusts: Gusts) -> None:
-        models: list[Any] = [spec.model for spec in specs.values()]
         self.place_of = {row: place for place, row in enumerate(specs)}
-        starts = _starts(specs)
-        self.fleet = QuadrotorFleet(models, [place for place, _ in starts], [heading for _, heading in starts], gravity)
+        self.fleet = fleet_of(specs.values(), gravity)
         self._data, self._bodies, self._gusts, self._step_s = data, _Free(model, data, [*specs]), gusts, model.opt.timestep
-        self._before = self.fleet.velocity.copy()
 
     def push(self, now_ns: int, step_s: float) -> None:
         """Before a step: put the bodies where the fleet is, with the forces of the step, and move the fleet as in free air."""
@@ -447,21 +415,16 @@ class _Flyers:
         self._bodies.write(fleet.position, fleet.velocity, fleet.attitude, fleet.rate)
         force, torque = fleet.wrench(step_s, self._gusts.advance(now_ns))
         self._data.xfrc_applied[self._bodies.bodies] = np.concatenate([force, torque], axis=1)
-        self._before = fleet.velocity.copy()
         fleet.integrate(force, torque, step_s)
 
     def take(self, rows: Collection[int | None]) -> None:
         """After a step: take the states of the quadrotors among these rows, which are in contact."""
         places = sorted(place for row, place in self.place_of.items() if row in rows)
         if places:
-            fleet = self.fleet
-            for own, simulated in zip(
-                (fleet.position, fleet.velocity, fleet.attitude, fleet.rate), self._bodies.read(), strict=True
-            ):
+            state = self.fleet.position, self.fleet.velocity, self.fleet.attitude, self.fleet.rate
+            for own, simulated in zip(state, self._bodies.read(), strict=True):
                 own[places] = simulated[places]
 
     def read(self) -> BodyMotion:
         """Motion of every quadrotor."""
-        fleet, acceleration = self.fleet, (self.fleet.velocity - self._before) / self._step_s
-        state = fleet.position, fleet.velocity, fleet.attitude, fleet.rate, acceleration
-        return without_wheels(*(each.copy() for each in state))
+        return flown(self.fleet, self._step_s)

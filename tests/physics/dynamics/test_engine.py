@@ -33,9 +33,6 @@ class JumpEngine(Engine):
     def go_to(self, row: int, position: Vec3, yaw: float | None, speed: float | None) -> None:
         self.places[row] = position
 
-    def advance(self, to_ns: int) -> None:
-        pass
-
     def read(self) -> BodyMotion:
         return still(self.places.copy(), np.zeros(len(self.places)))
 
