@@ -46,9 +46,8 @@ class Sightline:
         self._bottom, self._top = z - 0.5 * sizes[:, 2] - _ROOM_M, z + 0.5 * sizes[:, 2] + _ROOM_M
         self.thickness_m: Floats = np.zeros(len(solids))
         self.thickness_m[self._box_columns] = sizes.min(axis=1)
-        others = {k: solid for k, solid in enumerate(solids) if not isinstance(solid, Box)}
-        outlines = PrismObstacles({k: solid for k, solid in others.items() if not isinstance(solid, Mesh)})
-        triangles = MeshObstacles({k: solid for k, solid in others.items() if isinstance(solid, Mesh)})
+        outlines = PrismObstacles({k: solid for k, solid in enumerate(solids) if isinstance(solid, Cylinder | Prism)})
+        triangles = MeshObstacles({k: solid for k, solid in enumerate(solids) if isinstance(solid, Mesh)})
         self._others = [each for each in (outlines, triangles) if len(each.columns)]
         for each in self._others:
             self.thickness_m[each.columns] = each.thickness_m
@@ -129,21 +128,20 @@ class PrismObstacles:
 
     def __init__(self, solids: Mapping[int, Cylinder | Prism]) -> None:
         self.columns = np.array(list(solids), np.int64)
-        parts = [_pieces(solid) for solid in solids.values()]
-        pieces = [(column, *piece) for column, own in enumerate(parts) for piece in own]
+        pieces = [(column, *piece) for column, solid in enumerate(solids.values()) for piece in _pieces(solid)]
         self._column = np.array([column for column, *_ in pieces], np.int64)
         self.thickness_m: Floats = np.full(len(solids), np.inf)
         for column, rings, bottom, top in pieces:
             self.thickness_m[column] = min(self.thickness_m[column], top - bottom, _prism_thickness_m(rings))
         self._bottom = np.array([bottom for *_, bottom, _ in pieces], np.float64) + _SKIN_M
         self._top = np.array([top for *_, top in pieces], np.float64) - _SKIN_M
-        shrunk = [[_shrunk(ring) for ring in rings] for _, rings, *_ in pieces]
+        shrunk = [[*map(_shrunk, rings)] for _, rings, *_ in pieces]
         starts = [np.concatenate(each) for each in shrunk]
+        ends = [np.roll(ring, -1, axis=0) for each in shrunk for ring in each]
         self._count = np.array([len(each) for each in starts], np.int64)
         self._first = np.cumsum(self._count) - self._count
         self._start = np.concatenate([np.empty((0, 2)), *starts])
-        rings = [ring for each in shrunk for ring in each]
-        self._end = np.concatenate([np.empty((0, 2)), *(np.roll(ring, -1, axis=0) for ring in rings)])
+        self._end = np.concatenate([np.empty((0, 2)), *ends])
         boxes = np.array([(each.min(axis=0), each.max(axis=0)) for each in starts]).reshape(-1, 2, 2)
         self._middle, self._half = 0.5 * (boxes[:, 0] + boxes[:, 1]), 0.5 * (boxes[:, 1] - boxes[:, 0])
 
@@ -228,9 +226,7 @@ class PrismObstacles:
 def _pieces(solid: Cylinder | Prism) -> list[tuple[list[Array], float, float]]:
     """Rings, bottom and top of the parts of a solid; a prism is one part."""
     if isinstance(solid, Prism):
-        rings = [np.array(ring, float) for ring in (solid.outline, *solid.holes)]
-        turned = [ring if (area_m2(ring) > 0.0) == (k == 0) else ring[::-1] for k, ring in enumerate(rings)]
-        return [(turned, solid.bottom, solid.bottom + solid.height)]
+        return [(solid.rings(), solid.bottom, solid.bottom + solid.height)]
     return [([corners], bottom, top) for corners, bottom, top in solid.uprights()]
 
 

@@ -7,12 +7,12 @@ edge that touches or lies inside another solid: two boxes side by side are one w
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from vcmvsp.cosim.types import Array
-from vcmvsp.cosim.util.polygons import area_m2, outward
+from vcmvsp.cosim.util.polygons import outward
 from vcmvsp.cosim.util.surfaces import BODY, OPAQUE, SHEET, SKIN, Ints, Surfaces
 from vcmvsp.physics.raycast.line_of_sight import SHEET_M, Sightline, is_closed
 from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Mesh, Prism, Upright
@@ -91,35 +91,41 @@ def _renumbered(edges: list[_Edge], numbers: list[int]) -> list[_Edge]:
 
 
 def _arrays(facets: list[_Facet], edges: list[_Edge], bodies: list[tuple[Upright, int, bool]]) -> Surfaces:
-    normals = np.array([_normal(facet.corners) for facet in facets]).reshape(-1, 3)
-    corners = [facet.corners for facet in facets]
-    sides = [np.column_stack([normal, (normal * piece.corners).sum(axis=1)]) for piece, normal in _sides(bodies)]
-    ends = np.array([edge.ends for edge in edges]).reshape(-1, 2, 3)
+    corners, passages, solids, thicknesses = _columns(_Facet, facets)
+    all_ends, faces, tangents, angles, _ = _columns(_Edge, edges)
+    outlines, bottoms, tops = _columns(Upright, [piece for piece, *_ in bodies])
+    normals = np.array([_normal(each) for each in corners]).reshape(-1, 3)
+    outwards = [(each, outward(each)) for each in outlines]
+    sides = [np.column_stack([normal, (normal * each).sum(axis=1)]) for each, normal in outwards]
+    ends = np.array(all_ends).reshape(-1, 2, 3)
+    offsets = [normal @ each.mean(axis=0) for normal, each in zip(normals, corners, strict=True)]
+    owners = [(solid, stops) for _, solid, stops in bodies]
+    body_solids, stops = np.array(owners, np.int64).reshape(-1, 2).T.copy()
     return Surfaces(
         first=_starts(corners),
         corner=np.concatenate([np.empty((0, 3)), *corners]),
         normal=normals,
-        offset=np.array([normal @ each.mean(axis=0) for normal, each in zip(normals, corners, strict=True)]),
-        passage=np.array([facet.passage for facet in facets], np.int64),
-        solid=np.array([facet.solid for facet in facets], np.int64),
-        thickness_m=np.array([facet.thickness_m for facet in facets]),
+        offset=np.array(offsets),
+        passage=np.array(passages, np.int64),
+        solid=np.array(solids, np.int64),
+        thickness_m=np.array(thicknesses),
         start=ends[:, 0],
         end=ends[:, 1],
-        faces=np.array([edge.faces for edge in edges], np.int64).reshape(-1, 2),
-        tangent=np.array([edge.tangent for edge in edges]).reshape(-1, 3),
-        angle=np.array([edge.angle for edge in edges]),
+        faces=np.array(faces, np.int64).reshape(-1, 2),
+        tangent=np.array(tangents).reshape(-1, 3),
+        angle=np.array(angles),
         side_first=_starts(sides),
         side=np.concatenate([np.empty((0, 3)), *sides]),
-        bottom=np.array([piece.bottom for piece, *_ in bodies]),
-        top=np.array([piece.top for piece, *_ in bodies]),
-        body_solid=np.array([solid for _, solid, _ in bodies], np.int64),
-        stops=np.array([stops for *_, stops in bodies], bool),
+        bottom=np.array(bottoms),
+        top=np.array(tops),
+        body_solid=body_solids,
+        stops=stops.astype(bool),
     )
 
 
-def _sides(bodies: list[tuple[Upright, int, bool]]) -> Iterator[tuple[Upright, Array]]:
-    for piece, *_ in bodies:
-        yield piece, outward(piece.corners)
+def _columns(kind: Any, rows: Sequence[Any]) -> list[tuple[Any, ...]]:
+    """The fields of named tuples of one kind, each for all of them."""
+    return [*zip(*rows, strict=True)] or [()] * len(kind._fields)
 
 
 def _starts(parts: Sequence[Array]) -> Ints:
@@ -154,7 +160,7 @@ def _add_upright(
     passage = SKIN if thickness_m < math.inf else BODY
     pieces = solid.uprights()
     bottom, top = pieces[0].bottom, pieces[0].top
-    rings = _rings(solid) if isinstance(solid, Prism) else [pieces[0].corners]
+    rings = solid.rings() if isinstance(solid, Prism) else [pieces[0].corners]
     ceilings = [_Facet(_at(piece.corners, top), passage, number, thickness_m) for piece in pieces]
     floors = [_Facet(_at(piece.corners[::-1], bottom), passage, number, thickness_m) for piece in pieces]
     first_top, first_bottom = len(facets), len(facets) + len(pieces)
@@ -170,19 +176,11 @@ def _add_upright(
             edges.append(_Edge(corners[:2], (first + k, first_bottom), over, 1.5, number))
         for k in range(count):
             before = (k - 1) % count
-            tangent = _unit(np.array([*(ring[before] - ring[k]), 0.0]))
-            angle = _outer_angle(
-                tangent, _normal(facets[first + before].corners), _unit(np.array([*(ring[(k + 1) % count] - ring[k]), 0.0]))
-            )
+            tangent, other = (_unit(np.array([*(ring[each % count] - ring[k]), 0.0])) for each in (k - 1, k + 1))
+            angle = _outer_angle(tangent, _normal(facets[first + before].corners), other)
             ends = np.array([(*ring[k], bottom), (*ring[k], top)])
             if angle > 1.0 + _FLAT:
                 edges.append(_Edge(ends, (first + before, first + k), tangent, angle, number))
-
-
-def _rings(prism: Prism) -> list[Array]:
-    """Outline counter-clockwise and holes clockwise: the solid is on the left."""
-    rings = [np.array(ring, float) for ring in (prism.outline, *prism.holes)]
-    return [ring if (area_m2(ring) > 0.0) == (k == 0) else ring[::-1] for k, ring in enumerate(rings)]
 
 
 def _at(outline: Array, z: float) -> Array:
@@ -256,9 +254,8 @@ def _exposed(edges: list[_Edge], bodies: list[tuple[Upright, int, bool]], *, gro
 def _within(ends: Array, piece: Upright) -> tuple[float, float]:
     """Share of a line inside a body or touching it: from, to; to is less than from if none is."""
     normals = outward(piece.corners)
-    planes = [
-        (normal @ ends[0, :2], normal @ ends[1, :2], normal @ at) for normal, at in zip(normals, piece.corners, strict=True)
-    ]
+    sides = zip(normals, piece.corners, strict=True)
+    planes = [(normal @ ends[0, :2], normal @ ends[1, :2], normal @ at) for normal, at in sides]
     planes += [(ends[0, 2], ends[1, 2], piece.top), (-ends[0, 2], -ends[1, 2], -piece.bottom)]
     begin, finish = 0.0, 1.0
     for a, b, limit in planes:

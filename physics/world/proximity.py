@@ -201,10 +201,8 @@ def _triangle_depths(corners: Array, bottom: float, top: float, triangles: Array
     flat = lengths < 1e-12 * (1.0 + np.abs(triangles).max(initial=0.0))  # edges that run the same way: no axis
     axes = axes / np.where(flat, 1.0, lengths)[:, :, None]
     prism_shadows, triangle_shadows = axes @ prism.T, axes @ triangles.transpose(0, 2, 1)  # shadows, (t, axes, corners)
-    ahead, behind = (
-        prism_shadows.max(axis=2) - triangle_shadows.min(axis=2),
-        triangle_shadows.max(axis=2) - prism_shadows.min(axis=2),
-    )
+    ahead = prism_shadows.max(axis=2) - triangle_shadows.min(axis=2)
+    behind = triangle_shadows.max(axis=2) - prism_shadows.min(axis=2)
     return np.asarray(np.where(flat, np.inf, np.minimum(ahead, behind)).min(axis=1, initial=np.inf))
 
 

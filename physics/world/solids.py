@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from vcmvsp.cosim.types import Array, Positive, Vec3
-from vcmvsp.cosim.util.polygons import convex_parts, problem_of
+from vcmvsp.cosim.util.polygons import area_m2, convex_parts, problem_of
 
 _Level = Annotated[int, msgspec.Meta(ge=0, le=255)]
 Color = tuple[_Level, _Level, _Level]  # red, green, blue
@@ -139,6 +139,14 @@ class Prism(Solid, frozen=True, kw_only=True, forbid_unknown_fields=True):
     def words(self) -> str:
         """Kind and place of the prism, for messages."""
         return f"the prism of {len(self.outline)} corners, the first at {self.outline[0]}"
+
+    def rings(self) -> list[Array]:
+        """Outline counter-clockwise and holes clockwise, (k, 2) m each: the solid is on the left."""
+        rings = [np.array(ring, float) for ring in (self.outline, *self.holes)]
+        for k, ring in enumerate(rings):
+            if (area_m2(ring) > 0.0) != (k == 0):
+                rings[k] = ring[::-1]
+        return rings
 
     def uprights(self) -> list[Upright]:
         """Convex parts of the prism."""
