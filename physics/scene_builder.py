@@ -21,8 +21,7 @@ class SceneBuilder:
         things: list[Movable | Moving] = [*world.movables, *world.moving]
         self._world, self._gravity = world, gravity
         self._vehicles = tuple(spec.name for spec in vehicles)
-        own = [NO_HULL if isinstance(spec.model, FixedStation) else spec.model.hull for spec in vehicles]
-        self._hulls = (*own, *(each.solid.hull for each in things))
+        self._hulls = (*map(_hull, vehicles), *(each.solid.hull for each in things))
         self.names = (*self._vehicles, *[each.name for each in things])
         self._standing = start_of(world.movables)  # if no engine can push movables
         self._published = self._standing.position, self._standing.attitude
@@ -58,6 +57,10 @@ class SceneBuilder:
 TOUCHES_M = 1e-9  # bodies that only touch do not overlap
 
 _SIDES = 16  # of the polygon in place of a circle when outlines are compared
+
+
+def _hull(spec: VehicleSpec) -> Hull:
+    return NO_HULL if isinstance(spec.model, FixedStation) else spec.model.hull
 
 
 def start_of(movables: Sequence[Movable]) -> BodyMotion:

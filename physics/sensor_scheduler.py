@@ -90,16 +90,18 @@ class SensorScheduler:
         # Sensors that drop out are read, too: their errors continue.
         readings: dict[str, Any] = {}
         for own in _families(each for each in sensors if not each.sensor.on_demand):
-            readings |= zip([each.key for each in own], _measure(scene, own, [each.rng for each in own]), strict=True)
+            values = _measure(scene, own, [each.rng for each in own])
+            readings |= zip((each.key for each in own), values, strict=True)
         delivered = [each for each in sensors if not each.drops_out()]
         readings |= self._later(scene, [each for each in delivered if each.sensor.on_demand])
         return [Event(each.key, now_ns + each.latency_ns, readings[each.key]) for each in delivered]
 
     def _later(self, scene: Scene, sensors: Sequence[FittedSensor]) -> dict[str, Later]:
         """Readings on demand by key: each computed alone, requested ones of a class together."""
-        together = _families(each for each in sensors if each.key in self._requested)
+        groups = _families(each for each in sensors if each.key in self._requested)
+        groups += [[each] for each in sensors if each.key not in self._requested]
         readings: dict[str, Later] = {}
-        for own in [*together, *([each] for each in sensors if each.key not in self._requested)]:
+        for own in groups:
             batch = ReadingBatch(self._seed, scene, own)
             readings |= {each.key: Later(partial(batch.reading, number)) for number, each in enumerate(own)}
         return readings
@@ -146,5 +148,7 @@ def _measure(scene: Scene, fitted: Sequence[FittedSensor], rngs: Sequence[np.ran
 
 
 def _sensor_words(fitted: Sequence[FittedSensor]) -> str:
-    keys = ", ".join(each.key for each in fitted[:3]) + (", ..." if len(fitted) > 3 else "")
-    return f"sensor{'s' if len(fitted) > 1 else ''} {keys} ({type(fitted[0].sensor).__name__})"
+    keys = [each.key for each in fitted[:3]]
+    if len(fitted) > 3:
+        keys.append("...")
+    return f"sensor{'s' if len(fitted) > 1 else ''} {', '.join(keys)} ({type(fitted[0].sensor).__name__})"

@@ -59,7 +59,7 @@ class Block:
         layout: list[tuple[str, str, int, int]] = []
         for name, value in fields._asdict().items() if fields else ():
             rows = len(value) if isinstance(value, tuple) else 0
-            arrays = [np.asarray(each) for each in (value if rows else (value,))]
+            arrays = [*map(np.asarray, value if rows else (value,))]
             for array in arrays:
                 if not array.flags.c_contiguous:
                     raise ValueError(f"{name} is not C-contiguous")
@@ -234,15 +234,18 @@ def _path(program: Program) -> Path:
     import llvmlite.binding as llvm
 
     modules, first, second = program
-    numbers = [[each for each in vars(module).items() if isinstance(each[1], (int, float))] for module in modules]
     # Each release of numba goes with one of llvmlite.
     made_by = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten(), llvmlite.__version__
-    digest = hashlib.blake2b(repr((numbers, first, second, made_by)).encode(), digest_size=16)
+    digest = hashlib.blake2b(repr((*map(_numbers, modules), first, second, made_by)).encode(), digest_size=16)
     makers = [Path(__file__), Path(__file__).with_name("compiler.py")]
     for source in [Path(inspect.getfile(module)) for module in modules] + makers:
         digest.update(source.read_bytes())
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "vcmvsp"
     return folder / f"{digest.hexdigest()}.code"
+
+
+def _numbers(module: ModuleType) -> list[tuple[str, float]]:
+    return [(name, value) for name, value in vars(module).items() if isinstance(value, (int, float))]
 
 
 def _total_s(path: Path, work_s: float) -> float:

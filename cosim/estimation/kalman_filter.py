@@ -146,7 +146,7 @@ def chi2_quantile(probability: float, degrees: int) -> float:
 
 def trimmed(items: Items, most: int = MOST) -> Items:
     """The items from the last ``most`` positions on."""
-    places = [index for index, item in enumerate(items) if isinstance(item, MeasuredPosition)]
+    places = _places(items)
     return items[places[-most] :] if 0 < most < len(places) else items
 
 
@@ -163,7 +163,11 @@ def extended(items: Items, motion: OdometryMotion) -> Items:
 
 def count(items: Items) -> int:
     """Number of positions in the items."""
-    return sum(isinstance(item, MeasuredPosition) for item in items)
+    return len(_places(items))
+
+
+def _places(items: Items) -> list[int]:
+    return [index for index, item in enumerate(items) if isinstance(item, MeasuredPosition)]
 
 
 def aligned(items: Items, prior: Array, noise: OdometryNoise, sigma_rad: float, gate: float) -> AlignedStart | None:
@@ -181,8 +185,10 @@ def aligned(items: Items, prior: Array, noise: OdometryNoise, sigma_rad: float, 
         start = fitted(_without(items, dropped), prior, noise, heading)
         if start.fits(gate):
             return start
-        others = [remaining[:each] + remaining[each + 1 :] for each in range(len(remaining))]
-        residuals = [_rotation(path[rest], [positions[i] for i in rest])[2] for rest in others]
+        residuals = []
+        for each in range(len(remaining)):
+            rest = remaining[:each] + remaining[each + 1 :]
+            residuals.append(_rotation(path[rest], [positions[number] for number in rest])[2])
         remaining.pop(int(np.argmin(residuals)))
     return None
 
@@ -214,17 +220,14 @@ def fitted(items: Items, prior: Array, noise: OdometryNoise, heading: float | No
 
 def rough(items: Items, prior: Array, noise: OdometryNoise) -> tuple[Array, Array]:
     """Mean and covariance with unknown heading: the last position, and the distance driven since, in any direction."""
-    last = max(index for index, item in enumerate(items) if isinstance(item, MeasuredPosition))
-    positions, since = items[last], items[last:]
-    assert isinstance(positions, MeasuredPosition)  # noqa: S101
-    mean, covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
-    mean[:2] = positions.x, positions.y
-    covariance[0, 0] = covariance[1, 1] = positions.sigma_m**2
-    end = np.zeros(SIZE)
-    for item in since[1:]:
-        assert isinstance(item, OdometryMotion)  # noqa: S101
-        end, jacobian, added = moved(end, item, noise)
-        covariance = grown(covariance, jacobian, added)
+    mean, covariance, end = np.zeros(SIZE), np.zeros((SIZE, SIZE)), np.zeros(SIZE)
+    for item in trimmed(items, 1):
+        if isinstance(item, MeasuredPosition):
+            mean[:2] = item.x, item.y
+            covariance[0, 0] = covariance[1, 1] = item.sigma_m**2
+        else:
+            end, jacobian, added = moved(end, item, noise)
+            covariance = grown(covariance, jacobian, added)
     spread = 0.5 * float(end[0] ** 2 + end[1] ** 2)  # variance of each coordinate of a vector of random direction
     covariance[:HEADING, HEADING:] = covariance[HEADING:, :HEADING] = 0.0
     covariance[0, 0] += spread
@@ -270,7 +273,7 @@ def _rests(motion: OdometryMotion) -> bool:
 
 def _without(items: Items, dropped: list[int]) -> Items:
     """The items without some positions, from the first remaining position on."""
-    places = [index for index, item in enumerate(items) if isinstance(item, MeasuredPosition)]
+    places = _places(items)
     left_out = {places[number] for number in dropped}
     first = next(place for place in places if place not in left_out)
     return tuple(item for index, item in enumerate(items) if index >= first and index not in left_out)

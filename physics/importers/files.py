@@ -68,8 +68,8 @@ class File:
     def files(self) -> tuple[Path, ...]:
         """Picture files that the world names."""
         listed, _ = self._read()
-        pictures = [mark.picture for mark in listed.ground.marks] + [target.picture for target in listed.targets]
-        return tuple(Path(each) for each in (listed.ground.picture, *pictures) if each)
+        painted: list[Any] = [listed.ground, *listed.ground.marks, *listed.targets]
+        return tuple(Path(each.picture) for each in painted if each.picture)
 
     def _read(self) -> tuple[Empty, Source]:
         path = Path(self.path)
@@ -93,22 +93,24 @@ class File:
             world = listed.build()
         except ScenarioError as error:
             raise source.error(error.problem, error.key) from error
-        instead: dict[str, Any] = {"floor_friction": self.floor_friction, "wind": self.wind, "light": self.light}
-        return replace(world, name=Path(self.path).stem, **{key: value for key, value in instead.items() if value is not None})
+        given: dict[str, Any] = {key: getattr(self, key) for key in ("floor_friction", "wind", "light")}
+        changes = {key: value for key, value in given.items() if value is not None}
+        return replace(world, name=Path(self.path).stem, **changes)
 
 
 def beside(folder: Path, listed: Empty) -> Empty:
     """The world with picture files in a folder."""
 
-    def found(name: str) -> str:
-        """Path of a picture; a run keeps it under its file name, beside the world's file."""
-        places = [registry.located(each, folder) for each in (name, Path(name).name)]
-        return str(next((path for path in places if path.is_file()), places[0])) if name else ""
+    def located(each: Any) -> Any:
+        """A ground, mark or target with the path of its picture; a run keeps it by its file name, beside the world's file."""
+        if not each.picture:
+            return each
+        places = [registry.located(name, folder) for name in (each.picture, Path(each.picture).name)]
+        path = next((path for path in places if path.is_file()), places[0])
+        return msgspec.structs.replace(each, picture=str(path))
 
-    marks = tuple(msgspec.structs.replace(each, picture=found(each.picture)) for each in listed.ground.marks)
-    targets = tuple(msgspec.structs.replace(each, picture=found(each.picture)) for each in listed.targets)
-    ground = msgspec.structs.replace(listed.ground, picture=found(listed.ground.picture), marks=marks)
-    return replace(listed, ground=ground, targets=targets)
+    ground = msgspec.structs.replace(located(listed.ground), marks=tuple(map(located, listed.ground.marks)))
+    return replace(listed, ground=ground, targets=tuple(map(located, listed.targets)))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -35,12 +35,16 @@ def levels_of(world: World) -> list[Level]:
     height, width = rgba.shape[:2]
     if max(height, width) > _LARGEST:
         rgba = cv2.resize(rgba, (min(width, _LARGEST), min(height, _LARGEST)), interpolation=cv2.INTER_AREA)
-    levels = [_level(world, rgba)]
-    while min(levels[-1].pixels.shape[:2]) > 1:
-        height, width = levels[-1].pixels.shape[:2]
-        half = ((width + 1) // 2, (height + 1) // 2)
-        levels.append(_level(world, cv2.resize(levels[-1].pixels, half, interpolation=cv2.INTER_AREA)))
-    return levels
+    return [_level(world, each) for each in _halved(rgba)]
+
+
+def _halved(pixels: Array) -> list[Array]:
+    """A picture, and smaller copies, each half as large."""
+    pictures = [pixels]
+    while min(pictures[-1].shape[:2]) > 1:
+        height, width = pictures[-1].shape[:2]
+        pictures.append(cv2.resize(pictures[-1], ((width + 1) // 2, (height + 1) // 2), interpolation=cv2.INTER_AREA))
+    return pictures
 
 
 def _level(world: World, pixels: Array) -> Level:
@@ -125,10 +129,7 @@ def _texture(target: PlacedTarget) -> Texture:
         rgba = np.zeros((_DISC_PX, _DISC_PX, 4), np.uint8)
         middle = round((0.5 * _DISC_PX - 0.5) * 16)
         cv2.circle(rgba, (middle, middle), 8 * _DISC_PX, (*target.color, 255), cv2.FILLED, cv2.LINE_AA, 4)
-    levels = [rgba]
-    while (edge := levels[-1].shape[0]) > 1:
-        levels.append(cv2.resize(levels[-1], ((edge + 1) // 2,) * 2, interpolation=cv2.INTER_AREA))
-    return levels
+    return _halved(rgba)
 
 
 def lay_seen(picture: Array, world: World, textures: list[Texture], view: View, time_s: float) -> None:

@@ -32,8 +32,9 @@ class Drawing(NamedTuple):
 
 def draw_world(world: World, *, width: int = 1200, height: int = 800, time_s: float = 0.0) -> Drawing:
     """Draw a world and its bodies; each picture ``width`` x ``height`` px, with moving obstacles and targets at a time."""
-    solids = (*world.solids, *(each.solid for each in world.movables), *(_placed(each, time_s) for each in world.moving))
-    filled = dataclasses.replace(world, solids=solids)
+    bodies: list[AnySolid] = [each.solid for each in world.movables]
+    bodies += [_placed(each, time_s) for each in world.moving]
+    filled = dataclasses.replace(world, solids=(*world.solids, *bodies))
     low, high = extent(filled)
     above = draw_map(filled, low, high, width, height, time_s)
     caption = world.name

@@ -30,8 +30,9 @@ class Bumper(Sensor):
 
     def measure(self, scene: Scene, row: int, rng: np.random.Generator) -> Measured:
         """Segments with a contact now. No draws."""
-        n = self.segments
-        names = ["front", "left", "back", "right"] if n == 4 else [f"s{number}" for number in range(n)]
+        n, names = self.segments, ["front", "left", "back", "right"]
+        if n != len(names):
+            names = [f"s{number}" for number in range(n)]
         values = dict.fromkeys(names, 0.0)
         for a, b, place in scene.touching:
             if row in (a, b) and (b is not None or place[2] > _FLOOR_M):

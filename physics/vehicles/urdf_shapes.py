@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vcmvsp.cosim.types import Array
+from vcmvsp.cosim.types import ORIGIN, Array
 from vcmvsp.cosim.util import limits
 from vcmvsp.physics.world.solids import Box, Cylinder, shapes_of
 
@@ -43,7 +43,8 @@ def visual_parts(
         frame: vehicle_from_link, (4, 4), of a link's name.
         origin: (4, 4) of an element with an ``<origin>``.
     """
-    tag = "visual" if any(link.find("visual") is not None for link in links.values()) else "collision"
+    has_visuals = any(link.find("visual") is not None for link in links.values())
+    tag = "visual" if has_visuals else "collision"
     colors = {each.get("name", ""): _color(each) for each in materials}
     by_color: dict[tuple[int, int, int], list[Triangles]] = {}
     for name, link in links.items():
@@ -56,8 +57,8 @@ def visual_parts(
             except ValueError:  # numbers of a picture only: no reason to refuse the vehicle
                 continue
             by_color.setdefault(color, []).append(corners @ transform[:3, :3].T + transform[:3, 3])
-    parts = {color: np.concatenate(pieces) for color, pieces in by_color.items()}
-    return tuple(DrawnPart(triangles, color) for color, triangles in parts.items() if len(triangles))
+    parts = (DrawnPart(np.concatenate(pieces), color) for color, pieces in by_color.items())
+    return tuple(part for part in parts if len(part.triangles))
 
 
 def _color(material: ET.Element) -> tuple[int, int, int] | None:
@@ -81,13 +82,15 @@ def _triangles(geometry: ET.Element | None, folder: Path) -> Triangles:
 
 def _box(element: ET.Element, _: Path) -> Triangles:
     length, width, height = map(float, element.get("size", "").split())
-    vertices, faces = shapes_of([Box(center=(0.0, 0.0, 0.0), size=(length, width, height))]).mesh()
-    return np.asarray(vertices[faces])
+    return _surface(Box(center=ORIGIN, size=(length, width, height)))
 
 
 def _cylinder(element: ET.Element, _: Path) -> Triangles:
-    radius, height = float(element.get("radius", "")), float(element.get("length", ""))
-    vertices, faces = shapes_of([Cylinder(center=(0.0, 0.0, 0.0), radius=radius, height=height)]).mesh()
+    return _surface(Cylinder(center=ORIGIN, radius=float(element.get("radius", "")), height=float(element.get("length", ""))))
+
+
+def _surface(solid: Box | Cylinder) -> Triangles:
+    vertices, faces = shapes_of([solid]).mesh()
     return np.asarray(vertices[faces])
 
 

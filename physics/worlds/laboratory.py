@@ -8,7 +8,7 @@ from vcmvsp.cosim.types import Positive
 from vcmvsp.physics.world.floor import GroundPicture, Mark
 from vcmvsp.physics.world.solids import Box, Color, Point2
 from vcmvsp.physics.world.world import World
-from vcmvsp.physics.worlds.surroundings import Surroundings
+from vcmvsp.physics.worlds.surroundings import Surroundings, bounds_of, upright
 
 LENGTH, WIDTH, HEIGHT = 16.4, 9.5, 2.6  # inside, m
 PATROL: tuple[Point2, ...] = ((-7.5, -4.05), (7.5, -4.05), (7.5, 4.05), (-7.5, 4.05))
@@ -48,43 +48,34 @@ class Laboratory(Surroundings):
     def build(self) -> World:
         """Build the world."""
         solids = [*_walls(), *(part for x in _COLUMNS for y in _ROWS for part in _place(x, y))]
-        half_length, half_width = 0.5 * LENGTH, 0.5 * WIDTH
-        bounds = (-half_length, -half_width, half_length, half_width)
-        return self.complete("laboratory", solids=solids, ground=_floor(self.tile), bounds=bounds)
+        return self.complete("laboratory", solids=solids, ground=_floor(self.tile), bounds=bounds_of(LENGTH, WIDTH))
 
 
 def _walls() -> Iterator[Box]:
     length, middle = LENGTH + 2.0 * _WALL, 0.5 * (WIDTH + _WALL)
-    yield _upright(0.0, middle, length, _WALL, 0.0, HEIGHT, "brick")
+    yield upright((0.0, middle), (length, _WALL), 0.0, HEIGHT, "brick")
     for side in (-1.0, 1.0):
-        yield _upright(side * 0.5 * (LENGTH + _WALL), 0.0, _WALL, WIDTH, 0.0, HEIGHT, "brick")
+        yield upright((side * 0.5 * (LENGTH + _WALL), 0.0), (_WALL, WIDTH), 0.0, HEIGHT, "brick")
     west, east = _DOOR_X - 0.5 * _DOOR_WIDTH, _DOOR_X + 0.5 * _DOOR_WIDTH
     for a, b, bottom in ((-0.5 * length, west, 0.0), (west, east, _DOOR_HEIGHT), (east, 0.5 * length, 0.0)):
-        yield _upright(0.5 * (a + b), -middle, b - a, _WALL, bottom, HEIGHT, "brick")
+        yield upright((0.5 * (a + b), -middle), (b - a, _WALL), bottom, HEIGHT, "brick")
 
 
 def _place(x: float, y: float) -> Iterator[Box]:
     length, depth, height = _TABLE
-    yield _upright(x, y, length, depth, height - _TOP, height, "wood", _WOOD)
+    yield upright((x, y), (length, depth), height - _TOP, height, "wood", _WOOD)
     for u, v in _corners(length - _TABLE_LEG, depth - _TABLE_LEG):
-        yield _upright(x + u, y + v, _TABLE_LEG, _TABLE_LEG, 0.0, height - _TOP, "wood", _WOOD)
+        yield upright((x + u, y + v), (_TABLE_LEG, _TABLE_LEG), 0.0, height - _TOP, "wood", _WOOD)
     for along in _CHAIRS:
         seat_x, seat_y = x + along, y + 0.5 * depth + 0.5 * _SEAT
-        yield _upright(seat_x, seat_y, _SEAT, _SEAT, _SEAT_TOP - _BOARD, _SEAT_TOP, "wood", _CHAIR)
-        yield _upright(seat_x, seat_y + 0.5 * (_SEAT - _BOARD), _SEAT, _BOARD, _SEAT_TOP, _BACK_TOP, "wood", _CHAIR)
+        yield upright((seat_x, seat_y), (_SEAT, _SEAT), _SEAT_TOP - _BOARD, _SEAT_TOP, "wood", _CHAIR)
+        yield upright((seat_x, seat_y + 0.5 * (_SEAT - _BOARD)), (_SEAT, _BOARD), _SEAT_TOP, _BACK_TOP, "wood", _CHAIR)
         for u, v in _corners(_SEAT - _CHAIR_LEG, _SEAT - _CHAIR_LEG):
-            yield _upright(seat_x + u, seat_y + v, _CHAIR_LEG, _CHAIR_LEG, 0.0, _SEAT_TOP - _BOARD, "metal", _CHAIR)
+            yield upright((seat_x + u, seat_y + v), (_CHAIR_LEG, _CHAIR_LEG), 0.0, _SEAT_TOP - _BOARD, "metal", _CHAIR)
 
 
 def _corners(length: float, depth: float) -> list[Point2]:
     return [(0.5 * length * i, 0.5 * depth * k) for i in (-1, 1) for k in (-1, 1)]
-
-
-def _upright(
-    x: float, y: float, length: float, width: float, bottom: float, top: float, material: str, color: Color | None = None
-) -> Box:
-    center = (x, y, 0.5 * (bottom + top))
-    return Box(center=center, size=(length, width, top - bottom), material=material, color=color)
 
 
 def _floor(tile: float) -> GroundPicture:

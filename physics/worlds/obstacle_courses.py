@@ -128,8 +128,8 @@ class Corridor(Surroundings):
             walls.append(np.array([end - across, end - across + along, end + across + along, end + across]))
         if any(overlap_m(a, b) > 1e-9 for a, b in combinations(walls, 2)):
             raise ScenarioError("the corridor crosses itself: raise length, or lower bends", key="bends")
-        outlines = [tuple((x, y) for x, y in wall.tolist()) for wall in walls]
-        solids = [Prism(outline=outline, height=self.height, material=self.material) for outline in outlines]
+        corners = (map(tuple, wall.tolist()) for wall in walls)
+        solids = [Prism(outline=tuple(each), height=self.height, material=self.material) for each in corners]
         return self.complete("corridor", solids=solids)
 
     def _wall(self, right: float, left: float) -> list[Array]:

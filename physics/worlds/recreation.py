@@ -13,7 +13,7 @@ from vcmvsp.cosim.types import Seed
 from vcmvsp.physics.world.floor import GroundPicture, Mark
 from vcmvsp.physics.world.solids import AnySolid, Box, Color, Cylinder, Point2
 from vcmvsp.physics.world.world import World
-from vcmvsp.physics.worlds.surroundings import Surroundings, rectangle_points
+from vcmvsp.physics.worlds.surroundings import Surroundings, bounds_of, rectangle_points
 
 LENGTH, WIDTH = 300.0, 250.0  # east-west, north-south, m
 
@@ -53,9 +53,8 @@ class RecreationCentre(Surroundings):
     def build(self) -> World:
         """Build the world."""
         halls = [Box(center=center, size=size, material=material, color=color) for center, size, material, color in _HALLS]
-        bounds = (-0.5 * LENGTH, -0.5 * WIDTH, 0.5 * LENGTH, 0.5 * WIDTH)
         solids: list[AnySolid] = [*halls, *_trees(self.trees, self.seed)]
-        return self.complete("recreation-centre", solids=solids, ground=_ground(), bounds=bounds)
+        return self.complete("recreation-centre", solids=solids, ground=_ground(), bounds=bounds_of(LENGTH, WIDTH))
 
 
 def _trees(number: int, seed: int) -> Iterator[Cylinder]:

@@ -8,7 +8,7 @@ import msgspec
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import NonNegative
 from vcmvsp.physics.world.floor import GroundPicture, GroundTarget, Mark, around, names, placed, read_picture
-from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Point2, Prism, rectangle
+from vcmvsp.physics.world.solids import AnySolid, Box, Color, Cylinder, Point2, Prism, rectangle
 from vcmvsp.physics.world.world import Light, Movable, Moving, Wind, World, Zone
 
 Bounds = tuple[float, float, float, float]
@@ -34,8 +34,9 @@ class Surroundings:
     light: Light = DAYLIGHT  # where the sun is: ``{ direction = [0.3, 0.2, 1], ambient = 0.6 }``
 
     def __post_init__(self) -> None:
-        bodies = [*(each.name for each in self.movables), *(each.name for each in self.moving)]
-        for kinds, called in (("movables or moving obstacles", bodies), ("targets", names(self.targets))):
+        bodies: list[Movable | Moving] = [*self.movables, *self.moving]
+        called_bodies = [each.name for each in bodies]
+        for kinds, called in (("movables or moving obstacles", called_bodies), ("targets", names(self.targets))):
             for name in called:
                 if called.count(name) > 1:
                     raise ScenarioError(f"two {kinds} are named {name!r}: use distinct names")
@@ -62,9 +63,9 @@ class Surroundings:
         """
         if bounds is not None and not (bounds[0] < bounds[2] and bounds[1] < bounds[3]):
             raise ScenarioError(f"must be west, south, east, north; west < east and south < north, not {bounds}", key="bounds")
-        pictures = [ground.picture, *[mark.picture for mark in ground.marks], *[target.picture for target in self.targets]]
+        painted: list[GroundPicture | Mark | GroundTarget] = [ground, *ground.marks, *self.targets]
         try:
-            for picture in filter(None, dict.fromkeys(pictures)):
+            for picture in filter(None, dict.fromkeys(each.picture for each in painted)):
                 read_picture(picture)
         except ValueError as error:
             raise ScenarioError(str(error)) from error
@@ -80,6 +81,16 @@ def _with(ground: GroundPicture, zones: Sequence[Zone]) -> GroundPicture:
     if marks and ground.plain:
         return around(marks, ground.color)
     return msgspec.structs.replace(ground, marks=(*ground.marks, *marks)) if marks else ground
+
+
+def bounds_of(length: float, width: float) -> Bounds:
+    """Bounds of a rectangle around the origin, m."""
+    return -0.5 * length, -0.5 * width, 0.5 * length, 0.5 * width
+
+
+def upright(center: Point2, size: Point2, bottom: float, top: float, material: str, color: Color | None = None) -> Box:
+    """A box between two heights, m."""
+    return Box(center=(*center, 0.5 * (bottom + top)), size=(*size, top - bottom), material=material, color=color)
 
 
 def rectangle_points(center: Point2, size: Point2, yaw_rad: float = 0.0) -> tuple[Point2, ...]:

@@ -15,7 +15,7 @@ from vcmvsp.cosim.types import NonNegative, Positive, Probability, Seed
 from vcmvsp.physics.world.floor import MOST_PIXELS, GroundPicture, GroundTarget, Mark, PlacedTarget, placed
 from vcmvsp.physics.world.solids import Box, Color, Point2
 from vcmvsp.physics.world.world import World
-from vcmvsp.physics.worlds.surroundings import Surroundings, rectangle_points
+from vcmvsp.physics.worlds.surroundings import Surroundings, bounds_of, rectangle_points, upright
 
 _ASPHALT, _PAVED, _PARK, _LINE = (92, 94, 98), (172, 168, 160), (108, 150, 84), (226, 226, 220)
 _WALLS: tuple[tuple[str, Color], ...] = (
@@ -88,11 +88,10 @@ class Urban(Surroundings):
                     solids += self._building((x + u, y + v), draws[1:])
                 else:
                     parks.append(Mark(outline=rectangle_points((x + u, y + v), (self.lot, self.lot)), color=_PARK))
-        (half_length, half_width), marks = (0.5 * edge for edge in self.size), (*self._lines(), *blocks, *parks)
         resolution_m = max(0.1, math.sqrt(self.size[0] * self.size[1] / MOST_PIXELS))
+        marks = (*self._lines(), *blocks, *parks)
         ground = GroundPicture(size=self.size, color=_ASPHALT, resolution_m=resolution_m, marks=marks)
-        bounds = (-half_length, -half_width, half_length, half_width)
-        return self.complete("urban", solids=solids, ground=ground, bounds=bounds)
+        return self.complete("urban", solids=solids, ground=ground, bounds=bounds_of(*self.size))
 
     def _building(self, place: Point2, draws: list[float]) -> Iterator[Box]:
         long, wide, right, up, tall, look, step = draws
@@ -105,10 +104,10 @@ class Urban(Surroundings):
         bottom = 0.0
         if step < _STEPPED and tall > 0.4:
             bottom = min(self._storeys(eaves * (0.4 + step)), max(eaves - 0.1, 0.5 * eaves))
-            yield _box(center, size, 0.0, bottom, material, color)
+            yield upright(center, size, 0.0, bottom, material, color)
             size = (0.65 * size[0], 0.65 * size[1])
-        yield _box(center, size, bottom, eaves, material, color)
-        yield _box(center, size, eaves, height, material, roof)
+        yield upright(center, size, bottom, eaves, material, color)
+        yield upright(center, size, eaves, height, material, roof)
 
     def _storeys(self, height: float) -> float:
         return height if self.storey == 0.0 else max(1, round(height / self.storey)) * self.storey
@@ -118,8 +117,7 @@ class Urban(Surroundings):
             pitch, middles, end = self.block + self.street, self.middles(axis), 0.5 * self.size[1 - axis]
             for middle in [middles[0] - 0.5 * pitch, *(each + 0.5 * pitch for each in middles)]:
                 for start in np.arange(-end, end, 6.0).tolist():
-                    ends = (start, min(start + 3.0, end))
-                    line = tuple((middle, along) if axis == 0 else (along, middle) for along in ends)
+                    line = _crosswise(axis, middle, start), _crosswise(axis, middle, min(start + 3.0, end))
                     yield Mark(line=line, width=0.2, color=_LINE)
 
     def sited(self) -> tuple[GroundTarget, ...]:
@@ -140,12 +138,13 @@ class Urban(Surroundings):
             across = middles[0] + (int(rng.integers(len(middles) + 1)) - 0.5) * pitch + float(rng.uniform(-room, room))
             end = 0.5 * (self.size[1 - axis] - target.size)
             along = float(rng.uniform(-end, end))
-            place = (across, along) if axis == 0 else (along, across)
+            place = _crosswise(axis, across, along)
             if all(math.dist(place, other.place(0.0)) > 0.75 * (target.size + other.size_m) for other in others):
                 return place
         problem = f"target number {number} finds no free place on streets {self.street:g} m wide: "
         raise ScenarioError(f"{problem}set its place, or make it smaller", key="targets")
 
 
-def _box(center: Point2, size: Point2, bottom: float, top: float, material: str, color: Color) -> Box:
-    return Box(center=(*center, 0.5 * (bottom + top)), size=(*size, top - bottom), material=material, color=color)
+def _crosswise(axis: int, across: float, along: float) -> Point2:
+    """A place at a distance across streets that run north-south (0) or east-west (1), and one along them, m."""
+    return (across, along) if axis == 0 else (along, across)
