@@ -87,13 +87,13 @@ class BatteryState:
     """Charge of one battery."""
 
     def __init__(self, battery: BatteryTable, power: Power) -> None:
-        self._battery, self._power = battery, power
+        self.battery, self._power = battery, power
         self._ticks = Ticks.every(battery.period_s)
         self._capacity_j = 3600.0 * battery.capacity_wh
         self._start_j = self._capacity_j * battery.charge
         self.power_w = self.motion_j = self.radio_j = self.others_j = 0.0
         self._motion_w: float | None = None  # at the last instant
-        self._due_ns = 0  # of the next reading
+        self.due_ns = 0  # of the next reading
 
     @property
     def used_j(self) -> float:
@@ -110,27 +110,13 @@ class BatteryState:
         motion_w = self._power(velocity)
         before_w = motion_w if self._motion_w is None else self._motion_w
         self._motion_w = motion_w
-        self.power_w = motion_w + self._battery.electronics_w
+        self.power_w = motion_w + self.battery.electronics_w
         self.motion_j += 0.5 * (before_w + motion_w) * elapsed_s
-        self.others_j += self._battery.electronics_w * elapsed_s
-
-    def transmit(self, air_s: float) -> None:
-        """Take the energy of a sent frame."""
-        self.radio_j += self._battery.tx_w * air_s
-
-    def receive(self, air_s: float) -> None:
-        """Take the energy of a received frame."""
-        self.radio_j += self._battery.rx_w * air_s
-
-    def reading(self, now_ns: int) -> Measured | None:
-        """The reading of this instant, if one is due."""
-        if now_ns < self._due_ns:
-            return None
-        self._due_ns = self._ticks.after(now_ns)
-        return self.read(now_ns)
+        self.others_j += self.battery.electronics_w * elapsed_s
 
     def read(self, now_ns: int) -> Measured:
         """The reading of this instant."""
+        self.due_ns = self._ticks.after(now_ns)
         values = {
             "charge": max(0.0, self._start_j - self.used_j) / self._capacity_j,
             "power_w": 0.0 if self.is_empty else self.power_w,
@@ -186,13 +172,10 @@ class Energy:
                 continue
             x, y, z = states.velocity[self._row[name]].tolist()
             battery.move((x, y, z), elapsed_s)
-            reading = battery.reading(now_ns)
             if battery.is_empty:
                 self._emptied.add(name)
-            if battery.is_empty or now_ns == self._end_ns:
-                reading = battery.read(now_ns)
-            if reading is not None:
-                readings.append(Event(f"{name}/battery", now_ns, reading))
+            if battery.is_empty or now_ns == self._end_ns or now_ns >= battery.due_ns:
+                readings.append(Event(f"{name}/battery", now_ns, battery.read(now_ns)))
         return readings
 
     def _count(self, report: FrameReport) -> None:
@@ -200,7 +183,7 @@ class Energy:
         if not air_s:
             return
         if (sender := self._batteries.get(report.sender)) is not None:
-            sender.transmit(air_s)
+            sender.radio_j += sender.battery.tx_w * air_s
         for place in np.flatnonzero(report.received_ns >= 0).tolist():
             if (receiver := self._batteries.get(report.receivers[place])) is not None:
-                receiver.receive(air_s)
+                receiver.radio_j += receiver.battery.rx_w * air_s

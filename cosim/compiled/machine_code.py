@@ -127,20 +127,22 @@ class Core:
         return self.compiled if pays else self.interpreted
 
 
-class Interpreted:
-    """A function of two named tuples and a number, with memory views for arrays."""
+class Converting:
+    """A function of two named tuples and a number, which takes them in a form of its own."""
+
+    form: Callable[[Any], Any]
 
     def __init__(self, function: Run) -> None:
         self._function = function
-        self._first = self._second = self._first_views = self._second_views = None
+        self._first = self._second = self._first_form = self._second_form = None
 
     def __call__(self, first: Any, second: Any, number: int) -> int:
         """Call the function; tuples of the previous call are not converted again."""
         if first is not self._first:
-            self._first, self._first_views = first, views(first)
+            self._first, self._first_form = first, self.form(first)
         if second is not self._second:
-            self._second, self._second_views = second, views(second)
-        return self._function(self._first_views, self._second_views, number)
+            self._second, self._second_form = second, self.form(second)
+        return self._function(self._first_form, self._second_form, number)
 
 
 def views(fields: Any) -> Any:
@@ -154,20 +156,16 @@ def _view(value: Any) -> Any:
     return value.data if isinstance(value, np.ndarray) else value
 
 
-class Compiled:
+class Interpreted(Converting):
+    """The function with memory views for arrays."""
+
+    form = staticmethod(views)
+
+
+class Compiled(Converting):
     """The function in machine code."""
 
-    def __init__(self, function: "MachineCode") -> None:
-        self._function = function
-        self._first = self._second = Block(())
-
-    def __call__(self, first: Any, second: Any, number: int) -> int:
-        """Call the function; tuples of the previous call are not converted again."""
-        if first is not self._first.fields:
-            self._first = Block(first)
-        if second is not self._second.fields:
-            self._second = Block(second)
-        return self._function(self._first.address, self._second.address, number)
+    form = Block
 
 
 def linked(modules: Sequence[ModuleType], make: Callable[[FunctionType], Any], external: Mapping[Any, Any]) -> Any:
@@ -182,7 +180,7 @@ def linked(modules: Sequence[ModuleType], make: Callable[[FunctionType], Any], e
 
 
 class MachineCode:
-    """A function of two addresses of blocks and an integer that gives an integer."""
+    """A function of two blocks and an integer that gives an integer."""
 
     def __init__(self, code: bytes) -> None:
         import llvmlite.binding as llvm
@@ -194,9 +192,9 @@ class MachineCode:
         self._result, self._error = ctypes.c_int64(), ctypes.c_void_p()
         self._places = ctypes.addressof(self._result), ctypes.addressof(self._error)
 
-    def __call__(self, first: int, second: int, number: int) -> int:
-        """Call the function with the addresses of two blocks and a number."""
-        if self._function(*self._places, first, second, number):
+    def __call__(self, first: Block, second: Block, number: int) -> int:
+        """Call the function with two blocks and a number."""
+        if self._function(*self._places, first.address, second.address, number):
             raise RuntimeError("compiled code failed")
         return self._result.value
 

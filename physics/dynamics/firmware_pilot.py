@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.clock import Ticks, seconds_to_ns
+from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.federate import FlightFirmware, FlightReadings
-from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Imu, Measured, Reading, VehicleState
 from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
+from vcmvsp.physics.sensor_scheduler import FittedSensor
 from vcmvsp.physics.sensors.motion import Altimeter, InertialUnit, Magnetometer
 from vcmvsp.physics.sensors.positioning import Gps
 from vcmvsp.physics.sensors.sensor import Sensor
@@ -30,13 +30,13 @@ LEAST_HZ = 200.0
 _ORDER = (0, 2, 1, 3)  # of rotors in a fleet, by the order of `FlightFirmware.exchange`
 
 
-class OnboardSensor:
-    """A sensor of one vehicle with its own draws, its ticks and its latency."""
+class OnboardSensor(FittedSensor):
+    """A sensor of one vehicle with its own draws, read at steps of physics."""
 
-    def __init__(self, sensor: Sensor, key: str, seed: int) -> None:
-        self._sensor, self._rng, self._drop_outs = sensor, stream(seed, key), stream(seed, f"{key}/drop_out")
-        self._ticks, self._phase_ns = Ticks.rate(sensor.rate_hz), seconds_to_ns(sensor.phase_s)
-        self._latency_ns, self._due_ns = seconds_to_ns(sensor.latency_s), self._phase_ns
+    def __init__(self, key: str, sensor: Sensor, seed: int) -> None:
+        super().__init__(key, sensor, seed)
+        self._ticks, self._phase_ns = self.train
+        self._due_ns = self._phase_ns
         self._waiting: deque[tuple[int, Reading]] = deque()  # time of delivery, reading
 
     def read(self, scene: Scene, row: int) -> Reading | None:
@@ -44,9 +44,9 @@ class OnboardSensor:
         now_ns = scene.now_ns
         if now_ns >= self._due_ns:
             self._due_ns = self._ticks.after(now_ns - self._phase_ns) + self._phase_ns
-            reading = self._sensor.measure(scene, row, self._rng)
-            if not (self._sensor.drop_out > 0.0 and self._drop_outs.random() < self._sensor.drop_out):
-                self._waiting.append((now_ns + self._latency_ns, reading))
+            reading = self.sensor.measure(scene, row, self.rng)
+            if not self.drops_out():
+                self._waiting.append((now_ns + self.latency_ns, reading))
         delivered = None
         while self._waiting and self._waiting[0][0] <= now_ns:
             _, delivered = self._waiting.popleft()
@@ -62,7 +62,7 @@ class Onboard:
         for name, kind in _SENSORS.items():
             own = next((each for each in spec.sensors.values() if isinstance(each, kind)), None) or kind()
             changes = at_every_step if kind is InertialUnit else {}
-            self._sensors.append(OnboardSensor(dataclasses.replace(own, **changes), f"{spec.name}/firmware/{name}", seed))
+            self._sensors.append(OnboardSensor(f"{spec.name}/firmware/{name}", dataclasses.replace(own, **changes), seed))
 
     def read(self, scene: Scene, row: int, state: VehicleState) -> FlightReadings:
         """Readings of a vehicle in a row of the scene."""

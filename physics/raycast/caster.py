@@ -25,23 +25,21 @@ class NearbyPieces(NamedTuple):
 class PieceIndex:
     """Upright convex prisms with their edges, and triangles.
 
-    ``triangles`` (t, 3, 3) m and ``triangle_solid`` (t,) belong to the world; results do not depend on the size of the cells
-    ``cell_m`` (None: a quarter of the reach).
+    ``triangles`` (t, 3, 3) m belong to the world; results do not depend on the size of the cells ``cell_m`` (None: a quarter of
+    the reach).
 
     Attributes:
         edges: (6, e) m: x where an edge begins and ends (counter-clockwise), y where it does, bottom and top of its prism.
         first, corners: (p,) number of each prism's first edge, which the others follow, and how many it has.
-        solid, bottom, top: (p,) solid of each prism; m.
-        centre, radius: (p + t, 3) and (p + t,) m, of a sphere around each prism and each triangle.
-        around: (p + t,) m, radius of a circle around each seen from above.
+        bottom, top: (p,) m, of each prism.
+        centre, around: (p + t, 3) and (p + t,) m, middle of each prism and each triangle, and radius around it from above.
     """
 
     def __init__(self, shapes: Shapes, cell_m: float | None = None) -> None:
         groups, triangles = shapes.groups, shapes.triangles
-        self.triangles, self.triangle_solid = triangles, shapes.triangle_solid
+        self.triangles = triangles
         self.corners = _joined([np.full(len(group.corners), group.corners.shape[1]) for group in groups], np.intp)
         self.first = np.cumsum(self.corners) - self.corners
-        self.solid = _joined([group.solid for group in groups], np.int64)
         self.bottom = _joined([group.bottom for group in groups])
         self.top = _joined([group.top for group in groups])
         self.edges = np.concatenate([np.empty((6, 0)), *(_edges(*group[:3]) for group in groups)], axis=1)
@@ -55,7 +53,6 @@ class PieceIndex:
         self._low, self._high = lower[:, :2].T, upper[:, :2].T
         self.around: Array = 0.5 * np.hypot(*(self._high - self._low))
         self.centre: Array = 0.5 * (lower + upper)
-        self.radius: Array = 0.5 * np.sqrt(((upper - lower) ** 2).sum(axis=1))
         self._cell_m = cell_m
         self._cells: dict[tuple[float, int, int], NearbyPieces] = {}
         self._size = 0
@@ -106,70 +103,7 @@ def _edges(corners: Array, bottom: Array, top: Array) -> Array:
     return np.concatenate([ends, np.repeat(bottom, k)[None], np.repeat(top, k)[None]])
 
 
-FLOOR = -2  # in `Reached.which`
-_FEW = 16  # beams in a cell: with fewer, all beams are tested with all pieces
-
-
 _AT_ONCE = 8192  # pairs: arrays that stay in the processor's cache
-_LAST = np.iinfo(np.int64).max
-
-
-class Reached(NamedTuple):
-    """First hit of each beam."""
-
-    distance: Array  # (r,) m; inf: nothing
-    which: Array  # (r,) int64, number of the object; -1: none
-
-
-class Nearest:
-    """The nearest hit of each beam; at equal distances the one with the smaller number."""
-
-    def __init__(self, beams: int) -> None:
-        self._distance, self._which = np.full(beams, np.inf), np.full(beams, _LAST)
-
-    def meet(self, beam: Array, distance: Array, which: Array) -> None:
-        """Add hits: beams (q,), distances (q,) m, inf: none, and numbers of the objects hit (q,)."""
-        nearest = np.full(len(self._distance), np.inf)
-        np.minimum.at(nearest, beam, distance)
-        nearer = nearest < self._distance
-        self._distance[nearer], self._which[nearer] = nearest[nearer], _LAST
-        (won,) = (np.isfinite(distance) & (distance == self._distance[beam])).nonzero()
-        np.minimum.at(self._which, beam[won], which[won])
-
-    def within(self, reach_m: float) -> Reached:
-        """All hits within reach."""
-        met = np.isfinite(self._distance) & (self._distance <= reach_m)
-        return Reached(np.where(met, self._distance, np.inf), np.where(met, self._which, -1))
-
-
-def pairs(
-    origins: Array, directions: Array, reach_m: float, centre: Array, radius: Array, around: Array
-) -> Iterator[tuple[Array, Array]]:
-    """Candidate pairs (beam, piece), in portions; no other beam hits a piece.
-
-    Beams from ``origins`` (r, 3) m along unit vectors (r, 3); pieces in spheres of ``centre`` (m, 3) m and ``radius`` (m,) m,
-    and in circles of radius ``around`` (m,) m seen from above.
-    """
-    if (origins == origins[:1]).all():
-        yield from by_bearing(origins[0], directions, centre, around)
-        return
-    rows = max(1, _AT_ONCE // max(1, len(centre)))
-    for first in range(0, len(origins), rows):
-        some = slice(first, first + rows)
-        beam, piece = touching_spheres(origins[some], directions[some], reach_m, centre, radius)
-        yield beam + first, piece
-
-
-def touching_spheres(origins: Array, directions: Array, reach_m: float, centre: Array, radius: Array) -> tuple[Array, Array]:
-    """Pairs (beam, sphere) that meet, of all beams and spheres."""
-    base = origins[:1]
-    start, middle = origins - base, centre - base
-    along = directions @ middle.T - (start * directions).sum(axis=1)[:, None]
-    square = (middle * middle).sum(axis=1) + (start * start).sum(axis=1)[:, None] - 2.0 * (start @ middle.T)
-    aside = square - along * along
-    crossed = aside <= radius * radius + 1e-6 + 1e-12 * square
-    beam, sphere = np.nonzero(crossed & (along >= -radius - 1e-3) & (along <= reach_m + radius + 1e-3))
-    return beam, sphere
 
 
 def by_bearing(origin: Array, directions: Array, centre: Array, around: Array) -> Iterator[tuple[Array, Array]]:
@@ -208,25 +142,17 @@ class Caster:
     def __init__(self, shapes: Shapes, cell_m: float | None = None) -> None:
         self.pieces = PieceIndex(shapes, cell_m)
 
-    def cast(self, origins: Array, directions: Array, reach_m: float = math.inf, *, floor: bool = True) -> Array:
-        """Lengths, (r,) m, of beams from ``origins`` (r, 3) m along unit vectors (r, 3), world; inf: no hit within reach.
-
-        With ``floor`` beams end at z = 0 from above.
-        """
-        return self.meet(origins, directions, reach_m, floor=floor).distance
-
-    def meet(self, origins: Array, directions: Array, reach_m: float = math.inf, *, floor: bool = True) -> Reached:
-        """Lengths of beams, and the number of the solid that each hits: -1 for none, `FLOOR` for the floor."""
-        origins, directions = np.broadcast_arrays(np.asarray(origins, float), np.asarray(directions, float))
-        distance, which = np.full(len(origins), np.inf), np.full(len(origins), -1)
-        for rows, near in self._by_place(origins, reach_m):
-            hits = self._among(near, origins[rows], directions[rows], reach_m)
-            distance[rows], which[rows] = hits
-        if floor:
-            down = _to_floor(origins, directions)
-            lower = (down < distance) & (down <= reach_m)
-            distance, which = np.where(lower, down, distance), np.where(lower, FLOOR, which)
-        return Reached(distance, which)
+    def cast(self, origin: Array, directions: Array, reach_m: float = math.inf) -> Array:
+        """Lengths, (r,) m, of beams from a place (3,) m along unit vectors (r, 3), world; inf: no hit within reach."""
+        pieces, distance = self.pieces, np.full(len(directions), np.inf)
+        near = pieces.near(origin[0], origin[1], reach_m)
+        prisms, triangles = (near.prisms, 0, self._to_prisms), (near.triangles, len(pieces.first), self._to_triangles)
+        for some, before, lengths in (prisms, triangles):
+            numbers = some + before
+            for beam, place in by_bearing(origin, directions, pieces.centre[numbers], pieces.around[numbers]):
+                np.minimum.at(distance, beam, lengths(some[place], origin, directions[beam]))
+        distance[distance > reach_m] = np.inf
+        return distance
 
     def inside(self, point: tuple[float, float, float]) -> bool:
         """Whether a point is inside a prism, faces included."""
@@ -240,35 +166,7 @@ class Caster:
         count = self.pieces.corners[prisms]
         return bool(np.logical_and.reduceat(left, np.cumsum(count) - count).any())
 
-    def _by_place(self, origins: Array, reach_m: float) -> Iterator[tuple[Array | slice, NearbyPieces]]:
-        """Beams with origins in the same cell, and the pieces near it."""
-        pieces = self.pieces
-        if not len(origins):
-            return
-        if reach_m == math.inf or (origins == origins[0]).all():
-            yield slice(None), pieces.near(origins[0, 0], origins[0, 1], reach_m)
-            return
-        cells = np.floor(origins[:, :2] / pieces.cell_m(reach_m))
-        _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-        if len(first) * _FEW > len(origins):
-            yield slice(None), pieces.near(0.0, 0.0, math.inf)
-            return
-        for number, (x, y) in enumerate(origins[first, :2].tolist()):
-            yield np.nonzero(cell.ravel() == number)[0], pieces.near(x, y, reach_m)
-
-    def _among(self, near: NearbyPieces, origins: Array, directions: Array, reach_m: float) -> Reached:
-        pieces, nearest = self.pieces, Nearest(len(origins))
-        prisms = near.prisms, 0, self._to_prisms, pieces.solid
-        triangles = near.triangles, len(pieces.first), self._to_triangles, pieces.triangle_solid
-        for some, before, lengths, solid in (prisms, triangles):
-            numbers = some + before
-            spheres = pieces.centre[numbers], pieces.radius[numbers], pieces.around[numbers]
-            for beam, place in pairs(origins, directions, reach_m, *spheres):
-                piece = some[place]
-                nearest.meet(beam, lengths(piece, origins[beam], directions[beam]), solid[piece])
-        return nearest.within(reach_m)
-
-    def _to_prisms(self, prism: Array, origins: Array, directions: Array) -> Array:
+    def _to_prisms(self, prism: Array, origin: Array, directions: Array) -> Array:
         """Lengths of q beams up to one prism each, m; inf: no hit.
 
         A line is inside a convex body from the last plane that it enters by to the first that it leaves by (M. Cyrus, J. Beck,
@@ -278,7 +176,7 @@ class Caster:
         corners = self.pieces.corners[prism]
         for count in np.unique(corners).tolist():
             (some,) = np.nonzero(corners == count)
-            (x, y, z), (dx, dy, dz) = origins[some].T[..., None], directions[some].T[..., None]
+            (x, y, z), (dx, dy, dz) = origin, directions[some].T[..., None]
             x0, x1, y0, y1, bottom, top = self.pieces.edges[:, self.pieces.first[prism[some], None] + np.arange(count)]
             across, ahead = y1 - y0, x0 - x1  # the normal to the outside, as long as the edge
             depth = np.concatenate([across * (x0 - x) + ahead * (y0 - y), z - bottom[:, :1], top[:, :1] - z], axis=1)
@@ -292,14 +190,14 @@ class Caster:
             distance[some] = np.where(hit, np.maximum(enter, 0.0), np.inf)
         return distance
 
-    def _to_triangles(self, triangle: Array, origins: Array, directions: Array) -> Array:
+    def _to_triangles(self, triangle: Array, origin: Array, directions: Array) -> Array:
         """Lengths of q beams up to one triangle each, m; inf: no hit.
 
         T. Moeller, B. Trumbore, Fast, minimum storage ray/triangle intersection, 1997.
         """
         corner, *others = self.pieces.triangles[triangle].swapaxes(0, 1)
         one, two = (each - corner for each in others)
-        p, t = np.cross(directions, two), origins - corner
+        p, t = np.cross(directions, two), origin - corner
         q = np.cross(t, one)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             scale = 1.0 / (one * p).sum(axis=1)
@@ -313,9 +211,3 @@ class Caster:
 def caster_of(world: World) -> Caster:
     """The caster of a world."""
     return Caster(world.shapes)
-
-
-def _to_floor(origins: Array, directions: Array) -> Array:
-    height, fall = origins[:, 2], -directions[:, 2]
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        return np.where((fall > 0.0) & (height > 0.0), height / fall, np.inf)

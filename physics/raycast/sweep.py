@@ -123,8 +123,7 @@ def _cast(caster: Caster, fan: Fan, each: int, distance: Array) -> None:
     before = int(fan.beams[:each].sum())
     beams = slice(before, before + fan.beams[each])
     toward = np.outer(fan.cos[beams], fan.frame[0, :, each]) + np.outer(fan.sin[beams], fan.frame[1, :, each])
-    origins = np.broadcast_to(fan.origin[:, each], toward.shape)
-    met = caster.cast(origins, toward, float(fan.reach[each]), floor=False)
+    met = caster.cast(fan.origin[:, each], toward, float(fan.reach[each]))
     distance[beams] = np.minimum(distance[beams], met)
 
 

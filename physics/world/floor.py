@@ -122,25 +122,17 @@ def read_picture(path: str) -> Array:
     """
     import cv2
 
-    problem, pixels = problem_of_picture(path), None
-    if not problem:
-        try:
-            pixels = decoded(limits.read_bytes(Path(path), limits.FILE_BYTES), cv2.IMREAD_COLOR_RGB)
-        except OSError as error:
-            problem = f"{path} cannot be read: {error.strerror or error}"
-    if pixels is None:
-        raise ValueError(problem or f"{path} is a damaged picture: save it again{limits.PICTURE}")
-    return np.asarray(pixels)
-
-
-def problem_of_picture(path: str) -> str:
-    """Reason why a file is no readable picture, by its first bytes; empty: none."""
-    import cv2
-
     if not Path(path).is_file():
-        return f"there is no picture file {path}"
-    problem = f"{path} is not a picture that OpenCV can read: use PNG, JPEG, TIFF, BMP, PGM or PPM"
-    return "" if cv2.haveImageReader(path) else problem
+        raise ValueError(f"there is no picture file {path}")
+    if not cv2.haveImageReader(path):
+        raise ValueError(f"{path} is not a picture that OpenCV can read: use PNG, JPEG, TIFF, BMP, PGM or PPM")
+    try:
+        pixels = decoded(limits.read_bytes(Path(path), limits.FILE_BYTES), cv2.IMREAD_COLOR_RGB)
+    except OSError as error:
+        raise ValueError(f"{path} cannot be read: {error.strerror or error}") from error
+    if pixels is None:
+        raise ValueError(f"{path} is a damaged picture: save it again{limits.PICTURE}")
+    return np.asarray(pixels)
 
 
 def _stick(pixels: Array, picture: Array, corners: Array) -> None:

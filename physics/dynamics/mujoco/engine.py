@@ -87,7 +87,7 @@ class MujocoEngine(FleetEngine):
         self._passing: list[Touch] = []  # begun since the last call of `touching` with ``passing``
         if ground:
             self._settle()
-        self._touching = self._touches()  # in the last step
+        self._touching, _ = self._touches()  # in the last step
 
     def _settle(self) -> None:
         """Let the floor bear the robots before the run, where they stand; nothing else moves."""
@@ -158,8 +158,9 @@ class MujocoEngine(FleetEngine):
 
     def _note_touches(self) -> None:
         """After a step: quadrotors in contact take the states of their bodies; note contacts that have begun."""
-        before, self._touching = {(each.row, each.other) for each in self._touching}, self._touches()
-        self._flyers.take({row for each in self._touching for row in (each.row, each.other)} | self._on_floor())
+        before = {(each.row, each.other) for each in self._touching}
+        self._touching, on_floor = self._touches()
+        self._flyers.take({row for each in self._touching for row in (each.row, each.other)} | on_floor)
         self._passing += [each for each in self._touching if (each.row, each.other) not in before]
 
     def _place(self, now_ns: int) -> None:
@@ -197,32 +198,22 @@ class MujocoEngine(FleetEngine):
             touches, self._passing = sorted(touches + self._passing, key=lambda each: each.key), []
         return touches
 
-    def _touches(self) -> list[Touch]:
-        """Contacts of vehicles with a force in the last step, by rows: one for each place."""
+    def _touches(self) -> tuple[list[Touch], set[int]]:
+        """Contacts of vehicles with a force in the last step, by rows: one for each place; rows of bodies on the floor."""
         contact = self._data.contact
         if not len(contact.dist):
-            return []
+            return [], set()
         rows = np.sort(self._row_of_geom[contact.geom], axis=1)
-        addresses = contact.efc_address
-        counts = (addresses >= 0) & (rows[:, 0] != _FLOOR) & (rows.max(axis=1) >= 0)
+        pressed = contact.efc_address >= 0
+        pressed[pressed] = self._data.efc_force[contact.efc_address[pressed]] > 0.0
+        on_floor = rows[:, 0] == _FLOOR
         touches = []
-        for which in np.flatnonzero(counts).tolist():
+        for which in np.flatnonzero(pressed & ~on_floor & (rows[:, 1] >= 0)).tolist():
             low, high = rows[which].tolist()
             vehicle, other = (high, None) if low == _SOLID else (low, high)
-            if vehicle < self._count and self._data.efc_force[addresses[which]] > 0.0:
+            if vehicle < self._count:
                 touches.append(Touch(vehicle, other, tuple(contact.pos[which].tolist())))
-        return sorted(_inside(touches), key=lambda each: each.key)
-
-    def _on_floor(self) -> set[int]:
-        """Quadrotors that the floor bore in the last step."""
-        contact = self._data.contact
-        if not self._flyers.place_of or not len(contact.dist):
-            return set()
-        rows = np.sort(self._row_of_geom[contact.geom], axis=1)
-        addresses = contact.efc_address
-        borne = (rows[:, 0] == _FLOOR) & (addresses >= 0)
-        borne[borne] = self._data.efc_force[addresses[borne]] > 0.0
-        return {row for row in rows[borne, 1].tolist() if row in self._flyers.place_of}
+        return sorted(_inside(touches), key=lambda each: each.key), {*rows[pressed & on_floor, 1].tolist()}
 
     def _rows_of_geoms(self) -> Array:
         """Row of the vehicle or other body of each shape; links of a robot belong to its root."""

@@ -14,6 +14,8 @@ from vcmvsp.physics.world.world import Scene, World
 
 pytestmark = pytest.mark.slow
 
+INF = math.inf
+
 
 def sensors_of(rng: np.random.Generator, count: int, pitches: tuple[float, ...]) -> list[RangeScanner]:
     return [
@@ -32,9 +34,12 @@ def sensors_of(rng: np.random.Generator, count: int, pitches: tuple[float, ...])
 def one_by_one(sensor: RangeScanner, among: Scene, row: int) -> Floats:
     origin, ahead, left, _ = (among.rotation(row) @ sensor.mount).T
     toward = beams(ahead, left, sensor.first, sensor.angle_step, sensor.beams)
-    origins = np.broadcast_to(origin + among.position[row], toward.shape)
-    still = caster_of(among.world).cast(origins, toward, sensor.range_max)
-    return np.minimum(still, cast_bodies(among, origins, toward, sensor.range_max, row).distance)
+    place = origin + among.position[row]
+    with np.errstate(divide="ignore"):
+        floor = np.where((toward[:, 2] < 0.0) & (place[2] > 0.0), place[2] / -toward[:, 2], INF)
+    solid = caster_of(among.world).cast(place, toward, sensor.range_max)
+    nearest = np.minimum(np.minimum(floor, solid), cast_bodies(among, np.broadcast_to(place, toward.shape), toward, row))
+    return np.where(nearest <= sensor.range_max, nearest, INF)
 
 
 def random_scene(seed: int, tilt: float, vehicles: int = 12) -> tuple[Scene, np.random.Generator]:
@@ -152,9 +157,6 @@ def test_a_beam_along_a_face_is_stable() -> None:
             assert found[2] == pytest.approx(1.0 / math.cos(0.01))
 
 
-INF = math.inf
-
-
 def surface(hull: Hull, points: Floats) -> Floats:
     """Signed measure of points in the frame of a hull: 0 on its surface, negative inside."""
     offset = np.abs(points - np.array(hull.offset))
@@ -175,7 +177,7 @@ def test_beams_end_on_the_surface_and_not_before(kind: str) -> None:
         directions[::9] = 0.0, 0.0, -1.0  # along the axis of an upright hull
         directions /= np.sqrt((directions**2).sum(axis=1, keepdims=True))
         origins = np.array([1.0, 2.0, 3.0]) - 3.0 * directions + rng.uniform(-1.0, 1.0, (100, 3))
-        distance = cast_bodies(body, origins, directions, INF).distance
+        distance = cast_bodies(body, origins, directions)
 
         def local(along: Floats, body: Scene = body, origins: Floats = origins, directions: Floats = directions) -> Floats:
             return (origins + along[:, None] * directions - body.position[0]) @ body.rotation(0)

@@ -7,7 +7,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from vcmvsp.physics.raycast.caster import Nearest, Reached, touching_spheres
 from vcmvsp.physics.raycast.sweep import in_frames, meet
 from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Hull, Mesh, Prism
 from vcmvsp.physics.world.world import Scene, World
@@ -98,16 +97,12 @@ def beams(ahead: Floats, left: Floats, first: float, step: float, count: int) ->
     return np.asarray(np.outer(np.cos(angle), ahead) + np.outer(np.sin(angle), left))
 
 
-def cast_bodies(
-    scene: Scene, origins: Floats, directions: Floats, reach_m: float, own: int | NDArray[np.int64] = -1
-) -> Reached:
-    """Range of each beam until it meets a body; 0 m inside of one; ``own``: rows that beams pass through."""
+def cast_bodies(scene: Scene, origins: Floats, directions: Floats, own: int = -1) -> Floats:
+    """Range of each beam until it meets a body; 0 m inside of one; ``own``: row that beams pass through."""
     hulls = scene.placed_hulls
-    beam, body = touching_spheres(origins, directions, reach_m, hulls.centre, hulls.radius)
-    others = body != np.broadcast_to(own, len(origins))[beam]
-    beam, body = beam[others], body[others]
+    bodies = np.delete(np.arange(len(hulls.radius)), [own] if own >= 0 else [])
+    beam, body = np.repeat(np.arange(len(origins)), len(bodies)), np.tile(bodies, len(origins))
     start, toward = in_frames(hulls, body, np.stack([(origins[beam] - hulls.centre[body]).T, directions[beam].T], axis=1))
-    distance = meet(hulls, body, start, toward)
-    nearest = Nearest(len(origins))
-    nearest.meet(beam, distance, body)
-    return nearest.within(reach_m)
+    distance = np.full(len(origins), np.inf)
+    np.minimum.at(distance, beam, meet(hulls, body, start, toward))
+    return distance
