@@ -56,8 +56,7 @@ class QuadrotorFleet:
             model.check_lift(gravity)
         self._lag_s, self._lag_step_s = column(models, "motor_lag_s"), 0.0
         self._rotor_radius, self._blown = column(models, "rotor_radius_m"), np.array([each.downwash for each in models], bool)
-        limits = [column(models, name).tolist() for name in ("max_speed", "max_climb", "max_yaw_rate")]
-        self._limits = list(zip(*limits, strict=True))
+        self._limits = [(model.max_speed, model.max_climb, model.max_yaw_rate) for model in models]
         self._model = model_of(models, gravity)
 
         # A row for each component, a column for each vehicle.

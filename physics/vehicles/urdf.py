@@ -102,15 +102,16 @@ class UrdfQuadrotor(Quadrotor):
     file: FileName  # of the URDF, in a scenario relative to its folder
 
     def __post_init__(self) -> None:
-        for key, value in zip(("mass_kg", "inertia"), _Tree(self.file).mass_properties(), strict=True):
-            object.__setattr__(self, key, value)
+        mass_kg, _, inertia = _Tree(self.file).rigid_body()
+        object.__setattr__(self, "mass_kg", mass_kg)
+        object.__setattr__(self, "inertia", inertia)
         super().__post_init__()
 
     @cached_property
     def drawn(self) -> tuple[DrawnPart, ...]:
         """Shapes of the file in the vehicle's frame, whose origin is the centre of mass."""
         tree = _Tree(self.file)
-        return tree.drawn(tree.centre())
+        return tree.drawn(tree.rigid_body()[1])
 
 
 class _Wheel(NamedTuple):
@@ -241,31 +242,21 @@ class _Tree:
         own = self._root.iterfind("material")
         return visual_parts(self._links, own, self.path.parent, lambda name: to_reference @ self.frame(name), _origin)
 
-    def _bodies(self) -> list[tuple[float, Array, Array]]:
-        """Mass, kg, centre of mass, (3,) m, and inertia, (3, 3) kg m2, of each link, root frame."""
+    def rigid_body(self) -> tuple[float, Array, Vec3]:
+        """Mass of all links, kg, their centre of mass, (3,) m, root frame, and inertia about x, y, z through it, kg m2."""
         parts = []
         for name, link in self._links.items():
             mass, inertia = self._mass(link)
             frame = self.frame(name) @ _origin(link.find("inertial"))
             parts.append((mass, frame[:3, 3], frame[:3, :3] @ inertia @ frame[:3, :3].T))
-        return parts
-
-    def centre(self) -> Array:
-        """The common centre of mass, (3,) m, root frame."""
-        parts = self._bodies()
         total = math.fsum(mass for mass, _, _ in parts)
-        return sum((mass * place for mass, place, _ in parts), np.zeros(3)) / total
-
-    def mass_properties(self) -> tuple[float, tuple[float, float, float]]:
-        """Mass, kg, and inertia about x, y, z through the common centre of mass, kg m2, as one rigid body."""
-        parts, centre = self._bodies(), self.centre()
-        total = math.fsum(mass for mass, _, _ in parts)
+        centre = sum((mass * place for mass, place, _ in parts), np.zeros(3)) / total
         whole = np.zeros((3, 3))
         for mass, place, inertia in parts:  # parallel axes (Steiner)
             r = place - centre
             whole += inertia + mass * (r @ r * np.eye(3) - np.outer(r, r))
         x, y, z = np.diag(whole).tolist()
-        return total, (x, y, z)
+        return total, centre, (x, y, z)
 
 
 def _attributes(element: ET.Element | None, child: str) -> Mapping[str, str]:

@@ -1,6 +1,6 @@
 """Engines with bodies, and a run of one vehicle."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.physics.engines import ENGINES, engine
+from tests.support.physics.engines import ENGINES, OPEN, engine
 from tests.support.physics.runs import play
 from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.federate import Instants
@@ -22,6 +22,14 @@ from vcmvsp.physics.world.world import World
 def kind(request: pytest.FixtureRequest) -> type[Physics]:
     """Physics of each engine with bodies."""
     return request.param
+
+
+@pytest.fixture(autouse=True)
+def _close_engines() -> Iterator[None]:
+    """Engines of `tests.support.physics.engines.engine` end with their test."""
+    yield
+    while OPEN:
+        OPEN.pop().close()
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.physics.engines import KINDS
 from tests.support.physics.external_vehicles import Boat
 from tests.support.physics.runs import TENTH, play, run, run_info, values
 from tests.support.step_responses import settling_s
@@ -16,7 +17,7 @@ from vcmvsp.cosim.federate import Event, Federate, Instants, Slot
 from vcmvsp.cosim.frames import arc
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Velocity
-from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, MujocoPhysics, Physics
+from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
 from vcmvsp.physics.sensors.motion import WheelOdometry
 from vcmvsp.physics.sensors.positioning import Positioning
 from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, GroundVehicle, Inertial, Kinematic, Lag, Quadrotor
@@ -25,8 +26,6 @@ from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import Movable, Moving, World
 
 pytestmark = pytest.mark.processes
-
-KINDS = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics, MujocoPhysics])
 
 
 def car(
@@ -239,11 +238,6 @@ def test_a_too_heavy_quadrotor_is_refused_by_name() -> None:
     assert raised.value.key == "vehicle.uav"
 
 
-def test_a_body_without_height_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"clearance_m = 0\.22 must be less than height_m = 0\.22"):
-        P2DX(clearance_m=0.22)
-
-
 def test_bodiless_vehicles_move_in_bullet_as_without_it() -> None:
     models = {"body": P2DX(), "unicycle": Kinematic(), "lag": Lag()}
     commands = [(0.0, name, 0.3, 0.3) for name in models]
@@ -296,9 +290,7 @@ from vcmvsp.cosim.federate import Instants, RunInfo
 from vcmvsp.physics.federate import {kind}
 from vcmvsp.physics.vehicles.models import P2DX
 from vcmvsp.physics.vehicles.specification import VehicleSpec
-from vcmvsp.physics.vehicles.models import Quadrotor
-from vcmvsp.physics.sensors.motion import WheelOdometry
-from vcmvsp.physics.world.solids import Box, Hull
+from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import World
 world = World(solids=(Box(center=(3.0, 0.0, 0.5), size=(0.1, 1.0, 1.0)),))
 physics = {kind}(world=world, vehicles=[VehicleSpec(name="car", model=P2DX())])

@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.physics.engines import KINDS
 from tests.support.physics.runs import Command, steps_of
 from vcmvsp.cosim.errors import FederateError, ScenarioError
 from vcmvsp.cosim.types import Vec3, Velocity, Waypoint
-from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, MujocoPhysics, Physics
+from vcmvsp.physics.federate import BulletPhysics, Physics
 from vcmvsp.physics.sensors.positioning import Positioning
 from vcmvsp.physics.vehicles.models import P2DX, Kinematic, Point, Quadrotor
 from vcmvsp.physics.vehicles.specification import Vehicle, VehicleSpec
@@ -18,7 +19,6 @@ from vcmvsp.physics.world.world import Movable, Moving, Wind, World
 
 pytestmark = pytest.mark.slow
 
-KINDS = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics, MujocoPhysics])
 HIGH = (0.0, 0.0, 3.0)
 
 

@@ -7,11 +7,12 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
+from tests.support.physics.engines import KINDS
 from tests.support.physics.runs import run, values
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.federate import Instants
 from vcmvsp.cosim.types import Measured
-from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, MujocoPhysics, Physics
+from vcmvsp.physics.federate import BulletPhysics, Physics
 from vcmvsp.physics.sensors.detectors import Bumper
 from vcmvsp.physics.sensors.positioning import Positioning
 from vcmvsp.physics.sensors.sensor import Sensor
@@ -20,7 +21,6 @@ from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.solids import Box, Cylinder
 from vcmvsp.physics.world.world import Movable, Moving, Scene, World
 
-KINDS = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics, MujocoPhysics])
 FIFTH = (Instants(Ticks.every(0.2)),)
 
 
@@ -103,15 +103,15 @@ def test_accelerations_are_means_over_the_last_step() -> None:
     assert max(scene.acceleration[0, 0] for scene in scenes) > 0.2
 
 
-def test_more_sensors_lose_no_contact() -> None:
-    """A quadrotor bounces off a wall between two publications; the sensor requests the contacts in between."""
+def contacts(**sensors: Any) -> list[tuple[int, Any]]:
+    """Times and contacts of a quadrotor that bounces off a wall between two publications; other sensors ask in between."""
     wall = World(solids=(Box(center=(3.0, 0.0, 2.0), size=(0.2, 4.0, 4.0)),))
+    uav = VehicleSpec(name="uav", model=Quadrotor(), position=(0.0, 0.0, 2.0), sensors=sensors)
+    events = run(BulletPhysics(world=wall, vehicles=[uav]), [(0.0, "uav", 3.0, 0.0)], 3.0, FIFTH)
+    return [(event.time_ns, event.value) for event in events if event.key == "world/contact"]
 
-    def contacts(**sensors: Any) -> list[tuple[int, Any]]:
-        uav = VehicleSpec(name="uav", model=Quadrotor(), position=(0.0, 0.0, 2.0), sensors=sensors)
-        events = run(BulletPhysics(world=wall, vehicles=[uav]), [(0.0, "uav", 3.0, 0.0)], 3.0, FIFTH)
-        return [(event.time_ns, event.value) for event in events if event.key == "world/contact"]
 
+def test_more_sensors_lose_no_contact() -> None:
     expected = contacts()
     assert expected
     for rate_hz in (5.0, 20.0, 120.0):
@@ -120,13 +120,10 @@ def test_more_sensors_lose_no_contact() -> None:
 
 def test_a_sensor_gets_contacts_only_while_they_last() -> None:
     """Hence no sensor affects the scene of another one."""
-    wall = World(solids=(Box(center=(3.0, 0.0, 2.0), size=(0.2, 4.0, 4.0)),))
 
     def contact_flags(**others: Any) -> list[bool]:
         SceneRecorder.scenes.clear()
-        sensors = {"witness": SceneRecorder(rate_hz=20.0), **others}
-        uav = VehicleSpec(name="uav", model=Quadrotor(), position=(0.0, 0.0, 2.0), sensors=sensors)
-        run(BulletPhysics(world=wall, vehicles=[uav]), [(0.0, "uav", 3.0, 0.0)], 2.0, FIFTH)
+        contacts(witness=SceneRecorder(rate_hz=20.0), **others)
         return [bool(scene.touching) for _, scene in SceneRecorder.scenes if scene.now_ns % (SECOND_NS // 20) == 0]
 
     assert contact_flags() == contact_flags(bumper=Bumper(rate_hz=120.0))

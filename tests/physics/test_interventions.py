@@ -7,33 +7,27 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.physics.external_vehicles import Courses, straight
+from tests.support.physics.engines import KINDS
+from tests.support.physics.external_vehicles import Courses, spec, straight
 from tests.support.physics.runs import run, run_info, steps_of
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from vcmvsp.cosim.errors import FederateError
 from vcmvsp.cosim.federate import Event, Instants
 from vcmvsp.cosim.types import Array, Contact, Halted, Moved, Pushed, States, Velocity, Waypoint
-from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, MujocoPhysics, Physics
+from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
 from vcmvsp.physics.sensors.range_scanner import RangeScanner
-from vcmvsp.physics.vehicles.models import P2DX, Inertial, Kinematic, Point, Quadrotor
-from vcmvsp.physics.vehicles.specification import Vehicle, VehicleSpec
+from vcmvsp.physics.vehicles.models import Inertial, Kinematic, Point, Quadrotor
+from vcmvsp.physics.vehicles.specification import Vehicle
 from vcmvsp.physics.world.solids import Box, Cylinder
 from vcmvsp.physics.world.world import Movable, Moving, World
 
 pytestmark = pytest.mark.slow
 
-KINDS = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics, MujocoPhysics])
 CRATE = Movable(name="crate", solid=Box(center=(5.0, 0.0, 0.2), size=(0.4, 0.4, 0.4)), mass_kg=5.0)
 BARREL = Movable(name="barrel", solid=Cylinder(center=(8.0, 3.0, 0.5), radius=0.3, height=1.0), mass_kg=5.0)
 CART = Moving(name="cart", solid=CRATE.solid, times_s=(0.0, 1.0), way=((-5.0, 0.0, 0.2, 0.0), (-5.0, 0.0, 0.2, 0.0)))
 WALL = Box(center=(2.0, 4.0, 0.5), size=(0.2, 2.0, 1.0))
 WORLD = World(solids=(WALL,), movables=(CRATE, BARREL), moving=(CART,), bounds=(-20.0, -20.0, 20.0, 20.0), name="yard")
-
-
-def spec(
-    name: str, x: float = 0.0, y: float = 0.0, z: float = 0.0, *, model: Vehicle | None = None, **more: Any
-) -> VehicleSpec:
-    return VehicleSpec(name=name, model=model or P2DX(), position=(x, y, z), **more)
 
 
 def drive(at_s: float, name: str, v: float, w: float = 0.0) -> Event:

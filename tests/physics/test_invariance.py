@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.physics.engines import KINDS
 from tests.support.physics.external_vehicles import Courses, spec, straight
 from tests.support.physics.runs import TENTH, Command, run, values
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
@@ -15,7 +16,7 @@ from vcmvsp.cosim.federate import Event, Instants
 from vcmvsp.cosim.frames import yaw_of
 from vcmvsp.cosim.types import Halted, Later, Moved, Waypoint
 from vcmvsp.cosim.util.codec import encode
-from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, MujocoPhysics, Physics
+from vcmvsp.physics.federate import KinematicPhysics, Physics
 from vcmvsp.physics.sensors.detectors import NeighbourRange
 from vcmvsp.physics.sensors.motion import InertialUnit
 from vcmvsp.physics.sensors.positioning import Positioning
@@ -27,7 +28,6 @@ from vcmvsp.physics.world.world import Movable, Moving, Wind, World
 
 pytestmark = pytest.mark.slow
 
-KINDS = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics, MujocoPhysics])
 CRATE = Movable(name="crate", solid=Box(center=(5.0, 0.0, 0.2), size=(0.4, 0.4, 0.4)), mass_kg=5.0)
 CART = Moving(name="cart", solid=CRATE.solid, times_s=(0.0, 9.0), way=((-9.0, 9.0, 0.3, 0.0), (-9.0, 12.0, 0.3, 3.0)))
 WIND = Wind(velocity=(1.0, 0.0, 0.0), gust=1.0)

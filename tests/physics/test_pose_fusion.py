@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
+from tests.support.physics.engines import KINDS
 from tests.support.physics.external_vehicles import Courses, spec, straight
 from tests.support.physics.runs import run, values
 from vcmvsp.cosim.clock import Ticks, seconds_to_ns
@@ -18,15 +19,14 @@ from vcmvsp.cosim.estimation.fusion import FusedPose, Fusion
 from vcmvsp.cosim.estimation.kalman_filter import OdometryNoise
 from vcmvsp.cosim.federate import Event, Instants
 from vcmvsp.cosim.frames import arc, travelled, wrap, yaw_of
-from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, MujocoPhysics, Physics
+from vcmvsp.physics.federate import KinematicPhysics, Physics
 from vcmvsp.physics.sensors.positioning import Positioning
-from vcmvsp.physics.vehicles.models import Lag, Quadrotor
+from vcmvsp.physics.vehicles.models import Quadrotor
 from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.world import World
 
 pytestmark = pytest.mark.slow
 
-KINDS = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics, MujocoPhysics])
 TURNS = [(0.0, "car", 0.4, 0.2), (4.0, "car", 0.4, -0.3), (9.0, "car", 0.3, 0.5)]
 SIGMA_M = 0.15
 NONE = OdometryNoise(distance=0.0, turn=0.0, veer=0.0, time_m=0.0, time_rad=0.0)
@@ -140,18 +140,6 @@ def test_inputs_have_their_own_instants_at_any_state_rate(kind: type[Physics]) -
     assert [each[1] for each in seldom if each[0] == "fix"] == sorted(quarters)
     after = {each[1]: seldom[number - 1][:2] for number, each in enumerate(seldom) if each[0] == "fix"}
     assert after == {time_ns: ("odometry", time_ns) for time_ns in quarters}  # odometry before the fix
-
-
-@KINDS
-def test_inputs_are_equal_with_physics_ahead_of_the_wall_clock(kind: type[Physics]) -> None:
-    def told(*, paced: bool) -> list[tuple[Any, ...]]:
-        noted = InputRecorder()
-        vehicles = [fusion_spec(noted, rate_hz=1.0), spec("lag", y=3.0, model=Lag())]
-        quarters = (Instants(Ticks.every(0.25)),)  # early steps pass instants of estimator input
-        run(kind(world=World(), vehicles=vehicles), TURNS, 2.0, quarters, paced=paced)
-        return noted.inputs
-
-    assert told(paced=True) == told(paced=False)
 
 
 @KINDS

@@ -2,26 +2,17 @@
 
 import os
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 
-
-@contextmanager
-def _silent_stderr() -> Iterator[None]:
-    """Discard the greeting that PyBullet's C code prints to standard error during its import."""
-    sys.stderr.flush()
-    saved, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(null, 2)
-    try:
-        yield
-    finally:
-        os.dup2(saved, 2)
-        os.close(saved)
-        os.close(null)
-
-
-with _silent_stderr():
+# Discard the greeting that PyBullet's C code prints to standard error during its import.
+sys.stderr.flush()
+_saved, _null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+os.dup2(_null, 2)
+try:
     import pybullet as p
+finally:
+    os.dup2(_saved, 2)
+    os.close(_saved)
+    os.close(_null)
 
 __all__ = ["FLOOR", "SOLID", "UPRIGHT", "WHEEL", "p", "turned"]
 

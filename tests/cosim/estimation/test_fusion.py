@@ -58,8 +58,7 @@ class World:
         if self.time_ns == 0:
             fusion.odometry(0, 0.0, 0.0)
         for step in range(round(seconds * 10)):
-            distance, turn = self.go(v, 0.5 * math.sin(0.05 * step))
-            fusion.odometry(self.time_ns, distance, turn)
+            fusion.odometry(*_after(self, v, 0.5 * math.sin(0.05 * step)))
             yield fusion.fix(self.time_ns, *self.see(), self.sigma_m) if fixes and step % 2 == 0 else None
 
     def go_on(self, fusion: Fusion, seconds: float, v: float = 0.4, fixes: bool = True) -> None:
@@ -180,8 +179,7 @@ def test_five_per_cent_of_outliers_do_not_move_it() -> None:
         world, fusion = World(seed), Fusion()
         fusion.odometry(0, 0.0, 0.0)
         for step in range(400):
-            distance, turn = world.go(0.4, 0.5 * math.sin(0.05 * step))
-            fusion.odometry(world.time_ns, distance, turn)
+            fusion.odometry(*_after(world, 0.4, 0.5 * math.sin(0.05 * step)))
             x, y = world.see()
             if world.rng.random() < 0.05:
                 angle = world.rng.uniform(-math.pi, math.pi)
@@ -220,8 +218,7 @@ def _log(seed: int) -> tuple[list[tuple[int, float, float]], list[tuple[int, flo
     world = World(seed)
     odometry, positions = [(0, 0.0, 0.0)], []
     for step in range(80):
-        distance, turn = world.go(0.4, 0.5)
-        odometry.append((world.time_ns, distance, turn))
+        odometry.append(_after(world, 0.4, 0.5))
         if step % 2 == 0:
             positions.append((world.time_ns - 37 * MS, *world.see()))
     return odometry, positions
@@ -287,8 +284,8 @@ def test_unreported_lateness_costs_the_distance_driven() -> None:
     assert lags[1] == pytest.approx(-0.12, abs=0.04)
 
 
-def _after(world: World) -> tuple[int, float, float]:
-    distance, turn = world.go(0.4, 0.0)
+def _after(world: World, v: float = 0.4, w: float = 0.0) -> tuple[int, float, float]:
+    distance, turn = world.go(v, w)
     return world.time_ns, distance, turn
 
 

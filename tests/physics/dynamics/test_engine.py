@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.physics.engines import engine
+from tests.support.physics.engines import KINDS, engine
 from tests.support.physics.runs import run, run_info
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.federate import Event, Instants
 from vcmvsp.cosim.types import Contact, Vec3, Velocity, Waypoint
 from vcmvsp.physics.dynamics.engine import BodyMotion, Engine, Touch, gathered, still
 from vcmvsp.physics.dynamics.kinematic import AerialEngine, GroundEngine
-from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, MujocoPhysics, Physics
+from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
 from vcmvsp.physics.sensors.range_scanner import RangeScanner
 from vcmvsp.physics.vehicles.models import P2DX, AmigoBot, Kinematic, Point, Quadrotor
 from vcmvsp.physics.vehicles.specification import VehicleSpec
@@ -92,8 +92,6 @@ def test_reading_has_no_effect_and_readings_stay(which: int) -> None:
             assert np.array_equal(array, copy, equal_nan=True)
     for array, other in zip(read.read(), unread.read(), strict=True):
         assert array.tobytes() == other.tobytes()
-    for moved in (read, unread):
-        moved.close()
 
 
 def test_wheels_of_a_bodiless_vehicle_follow_its_path() -> None:
@@ -125,7 +123,6 @@ def test_rows_that_no_engine_moves_are_not_a_number() -> None:
     assert all(np.isnan(array[1]).all() for array in some)
 
 
-KINDS = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics, MujocoPhysics])
 CART = Moving(
     name="cart",
     solid=Box(center=(0.0, 0.0, 0.0), size=(0.4, 0.5, 1.0)),

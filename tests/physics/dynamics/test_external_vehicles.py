@@ -8,15 +8,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.physics.engines import KINDS
 from tests.support.physics.external_vehicles import Boat, Courses, spec, straight
 from tests.support.physics.runs import run, values
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import FederateError, ScenarioError
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.frames import quaternion_from_yaw, wrap
-from vcmvsp.cosim.types import Later, VehicleState, Velocity, Waypoint
+from vcmvsp.cosim.types import ORIGIN, Later, VehicleState, Velocity, Waypoint
 from vcmvsp.physics.dynamics.kinematic import ExternalEngine
-from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, MujocoPhysics, Physics
+from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, Physics
 from vcmvsp.physics.sensors.detectors import NeighbourRange
 from vcmvsp.physics.sensors.motion import InertialUnit, WheelOdometry
 from vcmvsp.physics.sensors.positioning import Positioning
@@ -25,12 +26,6 @@ from vcmvsp.physics.vehicles.models import P2DX
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import World, rotations
 
-KINDS = pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics, MujocoPhysics])
-SETTLES = {
-    KinematicPhysics: 2e-6,
-    BulletPhysics: 3e-4,
-    MujocoPhysics: 3e-4,
-}  # m, tolerance for a simulated robot that rolls while it settles on its wheels
 HALF = 0.5 * P2DX().length_m
 
 
@@ -90,7 +85,8 @@ def test_scanners_see_their_hulls_and_their_own_scanners_see_the_world(kind: typ
             reading: Any = later.get() if isinstance(later, Later) else later
             x = 3.0 + 0.5 * event.time_ns / SECOND_NS
             expected = x + (offset - HALF) / math.cos(yaw) if event.key == "car/scan" else (8.5 - x) / math.cos(yaw)
-            assert reading.ranges[0] == pytest.approx(expected, abs=SETTLES[kind])
+            settles_m = 2e-6 if kind is KinematicPhysics else 3e-4  # rolls of a simulated robot on its wheels
+            assert reading.ranges[0] == pytest.approx(expected, abs=settles_m)
 
 
 @KINDS
@@ -134,25 +130,21 @@ def test_unsupported_models_can_be_external(kind: type[Physics]) -> None:
     assert values(run(physics), "world/states")[-1].position.tolist() == [[2.0, 0.0, 0.0]]
 
 
+HERE = VehicleState(position=(0.0, 0.0, 0.0))
+
+
 @pytest.mark.parametrize(
-    ("course", "words"),
+    ("states", "words"),
     [
-        (lambda _: VehicleState(position=(math.nan, 0.0, 0.0)), r"real at 0 s is not finite"),
-        (
-            lambda _: VehicleState(position=(0.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0, 0.0)),
-            r"attitude .* real at 0 s is no unit quaternion",
-        ),
+        ([VehicleState(position=(math.nan, 0.0, 0.0)), HERE], r"a at 0 s is not finite"),
+        ([HERE, VehicleState(position=ORIGIN, attitude=(0.0,) * 4)], r"attitude .* b at 0 s is no unit quaternion"),
+        ([HERE], "1 states for 2 external vehicles"),
     ],
 )
-def test_an_invalid_state_stops_the_run_and_names_the_vehicle(course: Any, words: str) -> None:
-    with pytest.raises(FederateError, match=words):
-        run(KinematicPhysics(world=World(), vehicles=[spec("real")], outside=Courses(real=course)))
-
-
-def test_states_of_too_few_vehicles_stop_the_run() -> None:
+def test_invalid_states_stop_the_run_and_name_the_vehicle(states: list[VehicleState], words: str) -> None:
     courses = Courses(a=straight(0.0), b=straight(2.0))
-    courses.states = lambda now_ns: [straight(0.0)(0.0)]  # type: ignore[method-assign]
-    with pytest.raises(FederateError, match="1 states for 2 external vehicles"):
+    courses.states = lambda now_ns: states  # type: ignore[method-assign]
+    with pytest.raises(FederateError, match=words):
         run(KinematicPhysics(world=World(), vehicles=[spec("a"), spec("b", 2.0)], outside=courses))
 
 

@@ -164,4 +164,3 @@ def test_the_reference_points_velocity_is_the_derivative_of_its_position(kind: t
     assert after.angular_velocity[0, 2] == pytest.approx(1.5, abs=0.01)
     bounces = 0.2 if kind is MujocoPhysics else 0.01  # rad/s, of the caster: 0.2 mm high
     assert np.abs(after.angular_velocity[0, :2]).max() < bounces
-    moved.close()

@@ -161,8 +161,6 @@ def test_the_autopilot_holds_its_height_in_both() -> None:
     fleet = pair(upper=True)
     fleet.set_waypoint(0, (0.0, 0.0, 5.0))
     fleet.set_waypoint(1, (0.0, 0.0, 6.0))
-    for _ in range(1200):
-        force, torque = fleet.wrench(1 / 120, np.zeros((2, 3)))
-        fleet.integrate(force, torque, 1 / 120)
+    fleet.fly(1200, 1 / 120, np.zeros((2, 3)))
     assert fleet.position[:, 2] == pytest.approx((5.0, 6.0), abs=0.01)
     assert fleet.rotor[0].mean() > 1.1 * fleet.rotor[1].mean()

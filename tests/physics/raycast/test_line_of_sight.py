@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from tests.support.physics.random_worlds import beyond_box
 from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.util.polygons import problem_of
 from vcmvsp.physics.raycast.line_of_sight import SHEET_M, Sightline, is_closed, slab_m
@@ -28,14 +28,6 @@ FACES = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)])
 WALL = Box(center=(5.0, 0.0, 1.0), size=(0.2, 4.0, 2.0), material="brick")
 
 
-def inside(box: Box, points: NDArray[np.float64], margin: float) -> NDArray[np.bool_]:
-    """Mask of the points in the box, grown by the margin."""
-    offset = points - np.array(box.center)
-    c, s = math.cos(box.yaw_rad), math.sin(box.yaw_rad)
-    local = np.stack([c * offset[:, 0] + s * offset[:, 1], c * offset[:, 1] - s * offset[:, 0], offset[:, 2]], axis=1)
-    return np.asarray((np.abs(local) < 0.5 * np.array(box.size) + margin).all(axis=1))
-
-
 @given(tx=place, rx=place, box=boxes)
 def test_the_length_agrees_with_sampling(tx: tuple[float, ...], rx: tuple[float, ...], box: Box) -> None:
     assume(math.dist(tx, rx) > 1e-3)
@@ -43,7 +35,7 @@ def test_the_length_agrees_with_sampling(tx: tuple[float, ...], rx: tuple[float,
     points = np.array(tx) + (np.arange(count)[:, None] + 0.5) / count * (np.array(rx) - np.array(tx))
     (length,) = lengths(tx, rx, among=(box,))[0]
     share = math.dist(tx, rx) / count
-    least, most = (inside(box, points, margin).sum() * share for margin in (-1e-9, 1e-9))
+    least, most = ((beyond_box(box, points) < margin).all(axis=1).sum() * share for margin in (-1e-9, 1e-9))
     assert least - 2.0 * share <= length <= most + 2.0 * share
 
 

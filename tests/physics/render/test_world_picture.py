@@ -80,18 +80,13 @@ def test_extent_is_that_of_solids_bounds_and_ground() -> None:
     world = World(
         solids=(triangle,), bounds=(-30.0, -1.0, 2.0, 2.0), ground=GroundPicture(size=(4.0, 8.0), center=(10.0, 0.0), marks=())
     )
-    low, high = extent(world)
-    assert low.tolist() == [-30.0, -1.0, 0.0]
-    assert high.tolist() == [2.0, 20.0, 7.0]
+    assert np.array(extent(world)).tolist() == [[-30.0, -1.0, 0.0], [2.0, 20.0, 7.0]]
 
 
 def test_the_map_has_the_path_of_moving_bodies() -> None:
-    cart = Moving(
-        name="cart", solid=Box(center=(0, 0, 0), size=(2, 1, 1)), times_s=(0, 9), way=((0, 0, 0.5, 0), (30, 0, 0.5, 0))
-    )
-    low, high = extent(World(moving=(cart,)))
-    assert low.tolist() == [-3.0, -3.0, 0.0]
-    assert high.tolist() == [31.0, 3.0, 1.0]
+    solid = Box(center=(0, 0, 0), size=(2, 1, 1))
+    cart = Moving(name="cart", solid=solid, times_s=(0, 9), way=((0, 0, 0.5, 0), (30, 0, 0.5, 0)))
+    assert np.array(extent(World(moving=(cart,)))).tolist() == [[-3.0, -3.0, 0.0], [31.0, 3.0, 1.0]]
 
 
 def test_png_keeps_every_pixel() -> None:

@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import vcmvsp
 from tests.support.physics.sensor_scenes import readings, scene_of, still
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.rng import stream
@@ -191,37 +190,3 @@ def test_answers_are_independent_draws_with_p_and_q() -> None:
     assert others.var() == pytest.approx(q * (1 - q) * cells, rel=4.0 * math.sqrt(2.0 / number))  # as of independent draws
     after = np.corrcoef(own[1:], own[:-1])[0, 1], np.corrcoef(others[1:], others[:-1])[0, 1], np.corrcoef(own, others)[0, 1]
     assert max(map(abs, after)) < 4.0 / math.sqrt(number)
-
-
-@pytest.mark.parametrize("kind", ["kinematic", "bullet"])
-def test_runs_depend_on_the_seed_only(kind: str) -> None:
-    def run(seed: int) -> list[Looks]:
-        received: list[Looks] = []
-
-        class Hover(vcmvsp.Agent):
-            period = 0.5
-
-            def act(self, obs: vcmvsp.Observation, radio: vcmvsp.Radio) -> vcmvsp.Velocity:
-                looks = obs.readings["detector"]
-                assert isinstance(looks, Looks)
-                received.extend([looks] if looks.time_ns == obs.time_ns else [])
-                return vcmvsp.Velocity(linear=(1.0, 0.0, 0.0))
-
-        scenario = {
-            "name": "looks",
-            "duration_s": 3.2,
-            "seed": seed,
-            "physics": {"kind": kind},
-            "world": {"targets": [{"place": [1, 1]}]},
-            "vehicle": [
-                {"name": "uav", "kind": "point", "position": [0, 0, 9], "sensors": {"detector": {"kind": "target_sensor"}}}
-            ],
-        }
-        vcmvsp.run(scenario, agents={"uav": Hover()})
-        return received
-
-    once, again, other = run(1), run(1), run(2)
-    assert [each.time_ns for each in once] == [0, 10**9, 2 * 10**9, 3 * 10**9]
-    assert [each.hits.tolist() for each in once] == [each.hits.tolist() for each in again]
-    assert [each.hits.tolist() for each in once] != [each.hits.tolist() for each in other]
-    assert [each.cells[:, 0].mean() for each in once] == pytest.approx([-0.5, 0.0, 0.5, 1.0], abs=0.26)  # flies east

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
-from vcmvsp.physics.vehicles.models import Point, Quadrotor
+from vcmvsp.physics.vehicles.models import P2DX, Point, Quadrotor
 from vcmvsp.physics.vehicles.specification import body_of
 from vcmvsp.physics.world.solids import Hull
 
@@ -47,10 +47,12 @@ def test_numbers_outside_their_range_are_refused(key: str, value: object) -> Non
         msgspec.convert({key: value}, Quadrotor)
 
 
-@pytest.mark.parametrize(("key", "value"), [("max_tilt_rad", 1.6), ("max_thrust", 1.1)])
-def test_impossible_numbers_are_refused(key: str, value: float) -> None:
+@pytest.mark.parametrize(
+    ("kind", "key", "value"), [(Quadrotor, "max_tilt_rad", 1.6), (Quadrotor, "max_thrust", 1.1), (P2DX, "clearance_m", 0.22)]
+)
+def test_impossible_numbers_are_refused(kind: type, key: str, value: float) -> None:
     with pytest.raises(msgspec.ValidationError, match=key):
-        msgspec.convert({key: value}, Quadrotor)
+        msgspec.convert({key: value}, kind)
 
 
 def test_an_empty_fleet() -> None:

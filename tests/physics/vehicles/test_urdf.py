@@ -1,27 +1,25 @@
 """Vehicles from URDF: driving by their parameters, and messages for missing elements."""
 
 import math
-import tomllib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.support.physics.engines import engine
+from tests.support.physics.engines import KINDS, engine
 from tests.support.physics.runs import run, values
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.config import binding
 from vcmvsp.cosim.errors import ScenarioError
+from vcmvsp.cosim.types import ORIGIN
 from vcmvsp.physics.dynamics.bullet import p
-from vcmvsp.physics.federate import BulletPhysics, KinematicPhysics, MujocoPhysics
 from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.vehicles.urdf import UrdfDrive, UrdfQuadrotor
 from vcmvsp.physics.vehicles.urdf_shapes import GREY
 from vcmvsp.physics.world.solids import Box
 from vcmvsp.physics.world.world import World
 
-# A user's robot, in less than 30 lines.
+# A user's robot.
 ROBOT = """\
 <robot name="cart">
   <link name="base">
@@ -38,14 +36,6 @@ ROBOT = """\
   <joint name="right_wheel" type="continuous"><parent link="base"/><child link="right"/>
     <origin xyz="0.05 -0.2 0.1"/><axis xyz="0 -1 0"/></joint>
 </robot>
-"""
-SCENARIO = """
-kind = "urdf"
-file = "cart.urdf"
-left_wheel = "left_wheel"
-right_wheel = "right_wheel"
-max_speed = 1.2
-accel = 0.8
 """
 
 LINK = '<link name="{}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial></link>'
@@ -65,20 +55,14 @@ FRAME = """\
 """
 
 
+def drive_of(folder: Path, text: str = ROBOT, **keys: Any) -> UrdfDrive:
+    (folder / "cart.urdf").write_text(text)
+    return UrdfDrive(file=str(folder / "cart.urdf"), left_wheel="left_wheel", right_wheel="right_wheel", **keys)
+
+
 @pytest.fixture
 def cart(tmp_path: Path) -> UrdfDrive:
-    (tmp_path / "cart.urdf").write_text(ROBOT)
-    keys = tomllib.loads(SCENARIO)
-    keys = {**keys, "file": str(tmp_path / keys["file"])}
-    del keys["kind"]
-    return binding.call(UrdfDrive, keys)
-
-
-ORIGIN = (0.0, 0.0, 0.0)
-
-
-def test_the_example_is_short() -> None:
-    assert len((ROBOT + SCENARIO).strip().splitlines()) <= 30
+    return drive_of(tmp_path, max_speed=1.2, accel=0.8)
 
 
 def test_the_file_places_the_wheels(cart: UrdfDrive) -> None:
@@ -101,7 +85,6 @@ def test_it_starts_in_place_with_the_inertia_of_the_file(cart: UrdfDrive) -> Non
     assert sum(contact[9] for contact in p.getContactPoints(bodyA=body, physicsClientId=moved._client)) == pytest.approx(
         7.0 * 9.81, rel=0.01
     )
-    moved.close()
 
 
 def test_it_drives_as_commanded(cart: UrdfDrive) -> None:
@@ -115,7 +98,6 @@ def test_it_drives_as_commanded(cart: UrdfDrive) -> None:
     assert steady.odometry[0, :2] == pytest.approx(steady.position[0, :2], abs=0.02)
     assert (np.diff(steady.wheels[0]) > 0.0).all()  # the right wheel has turned further, both forward
     assert (steady.wheels > 0.0).all()
-    moved.close()
 
 
 def test_firmware_limits_are_kept(cart: UrdfDrive) -> None:
@@ -125,10 +107,9 @@ def test_firmware_limits_are_kept(cart: UrdfDrive) -> None:
     assert moved.read().velocity[0, 0] == pytest.approx(0.8, rel=0.05)  # limited by accel
     moved.advance(4 * SECOND_NS)
     assert moved.read().velocity[0, 0] == pytest.approx(1.2, rel=0.01)
-    moved.close()
 
 
-@pytest.mark.parametrize("kind", [KinematicPhysics, BulletPhysics, MujocoPhysics])
+@KINDS
 def test_it_is_a_vehicle_of_both_kinds_of_physics(kind: Any, cart: UrdfDrive) -> None:
     physics = kind(world=World(), vehicles=[VehicleSpec(name="cart", model=cart)])
     events = run(physics, [(0.0, "cart", 0.5, 0.0)], 3.0)
@@ -144,7 +125,6 @@ def test_a_quadrotor_takes_mass_and_inertia_of_all_its_links(tmp_path: Path) -> 
     assert model.inertia == pytest.approx((1.2e-3, 1.2e-3 + 0.016, 2.2e-3 + 0.016))
     moved = engine((model, ORIGIN))
     assert isinstance(moved.read().position, np.ndarray)
-    moved.close()
 
 
 @pytest.mark.parametrize(
@@ -174,30 +154,25 @@ def test_a_quadrotor_takes_mass_and_inertia_of_all_its_links(tmp_path: Path) -> 
     ],
 )
 def test_errors_of_a_file_are_named(old: str, new: str, words: str, key: str, tmp_path: Path) -> None:
-    file = tmp_path / "cart.urdf"
     assert old in ROBOT
-    file.write_text(ROBOT.replace(old, new, 2 if old == "robot" else 1))
     with pytest.raises(ScenarioError, match=words) as raised:
-        UrdfDrive(file=str(file), left_wheel="left_wheel", right_wheel="right_wheel")
+        drive_of(tmp_path, ROBOT.replace(old, new, 2 if old == "robot" else 1))
     assert raised.value.key == key
 
 
 @pytest.mark.parametrize("limits", ['lower="-1.5" ', 'upper="1.5" ', ""])
 def test_a_wheel_may_be_revolute_without_limits(limits: str, tmp_path: Path) -> None:
-    file = tmp_path / "cart.urdf"
     limit = f'<limit {limits}effort="10" velocity="10"/></joint>'
-    file.write_text(ROBOT.replace("continuous", "revolute").replace("</joint>", limit))
-    keys: Any = {"file": str(file), "left_wheel": "left_wheel", "right_wheel": "right_wheel"}
+    text = ROBOT.replace("continuous", "revolute").replace("</joint>", limit)
     if limits:
         with pytest.raises(ScenarioError, match=r"'left_wheel' .* has limits.*: make it continuous") as raised:
-            UrdfDrive(**keys)
+            drive_of(tmp_path, text)
         assert raised.value.key == "left_wheel"
         return
-    moved = engine((UrdfDrive(**keys), ORIGIN))
+    moved = engine((drive_of(tmp_path, text), ORIGIN))
     moved.command(0, (0.5, 0.0, 0.0), 0.0)
     moved.advance(6 * SECOND_NS)
     assert moved.read().wheels[0] == pytest.approx(2.75 / 0.1, rel=0.02)  # continuous rotation
-    moved.close()
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
@@ -214,7 +189,6 @@ def test_contacts_of_all_links_except_wheels_on_the_floor_are_named(cart: UrdfDr
     moved.advance(5 * SECOND_NS)
     assert {(touch.row, touch.other) for touch in moved.touching(passing=True)} == {(0, None)}
     assert moved.read().position[0, 0] - 0.05 - 0.05 + 0.2 == pytest.approx(0.9, abs=0.02)  # the base's box at the wall
-    moved.close()
 
 
 # --- shapes for pictures ---
@@ -229,9 +203,7 @@ PAINTED = ROBOT.replace(
 
 
 def test_the_collision_shapes_are_drawn_where_a_file_has_no_others(tmp_path: Path) -> None:
-    (tmp_path / "cart.urdf").write_text(ROBOT)
-    model = UrdfDrive(file=str(tmp_path / "cart.urdf"), left_wheel="left_wheel", right_wheel="right_wheel")
-    (part,) = model.drawn
+    (part,) = drive_of(tmp_path).drawn
     low, high = part.triangles.min(axis=(0, 1)), part.triangles.max(axis=(0, 1))
     # The frame's origin is below the axle, 0.05 m ahead of the root; wheels of 0.1 m, 0.2 m to each side.
     assert low == pytest.approx((-0.05 - 0.2 - 0.05, -0.3, 0.0), abs=2e-3)
@@ -240,10 +212,8 @@ def test_the_collision_shapes_are_drawn_where_a_file_has_no_others(tmp_path: Pat
 
 def test_visual_shapes_have_their_colours_and_meshes_their_scale(tmp_path: Path) -> None:
     pytest.importorskip("trimesh")
-    (tmp_path / "cart.urdf").write_text(PAINTED)
     (tmp_path / "tip.obj").write_text("v 0 0 1\nv 1 0 1\nv 0 1 1\nf 1 2 3\n")
-    model = UrdfDrive(file=str(tmp_path / "cart.urdf"), left_wheel="left_wheel", right_wheel="right_wheel")
-    parts = {part.color: part.triangles for part in model.drawn}
+    parts = {part.color: part.triangles for part in drive_of(tmp_path, PAINTED).drawn}
     assert parts.keys() == {(0, 0, 255), GREY}
     assert parts[0, 0, 255][..., 2].min() == pytest.approx(0.3)
     assert parts[0, 0, 255][..., 2].max() == pytest.approx(0.7)
@@ -263,6 +233,4 @@ def test_undrawable_shapes_are_omitted(tmp_path: Path) -> None:
     places = {"0 0 0": '<box size="a b c"/>', "1 0 0": "<capsule/>", "two": '<sphere radius="1"/>'}
     shapes = [f'<visual><origin xyz="{xyz}"/><geometry>{kind}</geometry></visual>' for xyz, kind in places.items()]
     bad = "".join(shapes) + "</link>"
-    (tmp_path / "cart.urdf").write_text(ROBOT.replace("</collision></link>", f"</collision>{bad}"))
-    model = UrdfDrive(file=str(tmp_path / "cart.urdf"), left_wheel="left_wheel", right_wheel="right_wheel")
-    assert model.drawn == ()
+    assert drive_of(tmp_path, ROBOT.replace("</collision></link>", f"</collision>{bad}")).drawn == ()

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.physics.random_worlds import beyond_box
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Array
 from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Mesh, Prism
@@ -15,8 +16,9 @@ from vcmvsp.physics.world.world import Movable, Moving, World
 pytestmark = pytest.mark.slow
 
 metres = st.floats(-4.0, 4.0)
+BOX = Box(center=(0.5, -0.3, 0.6), size=(1.0, 2.0, 0.8), yaw_rad=0.7)
 SOLIDS = (
-    Box(center=(0.5, -0.3, 0.6), size=(1.0, 2.0, 0.8), yaw_rad=0.7),
+    BOX,
     Prism(outline=((-2.0, 1.0), (-1.0, 1.0), (-1.0, 3.0), (-3.0, 2.0)), height=1.5, bottom=0.5),
     Cylinder(center=(2.0, 2.0, 1.0), radius=0.4, height=2.0),
 )
@@ -31,9 +33,7 @@ def nearest(world: World, place: Array, reach_m: float = 50.0) -> float:
 
 @given(metres, metres, metres)
 def test_of_a_box_by_closed_form(x: float, y: float, z: float) -> None:
-    dx, dy, dz = x - 0.5, y + 0.3, z - 0.6
-    local = (dx * math.cos(0.7) + dy * math.sin(0.7), dy * math.cos(0.7) - dx * math.sin(0.7), dz)
-    expected = math.hypot(*(max(abs(a) - half, 0.0) for a, half in zip(local, (0.5, 1.0, 0.4), strict=True)))
+    expected = np.linalg.norm(np.maximum(beyond_box(BOX, np.array([[x, y, z]])), 0.0))
     assert nearest(World(solids=SOLIDS[:1]), np.array([x, y, z])) == pytest.approx(expected, abs=1e-9)
 
 
@@ -129,12 +129,11 @@ def test_obstacles_follow_their_timetable(solid: Box | Cylinder) -> None:
         expected = math.inf
         for now_ns, places in zip(time_ns.tolist(), position[:, :count], strict=True):
             x, y, z, yaw = cart.pose(now_ns / SECOND_NS)
-            for dx, dy, dz in (places - (x, y, z)).tolist():
-                if isinstance(solid, Box):
-                    local = (dx * math.cos(yaw) + dy * math.sin(yaw), dy * math.cos(yaw) - dx * math.sin(yaw), dz)
-                    beyond = [max(abs(a) - 0.5 * edge, 0.0) for a, edge in zip(local, solid.size, strict=True)]
-                else:
-                    beyond = [max(math.hypot(dx, dy) - solid.radius, 0.0), max(abs(dz) - 0.5 * solid.height, 0.0)]
-                expected = min(expected, math.hypot(*beyond))
+            if isinstance(solid, Box):
+                beyond = beyond_box(Box(center=(x, y, z), size=solid.size, yaw_rad=yaw), places)
+            else:
+                dx, dy, dz = (places - (x, y, z)).T
+                beyond = np.column_stack([np.hypot(dx, dy) - solid.radius, np.abs(dz) - 0.5 * solid.height])
+            expected = min(expected, np.linalg.norm(np.maximum(beyond, 0.0), axis=1).min())
         found = World(moving=(cart,)).least_clearance_m(time_ns, position[:, :count].transpose(2, 0, 1))
         assert found == pytest.approx(expected, abs=1e-12)

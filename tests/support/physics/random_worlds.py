@@ -80,6 +80,13 @@ def scene(
     )
 
 
+def beyond_box(box: Box, points: Floats) -> Floats:
+    """How far places (n, 3) m lie beyond the faces of a box along its length, width and height, (n, 3) m."""
+    x, y, z = (points - np.array(box.center)).T
+    c, s = math.cos(box.yaw_rad), math.sin(box.yaw_rad)
+    return np.abs(np.column_stack([c * x + s * y, c * y - s * x, z])) - 0.5 * np.array(box.size)
+
+
 def hulls(rng: np.random.Generator, count: int) -> tuple[Hull, ...]:
     """Boxes and cylinders, some of them off the reference point."""
     found = []

@@ -31,7 +31,6 @@ def test_mass_and_centre_are_those_of_the_parameters(robot: DifferentialDrive) -
     )  # the floor carries the weight
     on_caster = sum(contact[9] for contact in contacts if contact[3] == -1) / 9.81
     assert on_caster == pytest.approx(masses[0] * robot.mass_behind_m / robot.caster_behind_m, rel=0.02)
-    moved.close()
 
 
 def test_closing_twice_has_no_effect_and_frees_the_client() -> None:

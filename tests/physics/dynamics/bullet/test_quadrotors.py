@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.support.physics.engines import engine
+from tests.support.physics.random_worlds import beyond_box
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.physics.dynamics.bullet.bodies import base_motion
 from vcmvsp.physics.dynamics.bullet.engine import BulletEngine
@@ -49,7 +50,6 @@ def test_free_air_motion_is_numpys_to_the_bit() -> None:
     assert np.array_equal(moved.read().attitude, fleet.attitude)
     z = base_motion(moved._client, moved._flyers.bodies).position[0, 2]
     assert z < -1000.0  # its body is parked
-    moved.close()
 
 
 def test_near_bodies_without_contact_change_no_bit() -> None:
@@ -69,8 +69,6 @@ def test_near_bodies_without_contact_change_no_bit() -> None:
     assert nearby > 10
     assert not alone._flyers.near.any()
     assert over.touching(passing=True) == beside.touching(passing=True) == []
-    for moved in (over, alone, beside):
-        moved.close()
 
 
 def test_bodies_that_touch_nothing_move_in_bullet_as_in_numpy() -> None:
@@ -85,7 +83,6 @@ def test_bodies_that_touch_nothing_move_in_bullet_as_in_numpy() -> None:
         worst = max(worst, *(float(np.abs(each).max()) for each in off))
     assert moved._flyers.near.all()
     assert worst < 1e-9  # the contact threshold is 1e-7
-    moved.close()
 
 
 @pytest.mark.parametrize("hz", [120, 240])
@@ -104,7 +101,6 @@ def test_it_takes_off_and_lands(hz: int) -> None:
     assert landed.attitude[0] == pytest.approx((1.0, 0.0, 0.0, 0.0), abs=2e-3)
     assert np.abs(landed.velocity).max() < 0.01
     assert moved.touching(passing=True) == []  # standing on the floor is not a contact
-    moved.close()
 
 
 def test_a_wall_stops_it_and_is_named(either: Make) -> None:
@@ -117,7 +113,6 @@ def test_a_wall_stops_it_and_is_named(either: Make) -> None:
         assert moved.read().position[0, 0] < 4.9 - 0.04 + 0.02  # no penetration, even on edge
     assert {(touch.row, touch.other) for touch in touches} == {(0, None)}
     assert touches[0].place == pytest.approx((4.9, 0.0, 2.0), abs=0.1)
-    moved.close()
 
 
 def test_a_bounce_between_two_reads_is_reported_once(either: Make) -> None:
@@ -129,7 +124,6 @@ def test_a_bounce_between_two_reads_is_reported_once(either: Make) -> None:
     assert moved.touching(passing=False) == []  # does not clear the contact
     assert {(touch.row, touch.other) for touch in moved.touching(passing=True)} == {(0, None)}
     assert moved.touching(passing=True) == []
-    moved.close()
 
 
 @pytest.mark.parametrize("hz", [30, 40, 120])
@@ -144,7 +138,6 @@ def test_it_wakes_before_fast_bodies_at_any_check_rate(hz: int, speed: float) ->
         steps(moved, 1)
     woke, touch_s = moved._step - 1, (20.0 - 0.25 - UAV.radius_m) / speed
     assert woke < math.floor(touch_s * hz)
-    moved.close()
 
 
 @pytest.mark.parametrize("speed", [2.0, 6.0, 12.0])
@@ -173,7 +166,6 @@ def test_no_penetration(speed: float, either: Make) -> None:
             inside = 20.0 < at[row, 0] < 23.0 - abs(at[row, 1])
             assert not inside
     assert len(hit) == 24
-    moved.close()
 
 
 def test_a_collision_names_both_and_conserves_momentum(either: Make) -> None:
@@ -192,7 +184,6 @@ def test_a_collision_names_both_and_conserves_momentum(either: Make) -> None:
     assert after[0] - after[1] < 0.5 * (before[0] - before[1])
     assert 0.8 * after[0] + 1.6 * after[1] == pytest.approx(0.8 * before[0] + 1.6 * before[1], abs=0.05)  # thrust acts too
     assert after[0] < 0.5 * before[0]
-    moved.close()
 
 
 def test_it_can_stand_on_a_robot_and_press_on_a_movable(either: Make) -> None:
@@ -205,7 +196,6 @@ def test_it_can_stand_on_a_robot_and_press_on_a_movable(either: Make) -> None:
     assert at[0, 2] == pytest.approx(0.22 + 0.04, abs=5e-3)
     assert at[2, 2] == pytest.approx(0.6 + 0.04, abs=5e-3)
     assert {(touch.row, touch.other) for touch in moved.touching(passing=True)} == {(0, 1), (2, 3)}
-    moved.close()
 
 
 def test_the_map_finds_everything_within_the_margin() -> None:
@@ -220,11 +210,7 @@ def test_the_map_finds_everything_within_the_margin() -> None:
     near = SolidsMap(world.shapes).near(places, margin)
     distance = np.full(4000, np.inf)
     for box in solids:
-        c, s = math.cos(box.yaw_rad), math.sin(box.yaw_rad)
-        d = places - np.array(box.center)
-        local = np.column_stack([c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0], d[:, 2]])
-        beyond = np.maximum(np.abs(local) - 0.5 * np.array(box.size), 0.0)
-        distance = np.minimum(distance, np.sqrt((beyond * beyond).sum(axis=1)))
+        distance = np.minimum(distance, np.linalg.norm(np.maximum(beyond_box(box, places), 0.0), axis=1))
     assert near[distance < margin].all()
     assert not near[distance > 1.75 * margin].any()  # conservative at corners
     assert 0.05 < (distance < margin).mean() < 0.95

@@ -49,7 +49,6 @@ def test_a_movable_falls_asleep_and_wakes_when_it_is_pushed(either: Make) -> Non
     assert pushed.position[0, 0] - 0.2 == pytest.approx(front, abs=0.02)
     assert pushed.velocity[0, 0] == pytest.approx(0.3, rel=0.1)
     assert {(touch.row, touch.other) for touch in moved.touching(passing=True)} == {(0, 1)}
-    moved.close()
 
 
 def test_heavy_movables_stay(either: Make) -> None:
@@ -57,7 +56,6 @@ def test_heavy_movables_stay(either: Make) -> None:
     moved.command(0, (0.3, 0.0, 0.0), 0.0)
     moved.advance(5 * SECOND_NS)
     assert moved.movables().position[0, 0] == pytest.approx(0.6, abs=0.01)
-    moved.close()
 
 
 @pytest.mark.parametrize("floor", [0.0, 0.1])
@@ -66,9 +64,7 @@ def test_zones_change_nothing_for_movables(floor: float) -> None:
         moved = engine(world=World(movables=(crate(0.0, 3.0),), floor_friction=floor, zones=zones))
         p.resetBaseVelocity(moved._things.movables[0], (1.0, 0.0, 0.0), (0.0, 0.0, 0.0), moved._client)
         moved.advance(3 * SECOND_NS)
-        way = float(moved.movables().position[0, 0])
-        moved.close()
-        return way
+        return float(moved.movables().position[0, 0])
 
     expected = 3.0 if floor == 0.0 else 1.0 / (2.0 * 0.5 * floor * 9.81)  # v2 / (2 mu g)
     there, far = (Zone(center=(x, 0.0), size=(20.0, 20.0), friction=0.9) for x in (0.0, 50.0))
@@ -81,17 +77,11 @@ def test_a_robot_has_the_friction_of_its_zone_on_any_floor(either: Make) -> None
         moved = either((P2DX(accel=10.0), (0.0, 0.0, 0.0)), world=World(floor_friction=floor, zones=zones))
         moved.command(0, (1.5, 0.0, 0.0), 0.0)
         moved.advance(2 * SECOND_NS)
-        way = float(moved.read().position[0, 0])
-        moved.close()
-        return way
+        return float(moved.read().position[0, 0])
 
     icy, far = (Zone(center=(x, 0.0), size=(20.0, 20.0), friction=0.05) for x in (0.0, 50.0))
-    assert [
-        start_distance(1.0, icy),
-        start_distance(0.3, icy),
-        start_distance(0.0, icy),
-        start_distance(0.05, far),
-    ] == pytest.approx([start_distance(0.05)] * 4, rel=1e-6)
+    distances = [*(start_distance(floor, icy) for floor in (1.0, 0.3, 0.0)), start_distance(0.05, far)]
+    assert distances == pytest.approx([start_distance(0.05)] * 4, rel=1e-6)
     assert start_distance(0.0, far) == pytest.approx(0.0, abs=1e-3)
 
 
@@ -156,9 +146,7 @@ def test_grip_is_lost_on_ice_and_found_again_behind_it(either: Make) -> None:
         x = moved.read().position[0, 0]
         moved.command(0, (0.0, 0.0, 0.0), 0.0)
         moved.advance(tick * SECOND_NS // 60 + 8 * SECOND_NS)
-        slid = float(moved.read().position[0, 0] - x)
-        moved.close()
-        return slid
+        return float(moved.read().position[0, 0] - x)
 
     dry = stop_m()
     assert dry < 0.2
