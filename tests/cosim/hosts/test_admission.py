@@ -6,14 +6,13 @@ import socket
 import subprocess
 import time
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.run_processes import Stage, exit_of, output_at_exit, wait_for
+from tests.support.cosim.run_processes import Stage, exit_of, output_at_exit, staged, wait_for
 from tests.support.cosim.teams import FOLLOWER, team
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.transport.zenoh_session import threads
@@ -37,7 +36,6 @@ class ByHand(Stage):
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
-        self.endpoint = f"tcp/127.0.0.1:{self.port}"
         (folder / "still.py").write_text(STILL)
 
     def scenario(self, duration: float = 2.0, patience: float = 60.0, deadline: float = 30.0) -> Path:
@@ -56,10 +54,7 @@ class ByHand(Stage):
         return tomllib.loads((self.out / "scenario.toml").read_text())["vehicle"][1]["agent"]
 
 
-@pytest.fixture
-def stage(tmp_path: Path) -> Iterator[ByHand]:
-    with ByHand(tmp_path) as made:
-        yield made
+stage = staged(ByHand)
 
 
 def test_parameters_of_a_host_are_in_the_result(stage: ByHand) -> None:

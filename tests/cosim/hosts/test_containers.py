@@ -4,7 +4,6 @@ import json
 import re
 import shlex
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ import yaml
 
 import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.run_processes import Stage, exit_of
+from tests.support.cosim.run_processes import Stage, exit_of, staged
 from tests.support.paths import ROOT
 from vcmvsp.cosim.cli import app
 from vcmvsp.cosim.hosts import ssh_hosts
@@ -84,13 +83,10 @@ def test_kubernetes_resolves_the_run_and_mounts_secrets_at_their_paths() -> None
     service = next(each for each in MANIFESTS if each["kind"] == "Service")
     run = JOBS["vcmvsp-run"]
     assert service["spec"]["selector"].items() <= run["metadata"]["labels"].items()
-    assert [each["targetPort"] for each in service["spec"]["ports"]] == [
-        each["containerPort"] for each in container(run)["ports"]
-    ]
-    assert not any(
-        service["spec"]["selector"].items() <= each["metadata"]["labels"].items()
-        for each in (JOBS["vcmvsp-one"], JOBS["vcmvsp-two"])
-    )
+    ports = [each["containerPort"] for each in container(run)["ports"]]
+    assert [each["targetPort"] for each in service["spec"]["ports"]] == ports
+    for name in ("vcmvsp-one", "vcmvsp-two"):
+        assert not service["spec"]["selector"].items() <= JOBS[name]["metadata"]["labels"].items()
     claims = {each["metadata"]["name"] for each in MANIFESTS if each["kind"] == "PersistentVolumeClaim"}
     for name, template in JOBS.items():
         volumes = {each["name"]: each for each in template["spec"]["volumes"]}
@@ -99,9 +95,8 @@ def test_kubernetes_resolves_the_run_and_mounts_secrets_at_their_paths() -> None
         assert volumes["keys"]["secret"] == {"secretName": name, "defaultMode": 0o440}
         assert f"kubectl create secret generic {name} " in README
         assert str(parsed(ARGUMENTS[name])["keys"]).startswith(mounted["keys"])
-        assert {
-            each["persistentVolumeClaim"]["claimName"] for each in volumes.values() if "persistentVolumeClaim" in each
-        } <= claims
+        claimed = [each["persistentVolumeClaim"] for each in volumes.values() if "persistentVolumeClaim" in each]
+        assert {each["claimName"] for each in claimed} <= claims
         assert template["spec"]["restartPolicy"] == "Never"
         assert template["spec"]["securityContext"]["runAsNonRoot"] is True
 
@@ -114,10 +109,7 @@ def test_a_container_sees_no_keys_but_its_own() -> None:
     assert "ca.key" not in secret
 
 
-@pytest.fixture
-def stage(tmp_path: Path) -> Iterator[Stage]:
-    with Stage(tmp_path) as made:
-        yield made
+stage = staged(Stage)
 
 
 @pytest.mark.parametrize("commands", [SERVICES, ARGUMENTS], ids=["compose", "kubernetes"])
@@ -126,19 +118,13 @@ def test_the_command_lines_run_as_local_processes(
 ) -> None:
     """Hosts start first; the folders of containers are folders here, the run's name is localhost."""
     monkeypatch.chdir(stage.folder)
-    dialled = next(
-        re.findall(r"tls/([a-z-]+):", word)[0]
-        for words in commands.values()
-        for word in words
-        if "7447" in word and "0.0.0.0" not in word
-    )
+    (dialled,) = set(re.findall(r"tls/([a-z-]+):7447", str(commands)))
     for step in STEPS[: len(STEPS) // 2] if commands is SERVICES else STEPS[len(STEPS) // 2 :]:
         assert vcmvsp_command(*shlex.split(step)[1:]).code == 0
 
     def here(word: str) -> str:
-        word = word.replace(f"tls/{dialled}:7447", f"tls/localhost:{stage.port}").replace(
-            "tls/0.0.0.0:7447", f"tls/127.0.0.1:{stage.port}"
-        )
+        word = word.replace(f"tls/{dialled}:7447", f"tls/localhost:{stage.port}")
+        word = word.replace("tls/0.0.0.0:7447", f"tls/127.0.0.1:{stage.port}")
         return str(stage.folder / word[1:]) if re.match(r"/(keys|results)", word) else word
 
     if commands is ARGUMENTS:

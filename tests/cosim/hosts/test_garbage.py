@@ -1,14 +1,15 @@
 """Garbage sent to the port of a run does not disturb its hosts: same digest."""
 
 import contextlib
-import json
 import random
 import socket
 import ssl
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
+import zenoh
 
 import vcmvsp
 from tests.support.cosim.run_processes import Stage, exit_of, wait_for
@@ -17,7 +18,7 @@ from vcmvsp.cosim.hosts import protocol as wire
 from vcmvsp.cosim.hosts.hub import Hub
 from vcmvsp.cosim.security import authority
 from vcmvsp.cosim.transport import key_names
-from vcmvsp.cosim.transport.zenoh_session import opened
+from vcmvsp.cosim.transport.zenoh_session import client
 
 pytestmark = [pytest.mark.processes, pytest.mark.sockets]
 
@@ -88,56 +89,49 @@ def test_a_run_survives_three_hundred_connections_of_garbage(protocol: str, tmp_
             connection.close()
         assert code == 0, output
         assert [exit_of(host)[0] for host in hosts] == [0, 0]
-        digest = json.loads((stage.out / "metrics.json").read_text())["digest"]
+        digest = stage.digest()
     assert digest == vcmvsp.run(tmp_path / "garbage.toml", agents="inprocess", mcap=False).metrics["digest"]
 
 
-def test_all_expected_hosts_may_join_at_once_and_a_flood_is_refused() -> None:
+def greeting(number: int) -> bytes:
+    return wire.encode(wire.Hello(f"{number:032x}", wire.PROTOCOL, (f"car{number}",)))
+
+
+def greeted(session: zenoh.Session, hello: bytes | int) -> Any:
+    """Replies to a greeting, or to that of the host with this number."""
+    payload = greeting(hello) if isinstance(hello, int) else hello
+    return session.get(key_names.join_key("anyone"), payload=payload, timeout=10.0)
+
+
+def refusal(replies: Any) -> str | None:
+    return wire.welcomes.decode(replies.recv().ok.payload.to_bytes()).refused
+
+
+def test_all_expected_hosts_may_join_at_once_and_a_flood_is_refused(stack: contextlib.ExitStack) -> None:
     expected = 100
-    hub = Hub(hosts=expected)
-    request_count = expected + 2 * SPARE_JOINS
-    try:
-        client = {"mode": "client", "listen": {"endpoints": []}, "connect": {"endpoints": [hub.endpoint]}}
-        with opened(client, {}, "cannot connect") as session:
-            hellos = [
-                wire.encode(wire.Hello(f"{number:032x}", wire.PROTOCOL, (f"car{number}",))) for number in range(request_count)
-            ]
-            key = key_names.join_key("anyone")
-            replies = [session.get(key, payload=hello, timeout=10.0) for hello in hellos]
-            for late in replies[expected + SPARE_JOINS :]:
-                reply = late.recv().ok
-                assert reply is not None
-                assert wire.welcomes.decode(reply.payload.to_bytes()).refused == "too many join requests at once; try again"
-            knocks = [hub.next_hello(10.0) for _ in range(expected + SPARE_JOINS)]
-            assert [knock and knock.hello.vehicles for knock in knocks] == [(f"car{n}",) for n in range(expected + SPARE_JOINS)]
-    finally:
-        hub.close()
+    hub = stack.enter_context(contextlib.closing(Hub(hosts=expected)))
+    session = stack.enter_context(client(hub.endpoint, {}, "cannot connect"))
+    replies = [greeted(session, number) for number in range(expected + 2 * SPARE_JOINS)]
+    for late in replies[expected + SPARE_JOINS :]:
+        assert refusal(late) == "too many join requests at once; try again"
+    knocks = [hub.next_hello(10.0) for _ in range(expected + SPARE_JOINS)]
+    assert [knock and knock.hello.vehicles for knock in knocks] == [(f"car{n}",) for n in range(expected + SPARE_JOINS)]
 
 
-def test_an_invalid_greeting_is_refused_and_the_next_host_accepted() -> None:
+def test_an_invalid_greeting_is_refused_and_the_next_host_accepted(stack: contextlib.ExitStack) -> None:
     """Without certificates, any program on this machine can send anything to the port."""
-    draw, honest = random.Random(2), wire.encode(wire.Hello("a" * 32, wire.PROTOCOL, ("car2",)))
+    draw, honest = random.Random(2), greeting(2)
     other = wire.encode(wire.Hello("../b/*", wire.PROTOCOL, ("car2",)))  # its name would form another key
-    hub = Hub()
-    try:
-        client = {"mode": "client", "listen": {"endpoints": []}, "connect": {"endpoints": [hub.endpoint]}}
-        with opened(client, {}, "cannot connect") as session:
-            for number in range(200):
-                nonsense = [draw.randbytes(draw.choice([0, 10, 5000])), honest[: draw.randrange(len(honest))], other][
-                    number % 3
-                ]
-                replies = session.get(key_names.join_key("anyone"), payload=nonsense, timeout=10.0)
-                assert hub.next_hello(10.0) is None
-                reply = replies.recv().ok
-                assert reply is not None
-                assert wire.welcomes.decode(reply.payload.to_bytes()).refused == "that is not the join request of a vcmvsp host"
-            replies = session.get(key_names.join_key("anyone"), payload=honest, timeout=10.0)
-            knock = hub.next_hello(10.0)
-            assert knock is not None
-            assert knock.hello.vehicles == ("car2",)
-            assert knock.answer(None) is not None
-            reply = replies.recv().ok
-            assert reply is not None
-            assert wire.welcomes.decode(reply.payload.to_bytes()).refused is None
-    finally:
-        hub.close()
+    hub = stack.enter_context(contextlib.closing(Hub()))
+    session = stack.enter_context(client(hub.endpoint, {}, "cannot connect"))
+    for number in range(200):
+        nonsense = draw.randbytes(draw.choice([0, 10, 5000])), honest[: draw.randrange(len(honest))], other
+        replies = greeted(session, nonsense[number % 3])
+        assert hub.next_hello(10.0) is None
+        assert refusal(replies) == "that is not the join request of a vcmvsp host"
+    replies = greeted(session, 2)
+    knock = hub.next_hello(10.0)
+    assert knock is not None
+    assert knock.hello.vehicles == ("car2",)
+    assert knock.answer(None) is not None
+    assert refusal(replies) is None

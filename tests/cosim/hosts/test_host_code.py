@@ -1,36 +1,36 @@
 """A host of agents executes only what its own command line names; other code named by the run is refused."""
 
-import json
 import shlex
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 import vcmvsp
-from tests.support.cosim.run_processes import Stage, exit_of, output_at_exit
+from tests.support.cosim.run_processes import Stage, exit_of, output_at_exit, staged
 from tests.support.cosim.teams import ELSEWHERE, FOLLOWER, LEADER, team
 
 pytestmark = [pytest.mark.processes, pytest.mark.sockets]
 
 SCENARIO = team("far", LEADER, FOLLOWER + ELSEWHERE, duration_s=1.0, join_timeout_s=60.0, deadline_s=30.0)
-ESTIMATOR = """
+CANARY = """
 import pathlib, sys
 if "agent" in sys.argv:  # in a host, not in the run
     pathlib.Path({canary!r}).touch()
+"""
+ESTIMATOR = (
+    CANARY
+    + """
 from vcmvsp.agents.formation.reports.prediction import Hold
 class Own(Hold):
     pass
 """
-AGENT = """
-import pathlib, sys
-if "agent" in sys.argv:  # in a host, not in the run
-    pathlib.Path({canary!r}).touch()
+)
+STRAIGHT = """
 from vcmvsp import Agent, Velocity
 class Straight(Agent):
     def act(self, obs, radio):
-        return Velocity(linear=(0.3, 0.0, 0.0))
+        return Velocity(linear=({speed}, 0.0, 0.0))
 """
 
 
@@ -42,20 +42,25 @@ class Place(Stage):
         self.canary, self.away = folder / "canary", folder / "away"
         self.away.mkdir()
         (folder / "est.py").write_text(ESTIMATOR.format(canary=str(self.canary)))
-        (folder / "straight.py").write_text(AGENT.format(canary=str(self.canary)))
+        (folder / "straight.py").write_text((CANARY + STRAIGHT).format(canary=str(self.canary), speed=0.3))
         (folder / "far.toml").write_text(SCENARIO)
 
     def run_with(self, *settings: str) -> None:
         sets = [word for each in settings for word in ("--set", each)]
-        self.run = self.start("run", "far.toml", "--listen", f"tcp/127.0.0.1:{self.port}", "--out", "out", *sets)
+        self.run = self.start("run", "far.toml", "--listen", self.endpoint, "--out", "out", *sets)
 
     def host(self, *words: str) -> tuple[int, str]:
         """Exit code and output of a host in the other folder."""
         self.folder, home = self.away, self.folder
         try:
-            return exit_of(self.start("agent", *words, "--vehicle", "car2", "--connect", f"tcp/127.0.0.1:{self.port}"))
+            return exit_of(self.start("agent", *words, "--vehicle", "car2", "--connect", self.endpoint))
         finally:
             self.folder = home
+
+    def drives(self, agent: str) -> None:
+        """Give car2 another agent."""
+        path = self.folder / "far.toml"
+        path.write_text(path.read_text().replace('kind = "leader_follower", leader = "car1"', f'kind = "{agent}"'))
 
     def printed(self) -> list[str]:
         """Words of the command that the run prints for its host."""
@@ -64,10 +69,7 @@ class Place(Stage):
         return shlex.split(line)[2:]
 
 
-@pytest.fixture
-def place(tmp_path: Path) -> Iterator[Place]:
-    with Place(tmp_path) as made:
-        yield made
+place = staged(Place)
 
 
 @pytest.mark.parametrize("arguments", [(), ("leader_follower",)], ids=["the scenario's class", "a class of its own"])
@@ -115,10 +117,7 @@ def test_a_folder_of_the_host_is_searched_by_file_name(place: Place) -> None:
 def test_the_printed_command_works_as_it_is(place: Place, setting: str) -> None:
     """On the same machine, from any folder, with the bytes of one process."""
     if "kind" in setting:
-        text = (
-            (place.folder / "far.toml").read_text().replace('kind = "leader_follower", leader = "car1"', 'kind = "trajectory"')
-        )
-        (place.folder / "far.toml").write_text(text)
+        place.drives("trajectory")
     place.run_with(setting)
     words = place.printed()
     place.folder, home = place.away, place.folder
@@ -127,40 +126,24 @@ def test_the_printed_command_works_as_it_is(place: Place, setting: str) -> None:
     assert [exit_of(host)[0], exit_of(place.run)[0]] == [0, 0]
     key, _, value = setting.partition("=")
     expected = vcmvsp.run(place.folder / "far.toml", set={key: value}, agents="inprocess", mcap=False).metrics["digest"]
-    assert json.loads((place.out / "metrics.json").read_text())["digest"] == expected
-
-
-HELPER = "SPEED = {speed}"
-DRIVER = """
-from helper import SPEED
-from vcmvsp import Agent, Velocity
-class Straight(Agent):
-    def act(self, obs, radio):
-        return Velocity(linear=(SPEED, 0.0, 0.0))
-"""
+    assert place.digest() == expected
 
 
 def test_other_source_code_than_the_runs_own_is_named_and_recorded(place: Place) -> None:
     """On stderr at once, in about.json, in the report and by a replay, which runs this machine's code; imported files count."""
-    text = (
-        (place.folder / "far.toml")
-        .read_text()
-        .replace('kind = "leader_follower", leader = "car1"', 'kind = "straight.py:Straight"')
-    )
-    (place.folder / "far.toml").write_text(text)
+    place.drives("straight.py:Straight")
     for folder, speed in ((place.folder, 0.3), (place.away, 0.5)):
-        (folder / "helper.py").write_text(HELPER.format(speed=speed))
-        (folder / "straight.py").write_text(DRIVER)
+        (folder / "helper.py").write_text(f"SPEED = {speed}")
+        (folder / "straight.py").write_text("from helper import SPEED\n" + STRAIGHT.format(speed="SPEED"))
     place.run_with()
     code, output = place.host("straight.py:Straight")
     assert code == 0, output
     output = output_at_exit(0, place.run)
     why = "helper.py differs"
     assert f"the code at the host of car2 differs from this machine's: {why}" in output
-    about = json.loads((place.out / "about.json").read_text())
-    assert about["unrepeatable"] == [f"the host of car2 ran different code: {why}"]
+    assert place.written("about.json")["unrepeatable"] == [f"the host of car2 ran different code: {why}"]
     assert why in (place.out / "report.html").read_text()
-    (place.out / "helper.py").write_text(HELPER.format(speed=0.3))
+    (place.out / "helper.py").write_text("SPEED = 0.3")
     output = output_at_exit(1, place.start("replay", "out", "--agents", "inprocess"))
     assert f"differs from out: the host of car2 ran different code: {why}" in output
 

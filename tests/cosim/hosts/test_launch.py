@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.run_processes import VCMVSP, Stage, exit_of, output_at_exit, wait_for
+from tests.support.cosim.run_processes import VCMVSP, Stage, exit_of, output_at_exit, staged, wait_for
 from tests.support.cosim.ssh_hosts import Machine, scripted_ssh, ssh_server
 from tests.support.cosim.teams import FOLLOWER, LEADER, team
 from vcmvsp.cosim.errors import VcmvspError
@@ -52,8 +52,6 @@ class Noted(Agent):
         return Velocity()
 """
 HOSTILE = "it's \"q\" $(touch hacked) `touch hacked`; touch hacked & \\ \\' !x\n~ end"
-HERE = f"[{', '.join(json.dumps(each) for each in VCMVSP)}]"
-PYTHON = json.dumps(sys.executable)
 
 
 class LaunchStage(Stage):
@@ -70,14 +68,9 @@ class LaunchStage(Stage):
     def launch(self, *more: str) -> subprocess.Popen[str]:
         arguments = ["launch", "far.toml", "--hosts", "hosts.toml", "--out", "out", *more]
         if not {"--listen", "--keys"} & {*more}:  # with keys, the hosts file contains the address at which the run listens
-            arguments += ["--listen", f"tcp/127.0.0.1:{self.port}"]
-        process = subprocess.Popen(
-            [*VCMVSP, *arguments],
-            stderr=subprocess.PIPE,
-            text=True,
-            cwd=self.folder,
-            env=os.environ | self.environment,
-        )
+            arguments += ["--listen", self.endpoint]
+        environment = os.environ | self.environment
+        process = subprocess.Popen([*VCMVSP, *arguments], stderr=subprocess.PIPE, text=True, cwd=self.folder, env=environment)
         self.processes.append(process)
         return process
 
@@ -85,10 +78,7 @@ class LaunchStage(Stage):
         return (self.out / "hosts" / f"{name}.log").read_text()
 
 
-@pytest.fixture
-def stage(tmp_path: Path) -> Iterator[LaunchStage]:
-    with LaunchStage(tmp_path) as made:
-        yield made
+stage = staged(LaunchStage)
 
 
 @pytest.fixture(params=["played", "sshd", "asyncssh"])
@@ -122,16 +112,23 @@ def table(machine: Machine, **more: Any) -> str:
     return "\n".join(["[[host]]", f"ssh = {json.dumps(machine.ssh)}", *lines, ""])
 
 
+BOTH: dict[str, Any] = {"name": "far", "vehicles": ["car2", "car3"]}
+
+
+def noting(pid_file: Path) -> tuple[str, ...]:
+    """A command that runs vcmvsp and writes its process id."""
+    return ("sh", "-c", 'echo $$ >"$0"; exec "$@"', str(pid_file), *VCMVSP)
+
+
 def test_hosts_of_this_machine_give_the_bytes_of_one_process(stage: LaunchStage) -> None:
     stage.hosts('[[host]]\nvehicles = ["car2"]\n[[host]]\nname = "two"\nvehicles = ["car3"]\nset = { k1 = 0.7 }\n')
     output = output_at_exit(0, stage.launch())
     assert "[two] joined; waiting for the run to begin" in output
     assert stage.log("two") == stage.log("car2") == "joined; waiting for the run to begin\nthe run is over\n"
     alone = vcmvsp.run(stage.folder / "far.toml", set={"vehicle.car3.agent.k1": 0.7}, agents="inprocess", mcap=False)
-    assert json.loads((stage.out / "metrics.json").read_text()) == alone.metrics
+    assert stage.written() == alone.metrics
     assert tomllib.loads((stage.out / "scenario.toml").read_text()) == tomllib.loads(alone.scenario)
-    about = json.loads((stage.out / "about.json").read_text())
-    assert about["agents"] == {"car1": "inprocess", "car2": "zenoh", "car3": "zenoh"}
+    assert stage.written("about.json")["agents"] == {"car1": "inprocess", "car2": "zenoh", "car3": "zenoh"}
 
 
 def test_a_host_on_another_machine_gets_its_keys_its_class_and_its_values_unharmed(
@@ -142,21 +139,13 @@ def test_a_host_on_another_machine_gets_its_keys_its_class_and_its_values_unharm
     (there / "noted.py").write_text(NOTED)
     assert vcmvsp_command("keys", "init", str(stage.folder / "keys")).code == 0
     endpoint = f"tls/127.0.0.1:{stage.port}"
-    command, parameters = tuple(VCMVSP), {"word": HOSTILE}
-    stage.hosts(
-        f'connect = "{endpoint}"\n'
-        + table(
-            machine,
-            name="far",
-            vehicles=["car2"],
-            agent="noted.py:Noted",
-            set=parameters,
-            folder=str(there),
-            command=command,
-            copy=True,
-        )
-        + table(machine, name="near", vehicles=["car3"], command=command, copy=True)
+    both: dict[str, Any] = {"command": tuple(VCMVSP), "copy": True}
+    noted = {"agent": "noted.py:Noted", "set": {"word": HOSTILE}, "folder": str(there)}
+    far, near = (
+        table(machine, name="far", vehicles=["car2"], **noted, **both),
+        table(machine, name="near", vehicles=["car3"], **both),
     )
+    stage.hosts(f'connect = "{endpoint}"\n{far}{near}')
     output_at_exit(0, stage.launch("--keys", "keys"))
     log = stage.log("far").splitlines()
     assert "far.keys 0o600 0o700" in log
@@ -165,7 +154,7 @@ def test_a_host_on_another_machine_gets_its_keys_its_class_and_its_values_unharm
     assert tomllib.loads((stage.out / "scenario.toml").read_text())["vehicle"][1]["agent"]["word"] == HOSTILE
     shutil.copy(there / "noted.py", stage.out)  # the run's machine did not have it
     again = vcmvsp.run(stage.out / "scenario.toml", agents="inprocess", mcap=False)
-    assert json.loads((stage.out / "metrics.json").read_text())["digest"] == again.metrics["digest"]
+    assert stage.digest() == again.metrics["digest"]
     if not machine.server:
         assert [each.name for each in (stage.folder / "far").iterdir()] == ["ssh-was-told"]  # no keys are left
         arguments = (stage.folder / "far" / "ssh-was-told").read_text().splitlines()
@@ -196,10 +185,9 @@ def test_a_tunnel_of_ssh_needs_neither_certificates_nor_an_open_port(stage: Laun
 )
 def test_no_host_outlives_its_run(stage: LaunchStage, machine: Machine, end: signal.Signals) -> None:
     pid = stage.folder / "pid"
-    command = ("sh", "-c", 'echo $$ >"$0"; exec "$@"', str(pid), *VCMVSP)
     assert vcmvsp_command("keys", "init", str(stage.folder / "keys")).code == 0
-    endpoint = f"tls/127.0.0.1:{stage.port}"
-    stage.hosts(f'connect = "{endpoint}"\n' + table(machine, vehicles=["car2", "car3"], command=command, copy=True, name="far"))
+    address = f'connect = "tls/127.0.0.1:{stage.port}"\n'
+    stage.hosts(address + table(machine, command=noting(pid), copy=True, **BOTH))
     launch = stage.launch("--keys", "keys", "--realtime", "--set", "duration_s=3600")
     wait_for(stage.out / "run.mcap")
     launch.send_signal(end)
@@ -218,9 +206,7 @@ def test_no_host_outlives_its_run(stage: LaunchStage, machine: Machine, end: sig
 @pytest.mark.parametrize("machine", ["sshd", "asyncssh"], indirect=True)
 def test_a_host_whose_connection_breaks_is_ended(stage: LaunchStage, machine: Machine) -> None:
     pid = stage.folder / "pid"
-    command = ("sh", "-c", 'echo $$ >"$0"; exec "$@"', str(pid), *VCMVSP)
-    connect = f"tcp/127.0.0.1:{stage.port}"
-    stage.hosts(table(machine, vehicles=["car2", "car3"], command=command, name="far", connect=connect))
+    stage.hosts(table(machine, command=noting(pid), connect=stage.endpoint, **BOTH))
     launch = stage.launch("--realtime", "--set", "duration_s=3600")
     wait_for(stage.out / "run.mcap")
     (client,) = (each for each in psutil.Process(launch.pid).children() if each.name() == "ssh")
@@ -245,17 +231,13 @@ def test_a_host_that_ignores_signals_is_ended_too(stage: LaunchStage) -> None:
 
 @pytest.mark.parametrize("machine", ["played"], indirect=True)  # ssh passes on the exit code of the command
 def test_a_host_that_cannot_start_ends_the_wait_with_its_cause(stage: LaunchStage, machine: Machine) -> None:
-    connect = f'connect = "tcp/127.0.0.1:{stage.port}"\n'
-    where = f"host far (ssh {machine.ssh})"
+    where, late = f"host far (ssh {machine.ssh})", ["sh", "-c", "echo one; echo it is late >&2; exit 9"]
     for more, why in (
         ({"command": "~/nowhere/vcmvsp"}, f"{where}: has no '~/nowhere/vcmvsp' (exit code 127; command = in its [[host]] says"),
         ({"folder": "/nowhere at all"}, f"{where}: ended with exit code 1 before the run began"),
-        (
-            {"command": ["sh", "-c", "echo one; echo it is late >&2; exit 9"]},
-            "exit code 9 before the run began: one | it is late",
-        ),
+        ({"command": late}, "exit code 9 before the run began: one | it is late"),
     ):
-        stage.hosts(connect + table(machine, name="far", vehicles=["car2", "car3"], **more))
+        stage.hosts(table(machine, connect=stage.endpoint, **BOTH, **more))
         output = output_at_exit(3, stage.launch())
         assert why in output
         assert "agent host of vehicles car2, car3: host far" in output
@@ -264,15 +246,14 @@ def test_a_host_that_cannot_start_ends_the_wait_with_its_cause(stage: LaunchStag
 
 @pytest.mark.needs("ssh")
 def test_a_machine_that_ssh_cannot_reach_ends_the_wait(stage: LaunchStage) -> None:
-    options = '["-F", "none", "-p", "1"]'
-    connect = f'connect = "tcp/127.0.0.1:{stage.port}"\n'
-    stage.hosts(f'{connect}[[host]]\nssh = "127.0.0.1"\nssh_options = {options}\nvehicles = ["car2", "car3"]\n')
+    unreachable = Machine("127.0.0.1", ("-F", "none", "-p", "1"), {}, None)
+    stage.hosts(table(unreachable, connect=stage.endpoint, vehicles=["car2", "car3"]))
     output = output_at_exit(3, stage.launch())
     assert "host 127-0-0-1 (ssh 127.0.0.1): ssh cannot connect, or lost the connection (exit code 255): ssh: " in output
 
 
 def test_a_host_that_is_killed_later_is_named(stage: LaunchStage) -> None:
-    command = f'["sh", "-c", "echo $$ >pid; exec \\"$0\\" \\"$@\\"", {HERE[1:]}'
+    command = toml_line(noting(stage.folder / "pid"))
     stage.hosts(f'[[host]]\nname = "far"\nvehicles = ["car2", "car3"]\ncommand = {command}\n')
     launch = stage.launch("--realtime", "--set", "duration_s=3600")
     wait_for(stage.out / "run.mcap")

@@ -1,6 +1,5 @@
 """A run without certificates is for programs of one user: other users can neither connect nor answer for a host."""
 
-import json
 import stat
 import subprocess
 import sys
@@ -16,7 +15,7 @@ from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.hosts import protocol
 from vcmvsp.cosim.hosts.host_client import dialling
 from vcmvsp.cosim.transport import access_control, endpoints
-from vcmvsp.cosim.transport.zenoh_session import opened
+from vcmvsp.cosim.transport.zenoh_session import client
 
 pytestmark = [pytest.mark.processes, pytest.mark.sockets]
 
@@ -24,22 +23,16 @@ pytestmark = [pytest.mark.processes, pytest.mark.sockets]
 class Place(Stage):
     """A run that listens without certificates, its host, and sessions that dial it."""
 
-    def __init__(self, folder: Path) -> None:
-        super().__init__(folder)
-        self.endpoint = f"tcp/127.0.0.1:{self.port}"
-
     def run(self, *more: str, duration: float = 1.0) -> "subprocess.Popen[str]":
-        (self.folder / "near.toml").write_text(
-            team("near", LEADER + ELSEWHERE, duration_s=duration, join_timeout_s=60.0, deadline_s=30.0)
-        )
+        scenario = team("near", LEADER + ELSEWHERE, duration_s=duration, join_timeout_s=60.0, deadline_s=30.0)
+        (self.folder / "near.toml").write_text(scenario)
         return self.start("run", "near.toml", "--listen", self.endpoint, "--out", "out", *more)
 
     def host(self, *more: str) -> "subprocess.Popen[str]":
         return self.start("agent", "--vehicle", "car1", "--connect", self.endpoint, *more)
 
     def session(self, secret: str | None) -> zenoh.Session:
-        own = {"mode": "client", "listen": {"endpoints": []}, "connect": {"endpoints": [self.endpoint], "timeout_ms": 0}}
-        return opened(own, access_control.client_secret(secret) if secret else {}, "no")
+        return client(self.endpoint, access_control.client_secret(secret) if secret else {}, "no")
 
 
 @pytest.fixture
@@ -89,13 +82,10 @@ def test_the_file_is_private_and_removed_with_the_run(place: Place, tmp_path: Pa
 
 
 FORGER = """
-import sys, time, zenoh
+import sys, time
 from vcmvsp.cosim.hosts import protocol
-from vcmvsp.cosim.hosts.host_client import dialling
-from vcmvsp.cosim.transport.zenoh_session import opened
-own = {"mode": "client", "listen": {"endpoints": []}, "connect": {"endpoints": [sys.argv[1]], "timeout_ms": 0}}
-with opened(own, dialling(sys.argv[1], None, None), "no") as session:
-    keys = []
+from vcmvsp.cosim.hosts.host_client import dial
+with dial(sys.argv[1], None, print) as session:
     def asked(sample):
         answer = str(sample.key_expr).removesuffix("ask") + "answer"
         (number, _), body = protocol.numbers.unpack_from(sample.payload.to_bytes()), b""
@@ -110,7 +100,7 @@ def test_an_answer_of_another_session_is_dropped_counted_and_named(place: Place)
     """Even if it has the secret; the run's bytes do not change."""
     first, host = place.run(duration=3.0), place.host()
     assert [exit_of(each)[0] for each in (first, host)] == [0, 0]
-    honest = json.loads((place.out / "metrics.json").read_text())["digest"]
+    honest = place.digest()
     run = place.run("--realtime", "--force", duration=3.0)
     assert run.stderr is not None
     next(line for line in run.stderr if "vcmvsp agent" in line)
@@ -123,9 +113,8 @@ def test_an_answer_of_another_session_is_dropped_counted_and_named(place: Place)
     assert exit_of(host)[0] == 0
     assert code == 0
     assert "another session answers in place of the host of car1" in output
-    about = json.loads((place.out / "about.json").read_text())
-    assert about["forged_answers"]["car1"] > 0
-    assert json.loads((place.out / "metrics.json").read_text())["digest"] == honest
+    assert place.written("about.json")["forged_answers"]["car1"] > 0
+    assert place.digest() == honest
 
 
 def test_a_seal_fits_only_its_key_and_answer() -> None:

@@ -168,7 +168,7 @@ class ByHand(Stage):
 
     def __init__(self, folder: Path, scenario: Path) -> None:
         super().__init__(folder)
-        self.endpoint, self._scenario = f"tcp/127.0.0.1:{self.port}", scenario
+        self._scenario = scenario
         self.open_to: list[str] = []  # --insecure: to all users
 
     def run(self, *settings: str, seconds: float = 3600.0) -> subprocess.Popen[str]:
@@ -187,8 +187,7 @@ class ByHand(Stage):
         """End a run by Ctrl-C: its output, the metrics of car2, and the records of `presences`."""
         run.send_signal(signal.SIGINT)
         output = output_at_exit(130, run)
-        metrics: dict[str, Any] = json.loads((self.out / "metrics.json").read_text())
-        return output, metrics["agents"]["car2"], presences(self.out)
+        return output, self.written()["agents"]["car2"], presences(self.out)
 
 
 @pytest.fixture
@@ -209,7 +208,7 @@ def test_another_host_may_take_the_place_of_one_that_was_killed(stage: ByHand) -
     assert metrics["reconnects"] == 1
     assert (metrics["late"], metrics["missed"] > 0) == (0, True)
     assert [each[2]["state"] for each in events] == ["lost", "back"]
-    (unrepeatable,) = json.loads((stage.out / "about.json").read_text())["unrepeatable"]
+    (unrepeatable,) = stage.written("about.json")["unrepeatable"]
     assert unrepeatable.startswith(f"the host of car2 was lost at {events[0][2]['since_ns'] / SECOND_NS:g} s: ")
     assert metrics["lost_s"] == pytest.approx((events[1][2]["since_ns"] - events[0][2]["since_ns"]) / SECOND_NS)
     assert metrics["missed"] == round(metrics["lost_s"] / 0.1)
@@ -279,11 +278,8 @@ def test_a_run_refuses_unusable_hosts(stage: ByHand) -> None:
     )
     output = output_at_exit(3, first)
     assert "the run: is gone: another run listens there now; start this host again" in output
-    older = (
-        "import sys; from vcmvsp.cosim.hosts import protocol as wire; import vcmvsp.agents.host_process as serve\n"
-        "serve.PROTOCOL = 1\n"
-        f"serve.host('{stage.endpoint}', ('car2',), insecure=True)"
-    )
+    older = "import vcmvsp.agents.host_process as serve; serve.PROTOCOL = 1\n"
+    older += f"serve.host('{stage.endpoint}', ('car2',), insecure=True)"
     process = subprocess.run([sys.executable, "-c", older], check=False, capture_output=True, text=True, timeout=500)
     refusal = f"speaks protocol {protocol.PROTOCOL}, the host 1: use the same vcmvsp version"
     assert refusal in process.stderr
@@ -355,7 +351,7 @@ def test_a_failed_agent_does_not_return_with_its_host(stage: ByHand) -> None:
     time.sleep(2.5)
     host.send_signal(signal.SIGCONT)
     assert [exit_of(each)[0] for each in (run, host)] == [0, 0]
-    metrics = json.loads((stage.out / "metrics.json").read_text())["agents"]["car2"]
+    metrics = stage.written()["agents"]["car2"]
     assert [each[2]["state"] for each in presences(stage.out)] == ["lost"]
     assert metrics["reconnects"] == 0
     assert metrics["missed"] - round(metrics["lost_s"] / 0.1) in (0, 1)  # the run may end at a tick

@@ -1,20 +1,20 @@
 """Hosts on other machines: with certificates, over an interrupted network, the same bytes as in one process."""
 
-import json
 import re
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.run_processes import Forwarder, Stage, exit_of, output_at_exit, wait_for
+from tests.support.cosim.run_processes import Forwarder, Stage, exit_of, output_at_exit, staged, wait_for
 from tests.support.cosim.teams import ELSEWHERE, FOLLOWER, HERE, LEADER, team
+from vcmvsp.cosim.security import authority
 
 pytestmark = [pytest.mark.processes, pytest.mark.sockets]
 
@@ -30,15 +30,10 @@ class Place(Stage):
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
-        assert vcmvsp_command("keys", "init", str(folder / "keys")).code == 0
+        authority.init(folder / "keys")
 
     def keys(self, *vehicles: str, as_: str) -> str:
-        out = self.folder / f"{as_}.keys"
-        outcome = vcmvsp_command(
-            "keys", "vehicle", *vehicles, "--keys", str(self.folder / "keys"), "--as", as_, "--out", str(out)
-        )
-        assert outcome.code == 0, outcome.err
-        return out.name
+        return authority.issue(self.folder / "keys", as_, vehicles, out=self.folder).path.name
 
     def run(self, duration: float, *more: str) -> subprocess.Popen[str]:
         (self.folder / "far.toml").write_text(far(duration))
@@ -52,14 +47,8 @@ class Place(Stage):
         settings = {"agents.latency_s": latency_s}
         return vcmvsp.run(self.folder / "far.toml", set=settings, agents="inprocess", mcap=False).metrics["digest"]
 
-    def digest(self) -> str:
-        return json.loads((self.out / "metrics.json").read_text())["digest"]
 
-
-@pytest.fixture
-def place(tmp_path: Path) -> Iterator[Place]:
-    with Place(tmp_path) as made:
-        yield made
+place = staged(Place)
 
 
 def test_two_machines_with_certificates_give_the_bytes_of_one_process(place: Place) -> None:
@@ -94,17 +83,9 @@ def test_a_certificate_is_valid_only_for_its_vehicles(place: Place) -> None:
     assert [exit_of(host)[0] for host in hosts] == [0, 0]
 
 
-def silent(wire: Forwarder) -> None:
-    wire.freeze(3.0)
-
-
-def broken(wire: Forwarder) -> None:
-    wire.reset(3.0)
-
-
-@pytest.mark.parametrize(("cut", "latency_s"), [(silent, 0.0), (broken, 0.0), (broken, 0.45)])
+@pytest.mark.parametrize(("cut", "latency_s"), [(Forwarder.freeze, 0.0), (Forwarder.reset, 0.0), (Forwarder.reset, 0.45)])
 def test_a_cut_that_heals_within_the_deadline_loses_nothing(
-    cut: Callable[[Forwarder], None], latency_s: float, place: Place
+    cut: Callable[[Forwarder, float], None], latency_s: float, place: Place
 ) -> None:
     """With a latency, several questions are open when the link breaks, and some may arrive out of order afterwards."""
     both = place.keys("car2", "car3", as_="both")
@@ -113,15 +94,14 @@ def test_a_cut_that_heals_within_the_deadline_loses_nothing(
     hosts = [place.host("car2", both, wire.port), place.host("car3", both, place.port)]
     wait_for(place.out / "run.mcap")
     time.sleep(1.0)
-    cutting = threading.Thread(target=cut, args=(wire,))
+    cutting = threading.Thread(target=cut, args=(wire, 3.0))
     cutting.start()
     ends = [exit_of(each) for each in (run, *hosts)]
     cutting.join()
     assert [code for code, _ in ends] == [0, 0, 0], ends
     wire.close()
     assert place.digest() == place.reference(latency_s)
-    late = json.loads((place.out / "about.json").read_text())["lateness"]
-    assert late["max_s"] > 1.5  # the cut had an effect
+    assert place.written("about.json")["lateness"]["max_s"] > 1.5  # the cut had an effect
 
 
 def test_remote_hosts_need_certificates(place: Place) -> None:

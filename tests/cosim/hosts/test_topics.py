@@ -23,14 +23,13 @@ from tests.support.paths import ROOT
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.hosts import protocol
 from vcmvsp.cosim.hosts.event_publisher import ECHO, Topics, stamp
-from vcmvsp.cosim.hosts.hub import QUEUES, Hub
+from vcmvsp.cosim.hosts.hub import Hub
 from vcmvsp.cosim.hosts.page_publisher import PagePublisher
 from vcmvsp.cosim.received import receptions_at
 from vcmvsp.cosim.recording import foxglove as messages
 from vcmvsp.cosim.security import authority, certificates
 from vcmvsp.cosim.security.certificates import Keys
-from vcmvsp.cosim.transport import access_control, key_names
-from vcmvsp.cosim.transport.zenoh_session import opened
+from vcmvsp.cosim.transport import access_control, key_names, zenoh_session
 from vcmvsp.cosim.types import (
     RECEPTIONS,
     Contact,
@@ -125,8 +124,12 @@ def topics(hub: Hub, stack: contextlib.ExitStack) -> Topics:
 
 
 def client(endpoint: str, secure: dict[str, Any] | None = None) -> zenoh.Session:
-    connect = {"endpoints": [endpoint], "timeout_ms": 0}
-    return opened({"mode": "client", "listen": {"endpoints": []}, "connect": connect}, secure or {}, "")
+    return zenoh_session.client(endpoint, secure or {}, "")
+
+
+@pytest.fixture
+def ear(hub: Hub, stack: contextlib.ExitStack) -> Subscriber:
+    return Subscriber(stack.enter_context(client(hub.endpoint)))
 
 
 def show(topics: Topics, key: str, value: Any, ear: Subscriber, until_heard: str = "") -> Any:
@@ -140,15 +143,14 @@ def show(topics: Topics, key: str, value: Any, ear: Subscriber, until_heard: str
         return (until_heard or key) in ear.values()
 
     until(heard)
-    return ear.values()[key]
+    return ear.values().get(key)
 
 
 # --- what is said ---
 
 
 @pytest.mark.parametrize("tag", VALUES)
-def test_a_value_is_the_recorded_json(hub: Hub, topics: Topics, stack: contextlib.ExitStack, tag: str) -> None:
-    ear = Subscriber(stack.enter_context(client(hub.endpoint)))
+def test_a_value_is_the_recorded_json(topics: Topics, ear: Subscriber, tag: str) -> None:
     value = show(topics, "car2/thing", VALUES[tag], ear)
     assert value == json.loads(msgspec.json.encode(VALUES[tag], enc_hook=messages.to_json))
     assert value["type"] == tag
@@ -156,21 +158,12 @@ def test_a_value_is_the_recorded_json(hub: Hub, topics: Topics, stack: contextli
 
 
 def test_each_reception_has_its_receivers_key(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
-    ear = Subscriber(stack.enter_context(client(hub.endpoint)))
     reception = Reception(message=MESSAGE, rssi_dbm=-60.0, sent_ns=1, received_ns=2)
-    event = Event(RECEPTIONS, 1, receptions_at("car2", [reception], ("car1", "car2")))
-
-    def shown() -> bool:
-        topics.on(event)
-        return "car2/heard" in ear.values()
-
-    until(shown)
-    assert ear.values()["car2/heard"] == json.loads(msgspec.json.encode(reception))
-    assert {key for key in ear.values() if key != "car2/heard"} == set()
+    show(topics, RECEPTIONS, receptions_at("car2", [reception], ("car1", "car2")), ear, until_heard="car2/heard")
+    assert ear.values() == {"car2/heard": json.loads(msgspec.json.encode(reception))}
 
 
-def test_states_have_a_common_key_and_one_each(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
-    ear = Subscriber(stack.enter_context(client(hub.endpoint)))
+def test_states_have_a_common_key_and_one_each(topics: Topics, ear: Subscriber) -> None:
     rng = np.random.default_rng(1)
     names, columns = ("car1", "car2"), {"position": 3, "velocity": 3, "attitude": 4, "angular_velocity": 3}
     states = States(names=names, **{name: rng.normal(size=(2, width)) for name, width in columns.items()})
@@ -185,8 +178,7 @@ def test_states_have_a_common_key_and_one_each(hub: Hub, topics: Topics, stack: 
     assert {message[1] for message in ear.received if message[0] == "car2/state"} == {"application/json;state"}
 
 
-def test_pictures_and_scans_can_be_decoded(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
-    ear = Subscriber(stack.enter_context(client(hub.endpoint)))
+def test_pictures_and_scans_can_be_decoded(topics: Topics, ear: Subscriber) -> None:
     pixels = np.random.default_rng(1).integers(0, 255, (3, 5, 3), np.uint8)
     depth = np.array([[1.5, np.inf, 2.0, 3.0, 4.0]] * 3, np.float32)
     value = show(topics, "uav1/camera", Image(pixels=pixels, time_ns=4, focal_px=80.0, depth_m=depth), ear)
@@ -199,9 +191,8 @@ def test_pictures_and_scans_can_be_decoded(hub: Hub, topics: Topics, stack: cont
     assert value["ranges"] == [0.5, None, None, float(np.float32(0.1))]
 
 
-def test_maps_mosaics_and_sightings_can_be_decoded(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
+def test_maps_mosaics_and_sightings_can_be_decoded(topics: Topics, ear: Subscriber) -> None:
     """Cells as bytes: lists of numbers would be four times as long."""
-    ear = Subscriber(stack.enter_context(client(hub.endpoint)))
     rng, place = np.random.default_rng(1), {"left": -3.0, "bottom": 4.5, "cell_m": 0.5}
     probability, seen = rng.integers(0, 255, (3, 5), np.uint8), rng.random((3, 5)) < 0.5
     pixels = rng.integers(0, 255, (3, 5, 3), np.uint8)
@@ -246,8 +237,7 @@ def test_without_subscribers_nothing_is_computed(hub: Hub, topics: Topics, stack
     assert worked == []
 
 
-def test_invalid_values_are_errors_and_end_nothing(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
-    ear = Subscriber(stack.enter_context(client(hub.endpoint)))
+def test_invalid_values_are_errors_and_end_nothing(topics: Topics, ear: Subscriber) -> None:
 
     def fails() -> Reading:
         raise RuntimeError("the lens is dirty")
@@ -378,21 +368,14 @@ with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as session:
 """
 
 
-def test_an_observer_that_hangs_blocks_no_others(stack: contextlib.ExitStack) -> None:
+def test_an_observer_that_hangs_blocks_no_others(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
     """Its link may be silent for ten minutes; 40 MB of pictures would fill every buffer on the way to it."""
-    session = opened(
-        {"mode": "router", "listen": {"endpoints": ["tcp/127.0.0.1:0"]}, "adminspace": {"enabled": True}}, QUEUES, ""
-    )
-    stack.callback(session.close)
-    (where,) = [json.loads(each.ok.payload.to_string()) for each in session.get(f"@/{session.zid()}/router") if each.ok]
-    topics = Topics(session, {})
-    hangs = subprocess.Popen(
-        [sys.executable, "-c", OBSERVER, where["locators"][0]], stdout=subprocess.PIPE, text=True, cwd=ROOT / "tests"
-    )
+    command = [sys.executable, "-c", OBSERVER, hub.endpoint]
+    hangs = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT / "tests")
     try:
         assert hangs.stdout is not None
         assert hangs.stdout.readline() == "up\n"
-        ear = Subscriber(stack.enter_context(client(where["locators"][0])), "vcmvsp/topic/car1/note")
+        ear = Subscriber(stack.enter_context(client(hub.endpoint)), "vcmvsp/topic/car1/note")
         image = Image(pixels=np.zeros((480, 640, 3), np.uint8))
         topics.on(Event("uav1/camera", 1, image))
         until(lambda: topics._has_subscribers["uav1/camera"])

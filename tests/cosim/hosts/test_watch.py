@@ -7,7 +7,6 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from mcap.reader import make_reader
 
 import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.run_processes import VCMVSP, Stage, exit_of, output_at_exit, read_until, wait_for
+from tests.support.cosim.run_processes import VCMVSP, Stage, exit_of, output_at_exit, read_until, staged, wait_for
 from tests.support.cosim.teams import FOLLOWER, LEADER, team
 from tests.support.cosim.view_pages import browser
 from tests.support.paths import ROOT
@@ -36,7 +35,6 @@ class WatchStage(Stage):
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
         (folder / "shown.toml").write_text(SCENARIO)
-        self.endpoint = f"tcp/127.0.0.1:{self.port}"
 
     def run(self, *more: str) -> subprocess.Popen[str]:
         return self.start("run", "shown.toml", "--listen", self.endpoint, "--out", "out", *more)
@@ -62,18 +60,12 @@ class WatchStage(Stage):
     def seen(self, name: str) -> list[dict[str, Any]]:
         return [json.loads(each) for each in (self.folder / name).read_text().splitlines()]
 
-    def digest(self) -> str:
-        return json.loads((self.out / "metrics.json").read_text())["digest"]
-
     def alone(self) -> str:
         """Digest of the run without observers."""
         return vcmvsp.run(self.folder / "shown.toml", mcap=False).metrics["digest"]
 
 
-@pytest.fixture
-def stage(tmp_path: Path) -> Iterator[WatchStage]:
-    with WatchStage(tmp_path) as made:
-        yield made
+stage = staged(WatchStage)
 
 
 def test_two_observers_see_the_recording_and_change_no_bit(stage: WatchStage) -> None:

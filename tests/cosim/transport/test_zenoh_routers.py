@@ -3,7 +3,6 @@
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 import zenoh
@@ -37,21 +36,17 @@ def configuration(run: int, listen: int) -> str:
     return text.replace("192.168.1.10:7447", f"127.0.0.1:{run}").replace("0.0.0.0:7448", f"127.0.0.1:{listen}")
 
 
-def digest_of(folder: Path) -> Any:
-    return json.loads((folder / "metrics.json").read_text())["digest"]
-
-
 def test_a_router_between_a_run_and_its_hosts_changes_no_bit(stage: Stage) -> None:
     beyond = stage.another_port()
     with zenoh.open(zenoh.Config.from_json5(configuration(stage.port, beyond))) as router:
-        run = stage.start("run", "far.toml", "--listen", f"tcp/127.0.0.1:{stage.port}", "--insecure", "--out", "out")
+        run = stage.start("run", "far.toml", "--listen", stage.endpoint, "--insecure", "--out", "out")
         dialled = f"tcp/127.0.0.1:{beyond}"
         hosts = [stage.start("agent", "--vehicle", name, "--connect", dialled, "--insecure") for name in HOSTED]
         output_at_exit(0, run)
         assert [exit_of(host)[0] for host in hosts] == [0, 0]
         assert not router.is_closed()
     alone = vcmvsp.run(stage.folder / "far.toml", agents="inprocess", mcap=False).metrics["digest"]
-    assert digest_of(stage.out) == alone
+    assert stage.digest() == alone
 
 
 def test_with_certificates_routers_are_refused(stage: Stage) -> None:

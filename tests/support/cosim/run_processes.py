@@ -1,14 +1,17 @@
 """Runs and hosts as processes in a folder, and a network between them that can be cut: a local TCP forwarder."""
 
 import contextlib
+import json
 import socket
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
+
+import pytest
 
 PROGRAM = ["-P", "-m", "vcmvsp.cosim.cli.app"]
 VCMVSP = [sys.executable, *PROGRAM]
@@ -33,6 +36,7 @@ class Stage:
         self.folder, self.out = folder, folder / "out"
         self._held = contextlib.ExitStack()
         self.port = self.another_port()
+        self.endpoint = f"tcp/127.0.0.1:{self.port}"
         self.processes: list[subprocess.Popen[str]] = []
 
     def __enter__(self) -> Self:
@@ -47,6 +51,13 @@ class Stage:
     def another_port(self) -> int:
         return self._held.enter_context(reserve_port())
 
+    def written(self, name: str = "metrics.json") -> Any:
+        """Content of a JSON file of the run."""
+        return json.loads((self.out / name).read_text())
+
+    def digest(self) -> str:
+        return self.written()["digest"]
+
     def start(self, *arguments: str, before: Sequence[str] = ()) -> subprocess.Popen[str]:
         """Start ``vcmvsp`` with these arguments; ``before`` is a prefix command, such as ``ip netns exec``."""
         return self.python(*PROGRAM, *arguments, before=before)
@@ -56,6 +67,17 @@ class Stage:
         process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=self.folder)
         self.processes.append(process)
         return process
+
+
+def staged(kind: Callable[[Path], Stage]) -> Any:
+    """A fixture that gives each test a stage of this kind, in the test's folder."""
+
+    @pytest.fixture
+    def stage(tmp_path: Path) -> Iterator[Stage]:
+        with kind(tmp_path) as made:
+            yield made
+
+    return stage
 
 
 def exit_of(process: subprocess.Popen[str]) -> tuple[int, str]:
