@@ -59,10 +59,6 @@ def test_it_is_built_without_warnings_or_external_resources(tmp_path: Path) -> N
     assert done.returncode == 0, done.stderr
     written = [path.read_text("utf-8") for path in (tmp_path / "site").rglob("*.html")]
     assert len(written) > len(PAGES)
-    loaded = [
-        each
-        for text in written
-        for each in re.findall(r'<(?:script|link|img|iframe)\b[^>]*(?:src|href)="(?:https?:)?//[^"]+', text)
-    ]
-    assert loaded == []
-    assert not any('class="mermaid"' in text for text in written)  # its script would be loaded from another machine
+    for text in written:
+        assert not re.findall(r'<(?:script|link|img|iframe)\b[^>]*(?:src|href)="(?:https?:)?//[^"]+', text)
+        assert 'class="mermaid"' not in text  # its script would be loaded from another machine

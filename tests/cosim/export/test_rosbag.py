@@ -1,9 +1,6 @@
 """An exported bag, read by independent readers, has the content of the recording."""
 
 import json
-import os
-import subprocess
-import sys
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -15,19 +12,19 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from tests.support.cosim import export_runs
-from tests.support.cosim.export_runs import topic_messages
+from tests.support.cosim.export_runs import rerun, topic_messages
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.export.formats import export
 from vcmvsp.cosim.export.rosbag import write_bag
 from vcmvsp.cosim.frames import product
 from vcmvsp.cosim.recording import recorded_run
+from vcmvsp.cosim.recording.ros_messages import nanoseconds as ns
 from vcmvsp.cosim.recording.ros_messages import pinhole, ros_name
 from vcmvsp.cosim.types import Image
 from vcmvsp.cosim.util import limits
 
 pytestmark = pytest.mark.processes
 
-RERUN = Path(sys.executable).with_name("rerun")
 RUNS = ("lab-patrol", "recon-team", "a crossing cart", "a tag and late sensors")
 
 
@@ -44,10 +41,6 @@ def read(bag: Path) -> dict[str, list[tuple[int, Any]]]:
         for connection, time_ns, data in reader.messages():
             found.setdefault(connection.topic, []).append((time_ns, reader.deserialize(data, connection.msgtype)))
     return found
-
-
-def ns(stamp: Any) -> int:
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
 def test_poses_and_transforms_are_true_and_twists_in_body_axes(bags: dict[str, Path]) -> None:
@@ -75,20 +68,16 @@ def test_readings_arrive_as_they_were_recorded(bags: dict[str, Path]) -> None:
     (time_ns, scan), (_, original) = bag["/ugv1/scan"][3], topic_messages("lab-patrol", "ugv1/scan")[3]
     ranges = [np.inf if each is None else each for each in original["ranges"]]
     np.testing.assert_array_equal(scan.ranges, np.array(ranges, np.float32))
-    assert (ns(scan.header.stamp), scan.header.frame_id, scan.angle_min) == (
-        time_ns,
-        "ugv1",
-        np.float32(original["start_angle"]),
-    )
+    assert (ns(scan.header.stamp), scan.header.frame_id) == (time_ns, "ugv1")
+    assert scan.angle_min == np.float32(original["start_angle"])
     assert scan.angle_min + (len(ranges) - 1) * scan.angle_increment == pytest.approx(original["end_angle"])
     assert np.isfinite(scan.range_max)
     assert scan.range_max >= np.max(scan.ranges[np.isfinite(scan.ranges)])
     for (_, command), (_, original) in zip(bag["/ugv1/command"], topic_messages("lab-patrol", "ugv1/command"), strict=True):
         assert (command.twist.linear.x, command.twist.angular.z) == (original["linear"][0], original["yaw_rate"])
     for topic in ("ugv3/bumper", "radio/frame", "ugv3/send"):
-        assert [json.loads(message.data) for _, message in bag[f"/{topic}"]] == [
-            m for _, m in topic_messages("lab-patrol", topic)
-        ]
+        messages = [(time_ns, json.loads(message.data)) for time_ns, message in bag[f"/{topic}"]]
+        assert messages == topic_messages("lab-patrol", topic)
     ((_, line),) = bag["/rosout"]
     assert (line.level, line.msg) == (20, "the run is complete")
 
@@ -99,9 +88,8 @@ def test_pictures_are_the_same_pixels_and_come_with_their_cameras(bags: dict[str
     values = recorded_run.Values()
     expected = [values.of(original) for original in pictures if original.topic == "uav2/camera"]
     assert len(expected) > 1
-    for (_, image), (_, info), original in zip(
-        bag["/uav2/camera/image_raw"], bag["/uav2/camera/camera_info"], expected, strict=True
-    ):
+    images, infos = bag["/uav2/camera/image_raw"], bag["/uav2/camera/camera_info"]
+    for (_, image), (_, info), original in zip(images, infos, expected, strict=True):
         np.testing.assert_array_equal(image.data.reshape(image.height, image.width, 3), original.pixels)
         assert (image.encoding, image.header) == ("rgb8", info.header)
         assert (info.width, info.height) == (image.width, image.height)
@@ -158,9 +146,8 @@ def test_other_readers_agree(bags: dict[str, Path], name: str) -> None:
     topics = read(bags[name])
     read_counts: Counter[str] = Counter()
     with path.open("rb") as stream:
-        for _, channel, message, decoded in make_reader(
-            stream, validate_crcs=True, decoder_factories=[DecoderFactory()]
-        ).iter_decoded_messages():
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        for _, channel, message, decoded in reader.iter_decoded_messages():
             time_ns, expected = topics[channel.topic][read_counts[channel.topic]]
             read_counts[channel.topic] += 1
             assert message.log_time == time_ns
@@ -170,13 +157,6 @@ def test_other_readers_agree(bags: dict[str, Path], name: str) -> None:
 
 
 def test_rerun_understands_pictures_cameras_maps_and_transforms(bags: dict[str, Path], tmp_path: Path) -> None:
-    environment = {**os.environ, "DO_NOT_TRACK": "1", "RERUN_ANALYTICS": "0"}
-
-    def rerun(*arguments: str) -> str:
-        process = subprocess.run([str(RERUN), *arguments], capture_output=True, text=True, env=environment, check=False)
-        assert process.returncode == 0, process.stderr
-        return process.stdout
-
     path, converted = bags["recon-team"] / "recon_team.mcap", tmp_path / "run.rrd"
     rows = [line for line in rerun("mcap", "check", "--full", str(path)).splitlines() if line.startswith(("warn", "err"))]
     assert rows == []
@@ -188,20 +168,13 @@ def test_rerun_understands_pictures_cameras_maps_and_transforms(bags: dict[str, 
 
 def test_names_equal_in_ros_are_refused(tmp_path: Path) -> None:
     assert (ros_name("car-1/state"), ros_name("/tf"), ros_name("2nd/scan")) == ("/car_1/state", "/tf", "/_2nd/scan")
-    twin = _Twins(export_runs.run_of("a crossing cart"))
+    twins = recorded_run.Source(export_runs.run_of("a crossing cart"), lambda _: None)
+    twins.vehicles = ("car-1", "car_1")  # names that differ only in a hyphen
     with pytest.raises(UsageError, match=r"car-1/state/path and car_1/state/path would both become .* /car_1/state/path"):
-        write_bag(twin, tmp_path / "bag")
+        write_bag(twins, tmp_path / "bag")
 
 
 def test_a_bag_of_too_many_topics_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(limits, "TOPICS", 3)
     with pytest.raises(UsageError, match="--rosbag2: topics: 4 exceeds the limit of 3"):
         write_bag(recorded_run.Source(export_runs.run_of("a crossing cart"), lambda _: None), tmp_path / "bag")
-
-
-class _Twins(recorded_run.Source):
-    """A recording of two vehicles whose names differ only in a hyphen."""
-
-    def __init__(self, folder: Path) -> None:
-        super().__init__(folder, lambda _: None)
-        self.vehicles = ("car-1", "car_1")

@@ -72,25 +72,23 @@ def host_answers(
     return answers, [inbox.get() for _ in range(inbox.qsize())]
 
 
-def test_the_last_answer_is_repeated_until_the_farewell() -> None:
-    end, unread = Question(2, 2, b"end"), Question(3, 3, b"more")
-    answers, left = host_answers(Question(1, 1, b"act"), end, end, end, Question(protocol.FAREWELL, 3), unread)
-    assert answers == [protocol.number.pack(1) + b"to act", *[protocol.number.pack(2) + b"to end"] * 3]
-    assert left == [unread]
+END, FAREWELL = Question(1, 1, b"end"), Question(protocol.FAREWELL, 2)
+UNREAD = Question(2, 2, b"more")
 
 
-def test_a_farewell_before_the_end_is_ignored() -> None:
-    answers, left = host_answers(Question(protocol.FAREWELL, 2), Question(1, 1, b"end"), Question(protocol.FAREWELL, 2))
-    assert (answers, left) == ([protocol.number.pack(1) + b"to end"], [])
-
-
-def test_without_further_messages_a_host_leaves() -> None:
-    assert host_answers(Question(1, 1, b"end"), patience_s=0.01) == ([protocol.number.pack(1) + b"to end"], [])
-
-
-def test_after_the_last_answer_another_run_at_its_address_is_no_error() -> None:
-    answers, left = host_answers(Question(1, 1, b"end"), False, True, patience_s=0.01, hubs="ab")
-    assert (answers, left) == ([protocol.number.pack(1) + b"to end"], [])
+@pytest.mark.parametrize(
+    ("questions", "count", "more"),
+    [
+        pytest.param([END, END, END, FAREWELL, UNREAD], 3, {}, id="repeated until the farewell"),
+        pytest.param([FAREWELL, END, FAREWELL, UNREAD], 1, {}, id="a farewell before the end is ignored"),
+        pytest.param([END], 1, {"patience_s": 0.01}, id="without further messages it leaves"),
+        pytest.param([END, False, True], 1, {"patience_s": 0.01, "hubs": "ab"}, id="another run at its address is no error"),
+    ],
+)
+def test_the_last_answer_of_a_host(questions: list[Question | bool], count: int, more: dict[str, Any]) -> None:
+    answers, left = host_answers(*questions, **more)
+    assert answers == [protocol.number.pack(1) + b"to end"] * count
+    assert left == [each for each in questions if each is UNREAD]
 
 
 def test_a_last_answer_lost_with_the_link_is_repeated_after_it(

@@ -12,12 +12,9 @@ import pytest
 
 import vcmvsp
 from tests.support.cosim.run_processes import VCMVSP
-from vcmvsp.agents.federate import AgentHost
-from vcmvsp.cosim.agent import Agent, AgentSpec, Observation, Radio, VehicleInfo
+from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.errors import AgentError
-from vcmvsp.cosim.federate import Event, RunInfo
-from vcmvsp.cosim.received import receptions_at
-from vcmvsp.cosim.types import RECEPTIONS, Follows, Message, Reception, VehicleState, Velocity
+from vcmvsp.cosim.types import Follows, Velocity
 
 pytestmark = pytest.mark.processes
 
@@ -215,14 +212,12 @@ def test_an_agent_that_changes_a_received_message_changes_no_others(body: Any) -
                             value.clear()
                     own.clear()
 
-    common: dict[str, Any] = {"kind": "changing", "folder": "", "params": {}, "defaults": {}, "period_s": 0.1, "latency_s": 0.0}
-    specs = [AgentSpec(vehicle=name, source="a.toml", **common) for name in ("car1", "car2")]
-    host = AgentHost("agents", specs, {spec.vehicle: Changing() for spec in specs})
-    host.start(RunInfo(scenario="a", seed=1, duration_ns=10**9, vehicles=("car1", "car2", "car3")))
-    message = Message(sender="car3", body=copy.deepcopy(body), size_bytes=9)
-    reception = Reception(message=message, rssi_dbm=-50.0, sent_ns=0, received_ns=0)
-    states = [Event(f"{spec.vehicle}/estimate", 0, VehicleState(position=(0.0, 0.0, 0.0))) for spec in specs]
-    names = ("car1", "car2", "car3")
-    host.step(0, [*states, *(Event(RECEPTIONS, 0, receptions_at(spec.vehicle, [reception], names)) for spec in specs)])
+    class Sending(Agent):
+        def act(self, obs: Observation, radio: Radio) -> None:
+            if obs.time_ns == 0:
+                radio.send(copy.deepcopy(body))
+
+    scenario = {**alone(), "radio": {"preset": "ideal"}}
+    scenario["vehicle"].append({"name": "car3", "kind": "kinematic"})
+    vcmvsp.run(scenario, agents={"car1": Changing(), "car2": Changing(), "car3": Sending()})
     assert bodies == [body, body]
-    assert message.body == body

@@ -157,7 +157,7 @@ def test_a_value_is_the_recorded_json(topics: Topics, ear: Subscriber, tag: str)
     assert ear.received[0][:3] == ("car2/thing", f"application/json;{tag}", 12)
 
 
-def test_each_reception_has_its_receivers_key(hub: Hub, topics: Topics, stack: contextlib.ExitStack) -> None:
+def test_each_reception_has_its_receivers_key(topics: Topics, ear: Subscriber) -> None:
     reception = Reception(message=MESSAGE, rssi_dbm=-60.0, sent_ns=1, received_ns=2)
     show(topics, RECEPTIONS, receptions_at("car2", [reception], ("car1", "car2")), ear, until_heard="car2/heard")
     assert ear.values() == {"car2/heard": json.loads(msgspec.json.encode(reception))}

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.cosim.recordings import TENTH, follows, note, recorder_after, states
+from tests.support.cosim.recordings import TENTH, follows, metrics_after, note, states
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.types import Follows
@@ -39,7 +39,7 @@ def changes(
     window: tuple[float, float | None] = (0.0, None),
 ) -> dict[str, Any]:
     """Metrics of these notes in a run of 10 s."""
-    formation = recorder_after("abc", [*team, *row(off or {}), *notes], 10 * SECOND_NS).metrics(window=window)["formation"]
+    formation = metrics_after("abc", [*team, *row(off or {}), *notes], 10 * SECOND_NS, window)["formation"]
     each = {name: {key: own[key] for key in KEYS} for name, own in formation["per_follower"].items()}
     return {**{key: formation[key] for key in KEYS}, **each}
 
@@ -138,7 +138,7 @@ def two_teams(*lanes: tuple[str, int, str], chain: bool = False) -> list[float |
         xs = {"a": 0.0, "b": b, "c": 0.0, "d": d, "e": (d if chain else -1.0) - 1.0 - (0.0 if chain else 0.3 * (k < 80))}
         events.append(states(at(k), {name: (x, 5.0 * (name in "cde"), 0.0) for name, x in xs.items()}))
     notes = [note(name, at(k), lane=state) for name, k, state in lanes]
-    formation = recorder_after("abcde", [*events, *notes], 10 * SECOND_NS).metrics(window=(0.0, None))["formation"]
+    formation = metrics_after("abcde", [*events, *notes], 10 * SECOND_NS)["formation"]
     return [formation["reformed_s"], *(formation["per_follower"][name]["reformed_s"] for name in "bde")]
 
 

@@ -9,14 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.cosim.recordings import TENTH, recorder_after, velocity
+from tests.support.cosim.recordings import TENTH, metrics_after, velocity
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.types import Waypoint
 
 
 def control_of(names: str, events: list[Event], seconds: float, window: tuple[float, float | None] = (0.0, None)) -> Any:
-    return recorder_after(names, events, round(seconds * SECOND_NS)).metrics(window=window)["control"]
+    return metrics_after(names, events, round(seconds * SECOND_NS), window)["control"]
 
 
 def test_metrics_of_one_constant_command() -> None:

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.cosim.recordings import TENTH, follows, recorder_after, states
+from tests.support.cosim.recordings import TENTH, follows, metrics_after, states
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.metrics.formation import misfit_squared
@@ -25,7 +25,7 @@ TREE = [("b", "a"), ("c", "a"), ("d", "c")]
 
 def formation_of(names: str, events: Sequence[Event], window: tuple[float, float | None] = (0.0, None)) -> dict[str, Any]:
     end_ns = max(event.time_ns for event in events)
-    result = recorder_after(names, events, end_ns).metrics(window=window)
+    result = metrics_after(names, events, end_ns, window)
     json.dumps(result, allow_nan=False)
     return result["formation"]
 

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from tests.support.cosim.recordings import TENTH, Pose, follows, frame, recorder_after, states
+from tests.support.cosim.recordings import TENTH, Pose, follows, frame, metrics_after, recorder_after, states
 from vcmvsp.cosim import types
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import ScenarioError
@@ -67,7 +67,7 @@ def displaced_follower(offsets: Sequence[float], ell: float = 0.3) -> list[Event
 
 def test_window_counts_both_ends_and_final_and_settling_the_whole_run() -> None:
     offsets = [1.0, 0.8, 0.04, 0.06, 0.03, 0.01, 0.02]
-    formation = recorder_after("ab", displaced_follower(offsets), SECOND_NS * 6 // 10).metrics(window=(0.1, 0.3))["formation"]
+    formation = metrics_after("ab", displaced_follower(offsets), SECOND_NS * 6 // 10, (0.1, 0.3))["formation"]
     assert formation["max_m"] == pytest.approx(0.8)
     assert formation["mean_m"] == pytest.approx((0.8 + 0.04 + 0.06) / 3)
     assert formation["rms_m"] == pytest.approx(math.sqrt((0.8**2 + 0.04**2 + 0.06**2) / 3))
@@ -77,17 +77,14 @@ def test_window_counts_both_ends_and_final_and_settling_the_whole_run() -> None:
 
 
 def test_a_follower_that_ends_away_from_its_place_never_settles() -> None:
-    formation = recorder_after("ab", displaced_follower([0.01, 0.01, 0.06]), SECOND_NS // 5).metrics(window=(0.0, None))[
-        "formation"
-    ]
+    formation = metrics_after("ab", displaced_follower([0.01, 0.01, 0.06]), SECOND_NS // 5)["formation"]
     assert formation["settling_s"] is None
 
 
 def test_summary_is_over_all_followers_and_final_is_the_worst_of_them() -> None:
-    events = displaced_follower([0.3, 0.4])
     poses = {"a": (0.0, 0.0, 0.0), "b": (-1.0, 0.3, 0.0), "c": (-2.0, 0.4, 0.0)}
     events = [follows("b", "a", (-1.0, 0.0), 0.5), follows("c", "b", (-1.0, 0.0), 0.5), states(0, poses), states(10**8, poses)]
-    formation = recorder_after("abc", events, 10**8).metrics(window=(0.0, None))["formation"]
+    formation = metrics_after("abc", events, 10**8)["formation"]
     assert formation["per_follower"]["b"]["rms_m"] == pytest.approx(0.3)
     assert formation["per_follower"]["c"]["rms_m"] == pytest.approx(0.1)
     assert formation["rms_m"] == pytest.approx(math.sqrt((0.3**2 + 0.1**2) / 2))
@@ -99,7 +96,7 @@ def test_a_new_slot_counts_from_its_own_time() -> None:
     events = [states(TENTH.at(k), poses) for k in range(4)]
     places = [("b", "a", (-1.0, 0.0)), ("b", "c", (-1.0, -5.0)), ("c", "a", (0.0, 4.0))]
     events += [follows(name, leader, slot, 0.2, k * 10**8) for k, (name, leader, slot) in enumerate(places, start=1)]
-    formation = recorder_after("abc", events, 3 * 10**8).metrics(window=(0.0, None))["formation"]
+    formation = metrics_after("abc", events, 3 * 10**8)["formation"]
     assert formation["per_follower"]["b"]["max_m"] == pytest.approx(0.0, abs=1e-12)
     assert formation["per_follower"]["c"]["mean_m"] == pytest.approx(1.0)
 
@@ -110,7 +107,7 @@ def test_following_a_vehicle_that_does_not_exist_is_refused() -> None:
 
 
 def test_without_followers_radio_or_a_second_vehicle_values_are_null() -> None:
-    result = recorder_after("a", [states(0, {"a": (1.0, 2.0, 3.0)})], SECOND_NS).metrics(window=(20.0, None))
+    result = metrics_after("a", [states(0, {"a": (1.0, 2.0, 3.0)})], SECOND_NS, (20.0, None))
     lengths = ("rms_m", "max_m", "final_m")
     link = dict.fromkeys((*lengths, "mean_m", "settling_s", "overshoot", "convergence_1_s", "hop_gain"))
     changes = {"shape_changes": 0, "mode_toggles": None, "avoid_s": None, "reformed_s": None}
@@ -134,7 +131,7 @@ def test_without_followers_radio_or_a_second_vehicle_values_are_null() -> None:
 def test_radio_counts_and_delays() -> None:
     ms = 1_000_000
     events = [frame(0, "a", 0, {"b": 10 * ms, "c": None}), frame(1, "b", 5 * ms, {"a": 35 * ms, "c": 25 * ms})]
-    radio = recorder_after("abc", events, SECOND_NS).metrics(window=(0.0, None))["radio"]
+    radio = metrics_after("abc", events, SECOND_NS)["radio"]
     assert (radio["frames"], radio["receptions"], radio["delivery_ratio"]) == (2, 3, 0.75)
     assert radio["losses"] == {"random loss": 1}
     assert radio["delay_s"]["p50"] == pytest.approx(0.020)
@@ -190,7 +187,7 @@ def some_run() -> list[Event]:
 
 
 def digest_of(events: list[Event]) -> str:
-    return str(recorder_after("ab", events, 10**8).metrics(window=(0.0, None))["digest"])
+    return str(metrics_after("ab", events, 10**8)["digest"])
 
 
 def changed_values(value: Any) -> list[Any]:
@@ -265,8 +262,8 @@ def test_digest_depends_on_key_time_and_order_and_on_nothing_else() -> None:
 )
 def test_digest_counts_every_kind_of_event_with_its_time(value: Any) -> None:
     *before, last = some_run()
-    runs = [[*before, last], *([*before, Event("a/x", time_ns, value), last] for time_ns in (1, 2))]
-    assert len({digest_of(run) for run in runs}) == 3
+    runs = [some_run(), *([*before, Event("a/x", time_ns, value), last] for time_ns in (1, 2))]
+    assert len(set(map(digest_of, runs))) == 3
 
 
 def test_digest_ignores_the_size_of_hashed_blocks(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 import vcmvsp
-from tests.support.cosim.recordings import TENTH, recorder_after, states
+from tests.support.cosim.recordings import TENTH, metrics_after, states
 from vcmvsp import Agent, Observation, Radio, Velocity
 from vcmvsp.cosim.assembly.worlds import world_of
 from vcmvsp.cosim.clock import SECOND_NS
@@ -51,9 +51,7 @@ def test_clearance_is_of_all_vehicles_and_the_whole_run() -> None:
 def test_a_recorder_without_a_world_has_no_clearance() -> None:
     events = [states(TENTH.at(k), {"a": (0.1 * k, 0.0, 0.0)}) for k in range(11)]
     world, _ = world_of("pillar", {})
-    of_world, of_none = (
-        recorder_after("a", events, SECOND_NS, world=each).metrics(window=(0.0, None)) for each in (world, None)
-    )
+    of_world, of_none = (metrics_after("a", events, SECOND_NS, world=each) for each in (world, None))
     assert of_world["safety"]["min_clearance_m"] == pytest.approx(3.5)
     assert of_none["safety"]["min_clearance_m"] is None
     assert of_world["digest"] == of_none["digest"]

@@ -44,19 +44,13 @@ def events(seconds: float = 1.0) -> Iterator[Event]:
     """Two vehicles on a straight line, with one event of every kind at every tick of 20 Hz."""
     for k in range(round(seconds * 20) + 1):
         t, x = k * SECOND_NS // 20, 0.3 * k / 20
-        position, velocity = (
-            frozen([(x, 0.0, 0.0), (x - 1.0 - 0.5 * math.exp(-x), 0.5, 0.0)]),
-            frozen([(0.3, 0.0, 0.0)] * 2),
-        )
+        position = frozen([(x, 0.0, 0.0), (x - 1.0 - 0.5 * math.exp(-x), 0.5, 0.0)])
+        velocity = frozen([(0.3, 0.0, 0.0)] * 2)
         attitude, rates = frozen([quaternion_from_yaw(0.1)] * 2), frozen([(0.0, 0.0, 0.01)] * 2)
         for name, row in zip(NAMES, position.tolist(), strict=True):
             believed = (row[0], row[1] + (0.02 if name == "car2" else 0.0), row[2])
-            attitude_, rate = quaternion_from_yaw(0.1), (0.0, 0.0, 0.01)
-            yield Event(
-                f"{name}/estimate",
-                t,
-                types.VehicleState(position=believed, velocity=(0.3, 0.0, 0.0), attitude=attitude_, angular_velocity=rate),
-            )
+            turn: dict[str, Any] = {"attitude": quaternion_from_yaw(0.1), "angular_velocity": (0.0, 0.0, 0.01)}
+            yield Event(f"{name}/estimate", t, types.VehicleState(position=believed, velocity=(0.3, 0.0, 0.0), **turn))
             yield Event(f"{name}/odometry", t, types.Odometry(pose=(x, 0.0, 0.1), v=0.3, w=0.01))
             yield Event(f"{name}/fix", t, types.Fix(time_ns=t, position=believed, yaw=0.1, sigma_m=0.15, sigma_rad=0.05))
         truth = types.States(names=NAMES, position=position, velocity=velocity, attitude=attitude, angular_velocity=rates)
@@ -101,11 +95,15 @@ def closed_recorder(mcap: BinaryIO | None, seconds: float = 1.0) -> Recorder:
 
 @pytest.fixture(scope="module")
 def recording() -> dict[str, list[tuple[int, Any, Any, str]]]:
-    """Time, message, schema and schema name of every message, by topic."""
     stream = io.BytesIO()
     closed_recorder(stream)
+    return json_recording(stream.getvalue())
+
+
+def json_recording(content: bytes) -> dict[str, list[tuple[int, Any, Any, str]]]:
+    """Time, message, schema and schema name of every message, by topic."""
     found: dict[str, list[tuple[int, Any, Any, str]]] = {}
-    for schema, channel, message in make_reader(io.BytesIO(stream.getvalue()), validate_crcs=True).iter_messages():
+    for schema, channel, message in make_reader(io.BytesIO(content), validate_crcs=True).iter_messages():
         assert schema is not None
         assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
         assert message.publish_time == message.log_time
@@ -142,10 +140,8 @@ def test_every_topic_has_its_schema(recording: dict[str, Any]) -> None:
 
 def check(value: Any, schema: dict[str, Any]) -> None:
     """Check types and required fields, as a reader of simple JSON Schemas does."""
-    kind: Any = {"object": dict, "array": list, "string": str, "boolean": bool, "integer": int, "number": (int, float)}[
-        schema["type"]
-    ]
-    assert isinstance(value, kind), (value, schema)
+    kinds: Any = {"object": dict, "array": list, "string": str, "boolean": bool, "integer": int, "number": (int, float)}
+    assert isinstance(value, kinds[schema["type"]]), (value, schema)
     if schema["type"] == "object":
         assert set(schema["required"]) <= set(value)
         for name, part in schema["properties"].items():
@@ -255,10 +251,9 @@ def test_equal_runs_leave_equal_bytes_and_no_library_version(tmp_path: Path) -> 
         folder.mkdir()
         recorder = closed_recorder(stream)
         recorder.write_tables(folder)
-        save_png(run_plots.trajectory(recorder.states, recorder.follows), folder / "t.png")
-        save_png(
-            run_plots.formation_error(recorder.states, recorder.radio, recorder.follows, window=(0.5, None)), folder / "e.png"
-        )
+        states, placed = recorder.states, recorder.follows
+        save_png(run_plots.trajectory(states, placed), folder / "t.png")
+        save_png(run_plots.formation_error(states, recorder.radio, placed, window=(0.5, None)), folder / "e.png")
         files = {path.name: path.read_bytes() for path in folder.iterdir()}
         runs.append({**files, "run.mcap": stream.getvalue(), "metrics": recorder.metrics(window=(0.0, None))})
     assert runs[0] == runs[1]

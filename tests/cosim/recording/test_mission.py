@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mcap.reader import make_reader
 
-from tests.cosim.recording.test_files import check
+from tests.cosim.recording.test_files import check, json_recording
 from tests.support.cosim.reconnaissance_recording import CELL_M, CELLS, TARGETS, events, reconnaissance_recorder
 from tests.support.cosim.recordings import note, states
 from tests.support.cosim.recordings import recorder_after as plainly
@@ -43,12 +42,8 @@ def run() -> Any:
 @pytest.fixture(scope="module")
 def topics(run: Any) -> dict[str, list[tuple[int, Any, Any]]]:
     """Time, message and schema of each message, by topic."""
-    found: dict[str, list[tuple[int, Any, Any]]] = {}
-    for schema, channel, message in make_reader(io.BytesIO(run[1].getvalue()), validate_crcs=True).iter_messages():
-        assert schema is not None
-        row = message.log_time, json.loads(message.data), json.loads(schema.data)
-        found.setdefault(channel.topic, []).append(row)
-    return found
+    recording = json_recording(run[1].getvalue())
+    return {topic: [row[:3] for row in rows] for topic, rows in recording.items()}
 
 
 def shown_by(kind: type, vehicle: str) -> list[Any]:
@@ -372,11 +367,9 @@ def test_a_long_recording_keeps_some_pictures() -> None:
         assert parts == sorted(set(parts)) == list(range(10))
         with_target = {log.part(time_ns) for time_ns, sightings in log.sightings[name] if sightings.found}
         assert {log.part(time_ns) for time_ns, sightings in pictures if sightings.found} == with_target
-        assert [sightings.found for _, sightings in log.sightings[name] if sightings.found] == [
-            each.value.found
-            for each in events(NAMES, 20.0, 5.0)
-            if each.key == f"{name}/sightings" and isinstance(each.value, Sightings) and each.value.found
-        ]
+        shown = [each.value for each in events(NAMES, 20.0, 5.0) if each.key == f"{name}/sightings"]
+        found = [each.found for each in shown if isinstance(each, Sightings) and each.found]
+        assert [sightings.found for _, sightings in log.sightings[name] if sightings.found] == found
 
 
 def test_a_cut_recording_gives_an_empty_log(run: Any) -> None:
@@ -403,12 +396,8 @@ def test_the_mission_figure_shows_commanders_maps_and_targets(run: Any, log: Mis
     figure = mission_plot.mission(log, moved, TARGETS, OUTLINES)
     labels = {label.get_text(): label.get_color() for label in figure.axes[0].get_yticklabels()}
     assert labels == {name: color_of(index) for index, name in enumerate(NAMES)}  # colours of the tracks below
-    assert [axes.get_title() for axes in figure.axes if axes.get_title()] == [
-        "5 s: alpha found",
-        "6 s: alpha given up",
-        "12 s: bravo found",
-        "20 s: the end",
-    ]
+    titles = ["5 s: alpha found", "6 s: alpha given up", "12 s: bravo found", "20 s: the end"]
+    assert [axes.get_title() for axes in figure.axes if axes.get_title()] == titles
     last = next(axes for axes in figure.axes if axes.get_title() == "20 s: the end")
     np.testing.assert_allclose(np.asarray(last.images[0].get_array()) * 255.0, surest_map(log, END_NS)[1])
     stars = [tuple(np.asarray(line.get_xydata()).ravel()) for line in last.lines if str(line.get_marker()) == "*"]
@@ -421,9 +410,8 @@ def test_the_contact_sheet_shows_each_vehicles_detections(log: MissionLog) -> No
     pairs = {(name, each.target) for name, shown in log.sightings.items() for _, sightings in shown for each in sightings.found}
     assert {(name, sightings.found[0].target) for _, name, sightings in chosen} == pairs
     assert [time_ns for time_ns, *_ in chosen] == sorted(time_ns for time_ns, *_ in chosen)
-    assert {sightings.time_ns for _, _, sightings in chosen} <= {
-        sightings.time_ns for shown in log.sightings.values() for _, sightings in shown if sightings.found and sightings.jpeg
-    }
+    everything = [sightings for shown in log.sightings.values() for _, sightings in shown]
+    assert {each.time_ns for *_, each in chosen} <= {each.time_ns for each in everything if each.found and each.jpeg}
     figure = mission_plot.detections(log)
     assert sum(bool(axes.images) for axes in figure.axes) == len(chosen) <= 12
 

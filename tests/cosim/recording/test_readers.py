@@ -3,11 +3,8 @@
 import contextlib
 import io
 import json
-import os
 import random
 import shutil
-import subprocess
-import sys
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -16,6 +13,7 @@ from mcap import records
 from mcap.reader import NonSeekingReader, make_reader
 
 from tests.support.cosim import export_runs, mcap_checks
+from tests.support.cosim.export_runs import rerun
 from vcmvsp.cosim.assembly.worlds import world_of
 from vcmvsp.cosim.recording import foxglove, scene
 from vcmvsp.cosim.recording.mcap_reader import about, contents, messages, of_topic
@@ -24,8 +22,6 @@ from vcmvsp.cosim.tables.radio_frames import PATHS
 from vcmvsp.cosim.types import FrameReport, Note, Velocity, Waypoint
 
 pytestmark = pytest.mark.processes
-
-RERUN = Path(sys.executable).with_name("rerun")
 
 
 def recording(name: str) -> bytes:
@@ -81,13 +77,11 @@ def test_each_message_of_a_topic_has_the_schema_of_its_own_type() -> None:
         log.finish()
         data = stream.getvalue()
         assert mcap_checks.examine(data) == 4
-        assert [entry.schema for entry in contents(io.BytesIO(data))] == [f"vcmvsp.{type(each).__name__}" for each in sequence]
-        entries = [
-            (s.name, m.data) for s, _, m in make_reader(io.BytesIO(data), validate_crcs=True).iter_messages() if s is not None
-        ]
-        assert [(name, json.loads(raw)["type"]) for name, raw in entries] == [
-            (f"vcmvsp.{type(each).__name__}", type(each).__name__.lower()) for each in sequence
-        ]
+        entries = list(contents(io.BytesIO(data)))
+        assert [entry.schema for entry in entries] == [f"vcmvsp.{type(each).__name__}" for each in sequence]
+        assert [json.loads(entry.data)["type"] for entry in entries] == [type(each).__name__.lower() for each in sequence]
+        through = make_reader(io.BytesIO(data), validate_crcs=True).iter_messages()
+        assert [(s and s.name, m.data) for s, _, m in through] == [(entry.schema, entry.data) for entry in entries]
 
 
 def chunk_ends(data: bytes) -> list[tuple[int, int]]:
@@ -195,16 +189,8 @@ def test_rerun_reads_all_topics_without_errors(name: str, tmp_path: Path) -> Non
     """Rerun decodes Foxglove's schemas in Protobuf only: ours, in JSON, arrive as messages with their schemas."""
     path = tmp_path / "run.mcap"
     shutil.copyfile(export_runs.run_of(name) / "run.mcap", path)
-    process = rerun("mcap", "check", "--full", str(path))
-    assert process.returncode == 0, process.stderr
-    rows = [line for line in process.stdout.splitlines() if line.startswith(("ok", "warn", "err"))]
+    rows = [line for line in rerun("mcap", "check", "--full", str(path)).splitlines() if line.startswith(("ok", "warn", "err"))]
     summary = make_reader(io.BytesIO(path.read_bytes())).get_summary()
     assert summary is not None
     assert len(rows) == len(summary.channels)
-    assert all(row.startswith("ok") for row in rows), process.stdout
-
-
-def rerun(*arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run Rerun's command line, with its analytics off."""
-    environment = {**os.environ, "DO_NOT_TRACK": "1", "RERUN_ANALYTICS": "0"}
-    return subprocess.run([str(RERUN), *arguments], capture_output=True, text=True, env=environment, check=False)
+    assert all(row.startswith("ok") for row in rows), rows

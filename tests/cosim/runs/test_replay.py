@@ -75,16 +75,6 @@ def test_an_unchanged_replay_is_equal(recorded: Path, tmp_path: Path) -> None:
     assert files(tmp_path / "again", (*SAME, "run.mcap")) == files(recorded, (*SAME, "run.mcap"))
 
 
-def test_equal_with_agents_in_processes(recorded: Path) -> None:
-    patient = {"agents.deadline_s": 20.0}
-    assert replay(recorded, agents="process", set=patient, mcap=False).metrics["digest"] == digest(recorded)
-
-
-def test_recorded_frames_make_an_equal_run(recorded: Path, tmp_path: Path) -> None:
-    replay(recorded, radio="recorded", out=tmp_path / "again")
-    assert files(tmp_path / "again") == files(recorded)
-
-
 def test_recorded_frames_keep_their_outcomes(recorded: Path) -> None:
     """With another seed, another gain and a place farther away; newly drawn frames have other outcomes."""
     changed = {"vehicle.car2.agent.k1": 0.3, "vehicle.car3.pose": [-30.0, 0.0, 0.0]}

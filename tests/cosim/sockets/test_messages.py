@@ -15,12 +15,14 @@ from vcmvsp.cosim.sockets.messages import (
     MOST_DOWN,
     MOST_UP,
     ROOM,
+    Down,
     Frames,
     Go,
     Hello,
     Over,
     Refused,
     Send,
+    Up,
     Wait,
     Welcome,
     WireError,
@@ -67,15 +69,13 @@ def test_messages_are_whole_for_any_cut(messages: list[Any], cuts: list[int]) ->
         frames.feed(piece)
         came += messages_of(frames)
     assert not frames
-    assert [
-        (down if isinstance(sent, Welcome | Refused | Go | Over) else up)(message)
-        for sent, message in zip(messages, came, strict=True)
-    ] == messages
+    read = [down if isinstance(sent, Down) else up for sent in messages]
+    assert [decode(message) for decode, message in zip(read, came, strict=True)] == messages
 
 
 @given(st.binary(max_size=200))
 def test_noise_is_a_message_or_an_error(noise: bytes) -> None:
-    for read, kinds in ((up, Hello | Send | Wait), (down, Welcome | Refused | Go | Over)):
+    for read, kinds in ((up, Up), (down, Down)):
         try:
             assert isinstance(read(noise), kinds)
         except WireError as error:
@@ -87,7 +87,7 @@ def test_damage_is_a_message_or_an_error(word: Any, data: st.DataObject) -> None
     content = bytearray(framed(word)[4:])
     content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
     with contextlib.suppress(WireError):
-        assert isinstance(up(bytes(content)), Hello | Send | Wait)
+        assert isinstance(up(bytes(content)), Up)
 
 
 def test_lengths_are_bounded_before_anything_is_kept() -> None:

@@ -2,6 +2,9 @@
 
 import functools
 import json
+import os
+import subprocess
+import sys
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -86,6 +89,15 @@ def topic_messages(name: str, topic: str) -> list[tuple[int, Any]]:
     """Time (ns) and content of each message of a topic of a run's recording."""
     with (run_of(name) / "run.mcap").open("rb") as stream:
         return [(time_ns, json.loads(data)) for each, time_ns, data in messages(stream) if each == topic]
+
+
+def rerun(*arguments: str) -> str:
+    """Output of Rerun's command line, with its analytics off."""
+    environment = {**os.environ, "DO_NOT_TRACK": "1", "RERUN_ANALYTICS": "0"}
+    command = [str(Path(sys.executable).with_name("rerun")), *arguments]
+    process = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    assert process.returncode == 0, process.stderr
+    return process.stdout
 
 
 def truncated_copy(name: str, folder: Path, part: float) -> Path:

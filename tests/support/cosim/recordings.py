@@ -68,5 +68,12 @@ def recorder_after(
     return recorder
 
 
+def metrics_after(
+    names: Sequence[str], events: Iterable[Event], end_ns: int, window: tuple[float, float | None] = (0.0, None), **more: Any
+) -> dict[str, Any]:
+    """Metrics of these events; further arguments as of `recorder_after`."""
+    return recorder_after(names, events, end_ns, **more).metrics(window=window)
+
+
 def velocity(vehicle: str, time_ns: int, linear: tuple[float, float, float], yaw_rate: float = 0.0) -> Event:
     return Event(f"{vehicle}/command", time_ns, Velocity(linear=linear, yaw_rate=yaw_rate))
