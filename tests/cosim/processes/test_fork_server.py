@@ -23,9 +23,11 @@ CHILD = """
 import json, os, random, sys, threading
 import numpy as np
 
+FILE = None
+
 def main():
     out, code = sys.argv[1:]
-    first, file = sys.stdin.readline(), os.read(FILE, 9).decode()
+    first, file = sys.stdin.readline(), FILE and os.read(FILE, 9).decode()
     about = {"first": first, "file": file, "draws": [random.random(), np.random.random()], "pid": os.getpid()}
     with open(out, "w") as stream:
         json.dump(about, stream)
@@ -43,6 +45,7 @@ def ways(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Mon
         pytest.skip("no forks on this operating system")
     monkeypatch.setattr(fork_server, "FORKS", request.param)
     monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "child.py").write_text(CHILD)
 
 
 def about(out: Path) -> Any:
@@ -54,7 +57,7 @@ def test_each_child_has_its_arguments_first_text_file_exit_code_and_random_numbe
     with (tmp_path / "given").open("w+b", buffering=0) as file:
         file.write(b"for both!" * 2)
         file.seek(0)
-        (tmp_path / "child.py").write_text(CHILD.replace("FILE", str(file.fileno())))
+        (tmp_path / "child.py").write_text(CHILD.replace("None", str(file.fileno())))
         with ForkServer("child", files=[file.fileno()]) as server:
             children = [server.start(str(tmp_path / str(code)), str(code), first=f"to {code}\n") for code in (0, 5)]
             for child in children:
@@ -72,7 +75,6 @@ def test_each_child_has_its_arguments_first_text_file_exit_code_and_random_numbe
 
 @pytest.mark.usefixtures("ways")
 def test_a_child_ends_by_itself_when_its_input_closes_and_else_is_killed(tmp_path: Path) -> None:
-    (tmp_path / "child.py").write_text(CHILD.replace("os.read(FILE, 9)", "b''"))
     with ForkServer("child") as server:
         ends, hangs = (server.start(str(tmp_path / name), "wait", first="x\n") for name in ("ends", "hangs"))
         assert ends.why_ended() == hangs.why_ended() == ""
@@ -85,7 +87,6 @@ def test_a_child_ends_by_itself_when_its_input_closes_and_else_is_killed(tmp_pat
 
 @pytest.mark.usefixtures("ways")
 def test_all_threads_that_wait_for_a_child_get_its_exit_code(tmp_path: Path) -> None:
-    (tmp_path / "child.py").write_text(CHILD.replace("os.read(FILE, 9)", "b''"))
     with ForkServer("child") as server, ThreadPoolExecutor(8) as threads:
         for number in range(20):
             child = server.start(str(tmp_path / str(number)), "wait", first="x\n")
@@ -99,7 +100,7 @@ def test_all_threads_that_wait_for_a_child_get_its_exit_code(tmp_path: Path) -> 
 def test_a_server_that_is_killed_is_replaced_and_its_forks_live_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(tmp_path))
     slow = "import time\nos.register_at_fork(after_in_child=lambda: time.sleep(0.5))\n"  # holds the server's descriptors
-    (tmp_path / "child.py").write_text(CHILD.replace("os.read(FILE, 9)", "b''") + slow)
+    (tmp_path / "child.py").write_text(CHILD + slow)
     with ForkServer("child") as server:
         waits = server.start(str(tmp_path / "waits"), "wait", first="x\n")
         forked = psutil.Process(waits.pid)

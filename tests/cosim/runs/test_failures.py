@@ -4,8 +4,6 @@ import json
 import os
 import signal
 import subprocess
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import psutil
@@ -14,7 +12,8 @@ import pytest
 from mcap.reader import make_reader
 
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.run_processes import VCMVSP
+from tests.support.cosim.run_processes import VCMVSP, wait_for
+from tests.support.cosim.secure_hub import until
 
 pytestmark = pytest.mark.processes
 
@@ -111,7 +110,7 @@ def test_a_failing_agent_ends_the_run_with_one_error(how: str, where: str, tmp_p
     assert "Traceback" not in errors_said
     about = assert_readable(out, 1.0)
     assert CAUSES[how] in str(about["error"])
-    wait_for(lambda: not [pid for pid in psutil.pids() if session_of(pid) == run.pid])
+    until(lambda: not [pid for pid in psutil.pids() if session_of(pid) == run.pid])
 
 
 @pytest.mark.parametrize("where", ["inprocess", "process"])
@@ -119,7 +118,7 @@ def test_ctrl_c_keeps_the_recording_and_leaves_no_process(where: str, tmp_path: 
     scenario, out = write(tmp_path, "fine", duration=3600.0), tmp_path / "out"
     command = [*COMMAND, str(scenario), "--agents", where, "--out", str(out), "--realtime"]
     run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, process_group=0)
-    wait_for((tmp_path / "got there").exists)
+    wait_for(tmp_path / "got there")
     children = psutil.Process(run.pid).children(recursive=True)
     assert sum(not each.children() for each in children) == (2 if where == "process" else 0)
     os.killpg(run.pid, signal.SIGINT)
@@ -137,7 +136,7 @@ def test_hosts_end_with_a_run_that_is_killed(tmp_path: Path) -> None:
     scenario, out = write(tmp_path, "fine", duration=3600.0), tmp_path / "out"
     command = [*COMMAND, str(scenario), "--agents", "process", "--out", str(out), "--realtime"]
     run = subprocess.Popen(command, stderr=subprocess.DEVNULL)
-    wait_for((out / "run.mcap").exists)
+    wait_for(out / "run.mcap")
     children = psutil.Process(run.pid).children(recursive=True)
     assert sum(not each.children() for each in children) == 2
     run.kill()
@@ -160,10 +159,3 @@ def session_of(pid: int) -> int:
         return os.getsid(pid)
     except ProcessLookupError:
         return -1
-
-
-def wait_for(condition: Callable[[], bool], timeout_s: float = 500.0) -> None:
-    last = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < last
-        time.sleep(0.02)

@@ -4,7 +4,6 @@ import contextlib
 import io
 import math
 import os
-import signal
 import struct
 import subprocess
 import sys
@@ -163,14 +162,13 @@ with open(sys.argv[1], "wb") as stream:
 def test_a_killed_process_loses_at_most_one_second(tmp_path: Path) -> None:
     path = tmp_path / "hardware.mcap"
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    with subprocess.Popen(
-        [sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE, text=True, env=environment
-    ) as writer:
+    command = [sys.executable, "-c", WRITER, str(path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as writer:
         try:
             assert writer.stdout is not None
             assert writer.stdout.readline() == "written\n"
         finally:
-            writer.send_signal(signal.SIGKILL)
+            writer.kill()
     found = read_inputs(path)
     assert bits(found) == bits(drive(60)[: len(found)])
     assert found[-1][1] >= (59 * 100 - 1000) * MS

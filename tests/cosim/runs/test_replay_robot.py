@@ -1,9 +1,7 @@
 """Replay of a run with a real vehicle (a robot in software, on the wall clock, in its own process), without the vehicle."""
 
 import os
-import signal
 import subprocess
-import time
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -12,7 +10,8 @@ import numpy as np
 import pytest
 
 import vcmvsp
-from tests.support.cosim.run_processes import VCMVSP
+from tests.support.cosim.run_processes import VCMVSP, wait_for
+from tests.support.cosim.secure_hub import until
 from tests.support.paths import ROOT
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.recording.external_inputs import read_inputs
@@ -139,13 +138,10 @@ def test_a_killed_run_is_replayed_as_far_as_written(tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     with subprocess.Popen(command, env=environment, cwd=tmp_path) as process:
         try:
-            deadline = time.monotonic() + 60.0
-            while not (path.is_file() and path.stat().st_size > 4000):
-                assert process.poll() is None
-                assert time.monotonic() < deadline
-                time.sleep(0.05)
+            wait_for(path)
+            until(lambda: path.stat().st_size > 4000)
         finally:
-            process.send_signal(signal.SIGKILL)
+            process.kill()
     end_ns = read_inputs(path)[-1][1]
     assert end_ns > 0
     again = replay(tmp_path / "run", set={"duration_s": 20.0}, tell=lines.append)
