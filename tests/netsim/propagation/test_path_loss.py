@@ -57,40 +57,20 @@ def test_without_path_loss_distance_does_not_matter() -> None:
     assert loss_db(NoPathLoss(), 0.0, 1.0, 1e6).tolist() == [0.0, 0.0, 0.0]
 
 
-DISTANCES = (1.0, 2.5, 10.0, 47.0, 100.0, 239.9, 500.0, 1234.5, 2000.0)
-
-
-def numbers(text: str) -> list[float]:
-    return [float(word) for word in text.split()]
-
-
-# ns-3.44, -CalcRxPower(0 dBm) at DISTANCES along x: TwoRayGroundPropagationLossModel by Frequency and both heights
-NS3_TWO_RAY = {
-    (2.4e9, 1.5, 1.5): numbers(
-        "40.0520080561 48.0108082296 60.0520080561 73.4939652148 80.0520080561 88.1575595565 100.9151498112"
-        " 116.6159934085 124.9975494643"
-    ),
-    (2.4e9, 0.3, 0.5): numbers(
-        "40.2223414491 48.0385145106 60.0537448867 83.3622464167 96.4782095624 111.6793907745 124.4369763821"
-        " 140.1378188176 148.5193747323"
-    ),
-    (2.4e9, 10.0, 1.0): numbers(
-        "59.1901465800 59.4596624124 62.6287938048 73.6503628795 80.0870442035 87.6587210769 94.0328150291"
-        " 103.6601054130 112.0413757140"
-    ),
-    (5.15e9, 1.5, 1.5): numbers(
-        "46.6839278027 54.6427279761 66.6839278027 80.1258849614 86.6839278027 94.2845327621 100.9151498112"
-        " 116.6159934085 124.9975494643"
-    ),
-    (5.15e9, 0.3, 0.5): numbers(
-        "46.8542611957 54.6704342572 66.6856646333 83.3622464167 96.4782095624 111.6793907745 124.4369763821"
-        " 140.1378188176 148.5193747323"
-    ),
-    (5.15e9, 10.0, 1.0): numbers(
-        "65.8220663265 66.0915821590 69.2607135514 80.2822826261 86.7189639501 94.2906408235 100.6647347756"
-        " 108.5139805092 112.7046156597"
-    ),
-}
+# ns-3.44, -CalcRxPower(0 dBm) along x: TwoRayGroundPropagationLossModel by Frequency and both heights. The first column is the
+# distance.
+CASES = (2.4e9, 1.5, 1.5), (2.4e9, 0.3, 0.5), (2.4e9, 10.0, 1.0), (5.15e9, 1.5, 1.5), (5.15e9, 0.3, 0.5), (5.15e9, 10.0, 1.0)
+NS3_TWO_RAY = """
+       1.0   40.0520080561   40.2223414491   59.1901465800   46.6839278027   46.8542611957   65.8220663265
+       2.5   48.0108082296   48.0385145106   59.4596624124   54.6427279761   54.6704342572   66.0915821590
+      10.0   60.0520080561   60.0537448867   62.6287938048   66.6839278027   66.6856646333   69.2607135514
+      47.0   73.4939652148   83.3622464167   73.6503628795   80.1258849614   83.3622464167   80.2822826261
+     100.0   80.0520080561   96.4782095624   80.0870442035   86.6839278027   96.4782095624   86.7189639501
+     239.9   88.1575595565  111.6793907745   87.6587210769   94.2845327621  111.6793907745   94.2906408235
+     500.0  100.9151498112  124.4369763821   94.0328150291  100.9151498112  124.4369763821  100.6647347756
+    1234.5  116.6159934085  140.1378188176  103.6601054130  116.6159934085  140.1378188176  108.5139805092
+    2000.0  124.9975494643  148.5193747323  112.0413757140  124.9975494643  148.5193747323  112.7046156597
+"""
 
 
 @pytest.mark.parametrize("kind", [Friis, TwoRayGround, ItuWalls])
@@ -100,13 +80,14 @@ def test_a_frequency_in_gigahertz_is_refused(kind: type) -> None:
         binding.call(kind, {"frequency_hz": 2.4}, arguments=arguments)
 
 
-@pytest.mark.parametrize("case", NS3_TWO_RAY)
+@pytest.mark.parametrize("case", CASES)
 def test_two_ray_ground_is_that_of_ns3(case: tuple[float, float, float]) -> None:
     frequency_hz, here, there = case
-    standing = TwoRayGround(frequency_hz).loss_db(along_x(*DISTANCES, tx_z=here, rx_z=there))
-    assert standing == pytest.approx(NS3_TWO_RAY[case], abs=1e-9)
+    distances, *losses = np.array(NS3_TWO_RAY.split(), np.float64).reshape(-1, 1 + len(CASES)).T
+    standing = TwoRayGround(frequency_hz).loss_db(along_x(*distances, tx_z=here, rx_z=there))
+    assert standing == pytest.approx(losses[CASES.index(case)], abs=1e-9)
     if here == there:
-        alone = TwoRayGround(frequency_hz, antenna_height_m=here).loss_db(DISTANCES)
+        alone = TwoRayGround(frequency_hz, antenna_height_m=here).loss_db(distances)
         assert alone == pytest.approx(standing, abs=1e-9)
 
 
