@@ -1,5 +1,6 @@
 """Trials of the channel alone: conservation of frames, repeatability, and independence of batch sizes."""
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -298,6 +299,15 @@ def test_an_aborted_run_leaves_the_earlier_file(tmp_path: Path) -> None:
         broadcast_trial.run(make_channel("ideal"), plan(places(3)), sink=file.add, progress=stop)
     assert files(tmp_path) == ["rows.parquet"]
     assert path.read_text() == "old"
+
+
+def test_a_pipe_is_refused_and_not_replaced(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "rows")
+    reader = os.open(tmp_path / "rows", os.O_RDWR)
+    with pytest.raises(UsageError, match="cannot write"), RowFile(tmp_path / "rows", facts_of(plan(places(3)))):
+        pass
+    os.close(reader)
+    assert (tmp_path / "rows").is_fifo()
 
 
 @pytest.mark.parametrize(("name", "problem"), [(".", "is a folder"), ("no/rows.parquet", "does not exist; create it first")])
