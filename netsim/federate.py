@@ -106,8 +106,7 @@ class RadioFederate:
         self._end_ns, self._vehicles = run.duration_ns, run.vehicles
         self._row = {name: row for row, name in enumerate(run.vehicles)}
         self._rows: dict[tuple[str, ...], Array] = {}  # by receivers of a frame
-        self._own_rows: dict[tuple[str, ...], list[int]] = {}  # of the vehicles with a radio here, by all names
-        self._own_names: dict[tuple[str, ...], tuple[str, ...]] = {}
+        self._own: dict[tuple[str, ...], tuple[list[int], tuple[str, ...]]] = {}  # vehicles with a radio here, by all names
         self._states: States | None = None
         self._open: dict[int, tuple[Message, int | None]] = {}  # by undecided frame: message, number of the datagram
         self._frames = 0  # so far
@@ -310,15 +309,14 @@ class RadioFederate:
         """Names and positions of the vehicles with a radio on this channel."""
         if not self._networks:
             return states
-        rows = self._own_rows.get(states.names)
-        if rows is None:
+        if states.names not in self._own:
             rows = [row for row, name in enumerate(states.names) if name in self._network_of]
-            self._own_rows[states.names] = rows
-            self._own_names[states.names] = tuple([states.names[row] for row in rows])
+            self._own[states.names] = rows, tuple([states.names[row] for row in rows])
+        rows, names = self._own[states.names]
         if len(rows) == len(states.names):
             return states
         position, attitude = frozen(states.position[rows]), frozen(states.attitude[rows])
-        return msgspec.structs.replace(states, names=self._own_names[states.names], position=position, attitude=attitude)
+        return msgspec.structs.replace(states, names=names, position=position, attitude=attitude)
 
     def _number(self) -> int:
         """The number in the run of the channel's next frame."""

@@ -73,9 +73,7 @@ class SentFrame(msgspec.Struct):
     level_dbm: Floats  # (n,) at all receivers, of the last attempt
     fading_db: Floats | None = None
     attempts: int = 1  # so far
-    tries: list[tuple[Floats, Floats | None]] = msgspec.field(
-        default_factory=list
-    )  # level and fading of each attempt, if they differ
+    tries: list[tuple[Floats, Floats | None]] = []  # level and fading of each attempt, if they differ
 
     def frame_at(self, start_ns: int, end_ns: int, level_dbm: Floats) -> Frame:
         """The frame as an argument of layers, with levels (n,) dBm."""

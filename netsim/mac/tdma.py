@@ -64,8 +64,8 @@ class TdmaMedium(BlindMedium[TdmaRadio]):
     def _take_turn(self, now_ns: int, radio: TdmaRadio, turn: int) -> None:
         if abs(radio.clock.mean_ns(now_ns) - turn) > STEPPED_NS:
             self._await_turn(now_ns, radio)
-            return
-        super()._take_turn(now_ns, radio, turn)
+        else:
+            super()._take_turn(now_ns, radio, turn)
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from vcmvsp.netsim.federate import RadioFederate
 
 MS = 1_000_000
 NAMES = ("a", "b", "c")
+CONTENDED: dict[str, Any] = {"mac": {"kind": "dcf"}, "loss": {"probability": 0.3}}
 RUN = RunInfo(scenario="test", seed=4, duration_ns=10**10, vehicles=NAMES)
 
 
@@ -32,11 +33,15 @@ def frames(step: Step) -> list[FrameReport]:
     return [event.value for event in step.events if isinstance(event.value, FrameReport)]
 
 
+def started(preset: str = "wifi-b-1", run: RunInfo = RUN, *, own: dict[str, Any] | None = None, **layers: Any) -> RadioFederate:
+    federate = RadioFederate(make_channel(preset, **layers), **own or {})
+    assert federate.start(run) is None
+    return federate
+
+
 @pytest.fixture
 def radio() -> RadioFederate:
-    federate = RadioFederate(make_channel("wifi-b-1"))
-    assert federate.start(RUN) is None
-    return federate
+    return started()
 
 
 def test_a_frame_gives_one_report_and_one_reception_per_receiver(radio: RadioFederate) -> None:
@@ -54,9 +59,7 @@ def test_a_frame_gives_one_report_and_one_reception_per_receiver(radio: RadioFed
 
 
 def test_a_reader_that_a_reception_wakes_gets_each_when_it_arrives() -> None:
-    radio = RadioFederate(make_channel("wifi-b-1"), woken=("b",))
-    radio.start(RUN)
-    step = radio.step(50 * MS, [states(40 * MS, 0.0, 20.0, 30.0), sends(50 * MS, "a")])
+    step = started(own={"woken": ("b",)}).step(50 * MS, [states(40 * MS, 0.0, 20.0, 30.0), sends(50 * MS, "a")])
     batch, woken, _ = step.events
     assert (woken.key, woken.time_ns) == ("b/heard", 50 * MS + 1_280_000)
     assert [("b", woken.value)] == [each for each in receptions_in([batch]) if each[0] == "b"]
@@ -68,16 +71,11 @@ def test_reports_leave_out_receivers_below_a_level_that_lost_the_frame(least_dbm
     names = tuple(f"v{n}" for n in range(12))
     run = msgspec.structs.replace(RUN, vehicles=names)
     team = at_rest(names, [(14.0 * n, 0.0, 0.0) for n in range(12)])
-    whole, part = (
-        RadioFederate(make_channel("wifi-b-1", fading={"kind": "rayleigh"}), reported_from_dbm=least)
-        for least in (None, least_dbm)
-    )
-    left_out = 0
-    for federate in (whole, part):
-        federate.start(run)
+    fading, left_out = {"kind": "rayleigh"}, 0
+    pair = [started("wifi-b-1", run, own={"reported_from_dbm": least}, fading=fading) for least in (None, least_dbm)]
     for tick, sender in enumerate(names, 1):
         sent = [Event("world/states", tick * MS, team), sends(tick * 20 * MS, sender)]
-        steps = [federate.step(tick * 20 * MS, sent) for federate in (whole, part)]
+        steps = [federate.step(tick * 20 * MS, sent) for federate in pair]
         assert list(receptions_in(steps[0].events)) == list(receptions_in(steps[1].events))
         (all_,), (near,) = map(frames, steps)
         reported = (all_.rssi_dbm >= least_dbm) | (all_.received_ns >= 0)
@@ -109,8 +107,7 @@ def test_frames_enter_in_the_order_in_which_they_were_handed_over(radio: RadioFe
 
 
 def test_all_events_lie_in_the_present_or_the_future() -> None:
-    radio = RadioFederate(make_channel("zigbee", delay={"seconds": 0.01, "jitter_s": 0.02}, loss={"probability": 0.3}))
-    radio.start(RUN)
+    radio = started("zigbee", delay={"seconds": 0.01, "jitter_s": 0.02}, loss={"probability": 0.3})
     radio.step(0, [states(0, 0.0, 5.0, 9.0)])
     for k in range(200):
         step = radio.step(k * MS, [sends(k * MS, name) for name in NAMES])
@@ -151,9 +148,8 @@ def test_at_wall_pace_nothing_is_compiled_but_at_the_start_and_only_where_progra
     monkeypatch.setattr("vcmvsp.netsim.mac.dcf.medium.FRAME_S", 0.1)
 
     def fates(*, paced: bool) -> list[tuple[str, ...]]:
-        channel = make_channel("wifi-b-1", mac={"kind": "dcf"}, loss={"probability": 0.3})
-        radio = RadioFederate(channel, programs=programs)
-        radio.start(msgspec.structs.replace(RUN, paced=paced))
+        run = msgspec.structs.replace(RUN, paced=paced)
+        radio = started("wifi-b-1", run, own={"programs": programs}, **CONTENDED)
         before = len(compiled)
         radio.step(0, [states(0, 0.0, 20.0, 60.0)])
         found = []
@@ -176,8 +172,7 @@ def test_the_rate_of_the_first_frames_decides_on_compiled_code(seconds: int, mon
     monkeypatch.setattr(Core, "is_cached", property(lambda _: True))
     monkeypatch.setattr("vcmvsp.netsim.federate.FORECAST_AT", 5)
     for duration_s in (seconds, 1):
-        radio = RadioFederate(make_channel("wifi-b-1", mac={"kind": "dcf"}, loss={"probability": 0.3}))
-        radio.start(msgspec.structs.replace(RUN, duration_ns=duration_s * SECOND_NS))
+        radio = started("wifi-b-1", msgspec.structs.replace(RUN, duration_ns=duration_s * SECOND_NS), **CONTENDED)
         radio.step(0, [states(0, 0.0, 20.0, 60.0)])
         fates.append([])
         for now_ns in range(100 * MS, 1000 * MS, 100 * MS):
@@ -192,8 +187,7 @@ def levels(radio: RadioFederate, here: Event) -> Array:
 
 
 def test_mean_levels_equal_those_of_sent_frames_and_need_none() -> None:
-    radio = RadioFederate(make_channel("wifi-b-1", shadowing={"sigma_db": 4.0}))
-    radio.start(RUN)
+    radio = started(shadowing={"sigma_db": 4.0})
     here = states(0, 0.0, 20.0, 300.0)
     far, near = levels(radio, states(0, 0.0, 40.0, 300.0)), levels(radio, here)
     assert far[0, 1] < near[0, 1]
@@ -206,19 +200,14 @@ def test_mean_levels_equal_those_of_sent_frames_and_need_none() -> None:
 
 def test_asking_for_mean_levels_changes_no_frame() -> None:
     def run(*, ask: bool) -> str:
-        layers: dict[str, Any] = {"mac": {"kind": "dcf"}, "shadowing": {"sigma_db": 4.0}, "loss": {"probability": 0.3}}
-        radio = RadioFederate(make_channel("wifi-b-1", **layers))
-        radio.start(RUN)
-        here = states(0, 0.0, 20.0, 60.0)
+        radio, here = started(shadowing={"sigma_db": 4.0}, **CONTENDED), states(0, 0.0, 20.0, 60.0)
         radio.step(0, [here])
         found = []
         for k in range(60):
             now_ns = k * 50 * MS
-            if ask:
-                levels(radio, here)
             due = radio.step(now_ns, [sends(now_ns, name) for name in NAMES]).next_ns
             while due is not None and due < now_ns + 50 * MS:
-                if ask:
+                if ask:  # while frames wait and are on the air
                     levels(radio, here)
                 step = radio.step(due, [])
                 found += frames(step)

@@ -102,7 +102,7 @@ def test_outages_equal_a_script_with_the_same_changes(
 
 
 def radio(preset: str = "wifi-b-1", mac: str = "ideal", **changes: Any) -> RadioFederate:
-    return RadioFederate(make_channel(preset, mac={"kind": mac}, **{**CHANCE, **changes}))
+    return RadioFederate(make_channel(preset, mac={"kind": mac}, **CHANCE | changes))
 
 
 def bare(report: FrameReport, at: int) -> Any:
@@ -158,11 +158,8 @@ def test_after_a_change_a_run_equals_one_that_always_had_the_value(
     other = fates(radio(preset, mac, **tables), sends(offers))
     both = fates(radio(preset, mac), [*sends(offers), changed(at_ns, key, value)])
 
-    def decided_ns(report: FrameReport) -> int:
-        on_air = report.queue_ns + report.access_ns + report.air_time_ns
-        return report.sent_ns + (0 if mac == "ideal" else on_air)
-
-    before = [decided_ns(each) < at_ns for each in one]
+    waits = [0 if mac == "ideal" else each.queue_ns + each.access_ns + each.air_time_ns for each in one]
+    before = [each.sent_ns + wait_ns < at_ns for each, wait_ns in zip(one, waits, strict=True)]
     assert encode(both) == encode([a if first else b for a, b, first in zip(one, other, before, strict=True)])
     assert encode(one) != encode(both) != encode(other)
 
