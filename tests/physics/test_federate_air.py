@@ -63,10 +63,9 @@ def test_ground_and_air_move_together_each_in_its_place(kind: type[Physics]) -> 
 
 @KINDS
 def test_a_way_point_for_a_vehicle_on_the_ground_is_refused_by_name(kind: type[Physics]) -> None:
+    physics, command = kind(world=World(), vehicles=[spec("car", P2DX())]), Waypoint(position=(1.0, 0.0, 0.0))
     with pytest.raises(FederateError, match=r"car received a Waypoint but cannot fly: send Velocity"):
-        values_by_step(
-            kind(world=World(), vehicles=[spec("car", P2DX())]), [(0.0, "car", Waypoint(position=(1.0, 0.0, 0.0)))], 1.0
-        )
+        values_by_step(physics, [(0.0, "car", command)], 1.0)
 
 
 @KINDS
@@ -89,9 +88,8 @@ def test_non_finite_commands_stop_the_run_and_name_the_vehicle(kind: type[Physic
 def test_a_quadrotor_uses_its_fixes_and_has_no_odometry() -> None:
     sensor = Positioning(rate_hz=5.0)
     uav = spec("uav", Quadrotor(), pose_source="positioning", positioning=sensor)
-    steps = values_by_step(
-        BulletPhysics(world=World(), vehicles=[uav]), [(0.0, "uav", Velocity(linear=(1.0, 0.0, 0.0), yaw_rate=0.3))], 2.0
-    )
+    command = Velocity(linear=(1.0, 0.0, 0.0), yaw_rate=0.3)
+    steps = values_by_step(BulletPhysics(world=World(), vehicles=[uav]), [(0.0, "uav", command)], 2.0)
     fix: Any = None
     for at in steps:
         fix = at.get("uav/fix", fix)
@@ -165,9 +163,8 @@ def test_vehicles_outside_the_world_are_refused_by_name(kind: type[Physics]) -> 
 
 def test_gusts_move_a_quadrotor_and_follow_the_seed() -> None:
     def end(world: World) -> Any:
-        return values_by_step(BulletPhysics(world=world, vehicles=[spec("uav", Quadrotor())]), [], 3.0)[-1][
-            "world/states"
-        ].position[0]
+        steps = values_by_step(BulletPhysics(world=world, vehicles=[spec("uav", Quadrotor())]), [], 3.0)
+        return steps[-1]["world/states"].position[0]
 
     still, gusty = end(World()), end(World(wind=Wind(gust=2.0)))
     assert still == pytest.approx(HIGH, abs=1e-6)

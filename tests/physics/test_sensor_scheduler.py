@@ -88,14 +88,10 @@ def test_each_sensor_is_read_at_its_rate_from_its_phase_on_and_delivered_late() 
     assert [event.time_ns for event in events if event.key == "car0/b"] == [0, 250 * 10**6, 500 * 10**6, 750 * 10**6]
 
 
-def test_without_sensors_there_is_nothing_to_do() -> None:
-    instruments = SensorScheduler({"car0": {}}, 1)
-    assert instruments.instants == ()
-    assert not instruments.due(0)
-
-
-def test_sensors_are_due_at_their_own_instants_alone() -> None:
-    instruments = SensorScheduler({"car0": {"a": Draw(rate_hz=10.0, phase_s=0.05), "b": Draw(rate_hz=4.0)}}, 1)
+@pytest.mark.parametrize("sensors", [{}, {"a": Draw(rate_hz=10.0, phase_s=0.05), "b": Draw(rate_hz=4.0)}], ids=["none", "two"])
+def test_sensors_are_due_at_their_own_instants_alone(sensors: dict[str, Sensor]) -> None:
+    instruments = SensorScheduler({"car0": sensors}, 1)
+    assert len(instruments.instants) == len(sensors)
     due = [now for now in range(-(10**8), 10**9, 25 * 10**6) if instruments.due(now)]
     assert due == times(instruments, 1.0)
 

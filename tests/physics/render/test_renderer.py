@@ -2,11 +2,13 @@
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.support.physics import ray_renderer as oracle
+from tests.support.physics.sensor_scenes import scene_of
 from vcmvsp.cosim.types import Array
 from vcmvsp.physics.render import renderer
 from vcmvsp.physics.render.renderer import render
@@ -143,26 +145,14 @@ def test_any_lens_in_any_place_agrees_with_single_rays() -> None:
 def crowd(rng: Rng, count: int = 30) -> Scene:
     """Bodies in any attitude, some of them half below the floor, among boxes."""
     attitude = rng.standard_normal((count, 4))
-    return Scene(
-        now_ns=0,
-        world=World(solids=tuple(scattered(rng)[:10])),
-        vehicles=tuple(f"v{n}" for n in range(count)),
-        hulls=tuple(
-            Hull(
-                size=tuple(rng.uniform(0.2, 2, 3).tolist()) if n % 2 else (0.8, 0.8, 0.3),
-                offset=tuple(rng.uniform(-0.2, 0.2, 3).tolist()),
-                kind="box" if n % 2 else "cylinder",
-                color=a_color(rng),
-            )
-            for n in range(count)
-        ),
-        position=np.column_stack([rng.uniform(-6, 6, (count, 2)), rng.uniform(0, 3, count)]),
-        velocity=np.zeros((count, 3)),
-        attitude=attitude / np.linalg.norm(attitude, axis=1)[:, None],
-        angular_velocity=np.zeros((count, 3)),
-        acceleration=np.zeros((count, 3)),
-        wheels=np.zeros((count, 2)),
-    )
+    attitude /= np.linalg.norm(attitude, axis=1)[:, None]
+    world, hulls = World(solids=tuple(scattered(rng)[:10])), []
+    for _ in range(count // 2):
+        sizes: Any = {"cylinder": (0.8, 0.8, 0.3), "box": tuple(rng.uniform(0.2, 2, 3).tolist())}
+        for kind, size in sizes.items():
+            hulls.append(Hull(size, tuple(rng.uniform(-0.2, 0.2, 3).tolist()), kind, a_color(rng)))
+    places = np.column_stack([rng.uniform(-6, 6, (count, 2)), rng.uniform(0, 3, count)])
+    return scene_of(*places, attitude=attitude, world=world, hulls=hulls)
 
 
 def test_bodies_in_any_attitude_agree_with_single_rays_without_the_own_one() -> None:

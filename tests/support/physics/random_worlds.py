@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.support.physics.sensor_scenes import scene_of
 from vcmvsp.physics.raycast.sweep import in_frames, meet
 from vcmvsp.physics.world.solids import AnySolid, Box, Cylinder, Hull, Mesh, Prism
 from vcmvsp.physics.world.world import Scene, World
@@ -62,22 +63,7 @@ def scene(
     hulls: Sequence[Hull] | None = None,
 ) -> Scene:
     """Vehicles at rest, level and facing east by default."""
-    place = np.asarray(position, float)
-    count = len(place)
-    turned = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)) if attitude is None else attitude
-    zeros = np.zeros((count, 3))
-    return Scene(
-        now_ns=5,
-        world=world,
-        vehicles=tuple(f"car{k}" for k in range(count)),
-        hulls=tuple(hulls or [Hull(size=(0.4, 0.3, 0.2))] * count),
-        position=place,
-        velocity=zeros,
-        attitude=turned,
-        angular_velocity=zeros,
-        acceleration=zeros,
-        wheels=np.full((count, 2), np.nan),
-    )
+    return scene_of(*position, t=5e-9, attitude=attitude, world=world, hulls=hulls, hull=Hull(size=(0.4, 0.3, 0.2)))
 
 
 def beyond_box(box: Box, points: Floats) -> Floats:

@@ -25,20 +25,21 @@ def scene_of(
     wheels: Sequence[float] = (np.nan, np.nan),
     world: World | None = None,
     hull: Hull = HULL,
+    hulls: Sequence[Hull] | None = None,
     touching: Any = (),
 ) -> Scene:
-    """Vehicles car0, car1, ... at these places (default: one at the origin), with equal states otherwise."""
+    """Vehicles car0, car1, ... at these places (default: one at the origin), with equal states unless ``attitude`` has rows."""
     position = np.array(places or [(0.0, 0.0, 0.0)], float)
     n = len(position)
 
     def rows(values: Any) -> Any:
-        return np.tile(np.array(values, float), (n, 1))
+        return np.array(np.broadcast_to(np.array(values, float), (n, np.shape(values)[-1])))
 
     return Scene(
         now_ns=round(t * SECOND_NS),
         world=world or World(),
         vehicles=tuple(f"car{number}" for number in range(n)),
-        hulls=(hull,) * n,
+        hulls=tuple(hulls or [hull] * n),
         position=position,
         velocity=np.zeros((n, 3)),
         attitude=rows(quaternion_from_yaw(yaw) if attitude is None else attitude),
