@@ -76,6 +76,7 @@ def _described(
     resolution.real[vehicle.name] = tables
     described = RealVehicle(
         name=vehicle.name,
+        kind=vehicle.kind,
         folder=str(source.folder.resolve()),
         driver=driver_table["kind"],
         driver_params=params,

@@ -294,6 +294,7 @@ class RealVehicle(Value, frozen=True, kw_only=True):
     """Specification of a real vehicle from the scenario."""
 
     name: str
+    kind: str  # of its simulated twin, as written
     folder: str  # of the scenario
     driver: str  # its kind, as written
     driver_params: dict[str, Any]

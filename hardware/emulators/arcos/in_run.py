@@ -49,9 +49,8 @@ class Emulated:
             localisation["listen"] = f"udp://{ubisense.host}:{ubisense.port}"
         errors = {ERRORS[name]: value for name, value in (vehicle.positioning or {}).items() if name in ERRORS}
         tag = tag_of(localisation.get("tag") or "1")
-        subclass = vehicle.driver_params.get("robot", "")
         robot = EmulatedRobot(
-            robot=next((name for name, each in KINDS.items() if each == subclass), "amigobot"),
+            robot=robot_of(vehicle.driver_params.get("robot", ""), vehicle.kind),
             pose=vehicle.start,
             tags=Tags(ubisense=ubisense, name=tag, errors=Errors(**errors), seed=vehicle.seed),
         )
@@ -73,6 +72,12 @@ class Emulated:
         """End the process."""
         self._link.close()
         self._process.close(0.0)
+
+
+def robot_of(subclass: str, kind: str) -> str:
+    """Robot of the subclass that the driver requires; without one, that of the vehicle's kind, or an AmigoBot."""
+    of_subclass = {subclass: name for name, subclass in KINDS.items()}
+    return of_subclass.get(subclass, kind if kind in KINDS else "amigobot")
 
 
 def _free(listen: str) -> int:

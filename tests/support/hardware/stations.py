@@ -76,6 +76,7 @@ def real_vehicle(**changes: Any) -> RealVehicle:
     """A software robot on the ground, at the origin."""
     defaults: dict[str, Any] = {
         "name": "car1",
+        "kind": "amigobot",
         "folder": ".",
         "driver": "bench",
         "safety": SafetyTable(),

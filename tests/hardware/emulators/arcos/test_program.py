@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.hardware.drivers.arcos.protocol import Command, command
 from vcmvsp.hardware.emulators.arcos import program as options
+from vcmvsp.hardware.emulators.arcos.in_run import robot_of
 from vcmvsp.hardware.emulators.arcos.program import HostPort, PtyPort, RobotOptions, device_of, parameters
 
 NUMBERS = st.floats(-1e6, 1e6)
@@ -110,3 +111,18 @@ def test_without_a_watchdog_a_robot_drives_on() -> None:
         assert sent == 3
         assert (device.odometry[0] > 1.5) is not watchdog
         assert (device.commands, device.packets) == (6, 100)
+
+
+@pytest.mark.parametrize(
+    ("required", "kind", "robot"),
+    [
+        ("", "p2dx", "p2dx"),
+        ("", "amigobot", "amigobot"),
+        ("", "my_robot.py:Rover", "amigobot"),
+        ("amigo-sh", "p2dx", "amigo-sh"),
+    ],
+)
+def test_the_emulated_robot_in_a_run_is_of_the_kind_of_its_vehicle_unless_the_driver_requires_another(
+    required: str, kind: str, robot: str
+) -> None:
+    assert robot_of(required, kind) == robot
