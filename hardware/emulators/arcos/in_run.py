@@ -76,7 +76,7 @@ class Emulated:
 
 def robot_of(subclass: str, kind: str) -> str:
     """Robot of the subclass that the driver requires; without one, that of the vehicle's kind, or an AmigoBot."""
-    of_subclass = {subclass: name for name, subclass in KINDS.items()}
+    of_subclass = {each: name for name, each in KINDS.items()}
     return of_subclass.get(subclass, kind if kind in KINDS else "amigobot")
 
 
