@@ -174,8 +174,6 @@ class WallClock:
 
 
 class _Slip(NamedTuple):
-    """A slip of a `WallClock`."""
-
     until_ns: int  # time of the slip on the wall clock
     origin_ns: int  # logical time 0 on the wall clock before the slip
     stood_ns: int  # logical time at which the run stood still until the slip

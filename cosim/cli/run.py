@@ -277,7 +277,7 @@ def conduct(
                 numbered=out is None,
                 progress=progress.on_instant,
                 tell=progress.tell,
-                observe=progress.observer(lambda: kinds),
+                observe=progress.observer(kinds),
                 **options,
             )
         if json:

@@ -177,7 +177,6 @@ def _names_file(annotation: object) -> bool:
 
 
 def _holds_path(annotation: object) -> bool:
-    """Whether a value of this annotation may contain a path."""
     return annotation is Path or bool(structs(annotation)) or any(map(_holds_path, typing.get_args(annotation)))
 
 

@@ -113,7 +113,6 @@ class _Tables:
         return {**table, "required": required} if required else table
 
     def _values(self, annotation: object) -> Schema:
-        """The schema of an annotation's values."""
         if not binding.structs(annotation):
             return describe.schema_of(annotation)
         origin, inner = typing.get_origin(annotation), typing.get_args(annotation)

@@ -277,14 +277,14 @@ def _entries() -> Iterator[tuple[str, list[str]]]:
     for section in full_reference().sections:
         if _is_set(section):
             for key in section.keys:
-                yield from ((_join(where, key.name), _values(key)) for where in _paths(section.path, key.name))
+                yield from ((binding.join(where, key.name), _values(key)) for where in _paths(section.path, key.name))
 
 
 def _paths(path: str, key: str) -> list[str]:
     """Paths of the tables that may have a key of this table: agents and vehicles also have shared defaults."""
     first, _, rest = path.partition(".")
     if first == "agents":
-        return [path, _join(f"{VEHICLE}.agent", rest)]
+        return [path, binding.join(f"{VEHICLE}.agent", rest)]
     if path == VEHICLE:
         return [path] if key in NOT_SHARED else [path, "vehicles"]
     return [path]
@@ -306,10 +306,6 @@ def _values(key: Key) -> list[str]:
 
 def _bare(value: object) -> str:
     return value if isinstance(value, str) else toml(value)
-
-
-def _join(*parts: str) -> str:
-    return ".".join(each for each in parts if each)
 
 
 if __name__ == "__main__":

@@ -222,7 +222,6 @@ def extra_keys(place: Place) -> Iterator[Key]:
 
 
 def _name(name: str, meaning: str, without: str) -> Key:
-    """A key with the name of something."""
     return Key(
         name=name,
         type="string",

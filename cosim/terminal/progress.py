@@ -113,17 +113,13 @@ class Progress(StatusDisplay):
     _begin: float | None = None
     _now_ns = 0
 
-    def observer(self, kinds: Callable[[], Mapping[str, str]]) -> "Callable[[Event], None] | None":
-        """Observer of the run's events for the vehicle table; None if it is not shown.
-
-        Args:
-            kinds: returns the kind of agent of each vehicle.
-        """
+    def observer(self, kinds: Mapping[str, str]) -> "Callable[[Event], None] | None":
+        """Observer of the run's events for the vehicle table, with the agents' kinds by vehicle; None if it is not shown."""
         if not self._terminal:
             return None
         from vcmvsp.cosim.terminal.live_table import LiveTable
 
-        self._table = LiveTable(kinds())
+        self._table = LiveTable(kinds)
         return self._table.on
 
     def on_instant(self, now_ns: int, end_ns: int) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.cosim.command_line import assert_refused, contents, two_cars, vcmvsp_command
+from tests.support.cosim.command_line import answer_of, assert_refused, contents, two_cars, vcmvsp_command
 from tests.support.cosim.run_processes import VCMVSP
 from vcmvsp.cosim.cli.app import PANELS, command, drawer_of
 from vcmvsp.cosim.runs.figures import Drawer
@@ -38,8 +38,7 @@ class Chatty(Agent):
 
 
 def test_a_run_leaves_its_files(folder: Path) -> None:
-    code, out, err = vcmvsp_command("run", "s.toml", "--out", "out")
-    assert (code, err) == (0, "")
+    out = answer_of("run", "s.toml", "--out", "out")
     assert "two-cars: 2 agents (inprocess), 0.5 s simulated" in out
     assert out.endswith("results:   out\n")
     assert set(FILES) <= {path.name for path in (folder / "out").iterdir()}
@@ -136,8 +135,7 @@ def test_the_seed_option_is_the_seed(folder: Path) -> None:
 
 @pytest.mark.parametrize("command", ["run", "agent", "list", "show", "check", "plot", "doctor"])
 def test_every_command_has_help(command: str) -> None:
-    code, out, err = vcmvsp_command(command, "--help")
-    assert (code, err) == (0, "")
+    out = answer_of(command, "--help")
     assert f"{command} [OPTIONS]" in out
     if command not in ("list", "doctor"):
         assert "Example: vcmvsp" in out
@@ -271,7 +269,6 @@ def test_check_accepts_an_agent_with_a_class_from_its_host(folder: Path) -> None
 
 
 def test_doctor_finds_no_fault_here() -> None:
-    code, out, err = vcmvsp_command("doctor")
-    assert (code, err) == (0, "")
+    out = answer_of("doctor")
     assert all(line.startswith("ok ") for line in out.splitlines())
     assert len(set(re.findall(r"digest (\w+)", out))) == 1  # same digest in one process and in many

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.cosim.command_line import vcmvsp_command
+from tests.support.cosim.command_line import answer_of, vcmvsp_command
 from tests.support.paths import ROOT
 from vcmvsp.cosim.cli import completion
 from vcmvsp.cosim.scenario import loader as scenarios
@@ -40,9 +40,7 @@ class Shell:
         self._patch.setenv("COMP_CWORD", str(len(words)))
         self._patch.setenv("_TYPER_COMPLETE_ARGS", " ".join(["vcmvsp", *words]))
         self._patch.setenv("_TYPER_COMPLETE_FISH_ACTION", "get-args")
-        code, out, err = vcmvsp_command()
-        assert (code, err) == (0, "")
-        return out.splitlines()
+        return answer_of().splitlines()
 
 
 def test_commands_and_their_options(bash: Shell) -> None:

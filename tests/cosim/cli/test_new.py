@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.cosim.command_line import assert_refused, contents, vcmvsp_command
+from tests.support.cosim.command_line import answer_of, assert_refused, contents, vcmvsp_command
 from tests.support.paths import ROOT
 from vcmvsp.cosim.cli import kinds
 
@@ -40,8 +40,7 @@ def test_it_runs_and_passes_its_own_test_unedited(here: Path, part: str) -> None
 
 @pytest.mark.parametrize("part", kinds.PARTS)
 def test_it_lists_the_written_files(here: Path, part: str) -> None:
-    code, out, err = vcmvsp_command("new", part, "thing", "--out", "some/where")
-    assert (code, err) == (0, "")
+    out = answer_of("new", part, "thing", "--out", "some/where")
     written = {str(path.relative_to(here)) for path in (here / "some" / "where").iterdir()}
     assert {line.split()[0] for line in out.partition("next: ")[0].splitlines()} == written
     assert "vcmvsp reference --json-schema > some/where/scenario.schema.json" in out
@@ -119,7 +118,5 @@ def test_an_existing_file_stays_and_nothing_is_written_beside_it(here: Path, tak
 def test_the_written_kind_is_shown_with_its_parameters(here: Path, part: str) -> None:
     vcmvsp_command("new", part, "mine")
     if part not in ("channel", "task"):  # `show` has no groups for layers and tasks
-        code, out, err = vcmvsp_command("show", part, "mine.py:Mine")
-        assert (code, err) == (0, "")
-        assert out.startswith("mine.py:Mine: ")
+        assert answer_of("show", part, "mine.py:Mine").startswith("mine.py:Mine: ")
     assert vcmvsp_command("check", "mine.toml").code == 0

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import vcmvsp
-from tests.support.cosim.command_line import assert_refused, contents, two_cars, vcmvsp_command
+from tests.support.cosim.command_line import answer_of, assert_refused, contents, two_cars, vcmvsp_command
 from vcmvsp.cosim.runs.result import compared
 
 pytestmark = [pytest.mark.processes, pytest.mark.usefixtures("figures", "folder")]
@@ -34,13 +34,11 @@ def test_plot_draws_the_figures_of_the_run_again(folder: Path) -> None:
     figures = {name: data for name, data in contents(folder / "out").items() if name.endswith(".png")}
     assert sorted(figures) == ["formation_error.png", "trajectory.png"]
     for _ in range(4):  # repeated: random differences are rare
-        code, out, err = vcmvsp_command("plot", "out", "--out", "again")
-        assert (code, err) == (0, "")
-        assert sorted(out.splitlines()) == ["again/formation_error.png", "again/trajectory.png"]
+        lines = answer_of("plot", "out", "--out", "again").splitlines()
+        assert sorted(lines) == ["again/formation_error.png", "again/trajectory.png"]
         assert contents(folder / "again") == figures
-    code, out, err = vcmvsp_command("plot", "out", "--out", "drawn", "--svg")
-    assert (code, err) == (0, "")
-    assert sorted(out.splitlines()) == ["drawn/formation_error.svg", "drawn/trajectory.svg"]
+    lines = answer_of("plot", "out", "--out", "drawn", "--svg").splitlines()
+    assert sorted(lines) == ["drawn/formation_error.svg", "drawn/trajectory.svg"]
     assert (folder / "drawn" / "trajectory.svg").read_text().startswith("<?xml")
     for name in ("one", "two"):
         assert vcmvsp_command("plot", "out", "--out", name, "--pdf").code == 0
@@ -74,9 +72,7 @@ def test_only_figures_of_a_mission_need_the_recording(folder: Path) -> None:
     assert (folder / "out" / "mission.png").is_file()
     (folder / "out" / "run.mcap").unlink()
     assert sorted(result.plot()) == ["trajectory"]  # no followers, thus no formation error
-    code, out, err = vcmvsp_command("plot", "out", "--out", "again")
-    assert (code, err) == (0, "")
-    assert out.splitlines() == ["again/trajectory.png"]
+    assert answer_of("plot", "out", "--out", "again") == "again/trajectory.png\n"
     assert result.metrics["mission"]["targets_found"] == 0
 
 

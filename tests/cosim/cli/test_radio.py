@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import vcmvsp
-from tests.support.cosim.command_line import assert_refused, vcmvsp_command
+from tests.support.cosim.command_line import answer_of, assert_refused, vcmvsp_command
 from vcmvsp.cosim.recording.recorded_run import tables_of
 from vcmvsp.cosim.runs.replay import replay
 from vcmvsp.cosim.tables.schema import RADIO_SCHEMA
@@ -39,9 +39,7 @@ def sets(*settings: str) -> list[str]:
 
 def columns(*arguments: str) -> dict[str, Any]:
     """Columns printed by ``per`` or ``pathloss``."""
-    outcome = vcmvsp_command(*arguments, "--json")
-    assert (outcome.code, outcome.err) == (0, "")
-    return json.loads(outcome.out)
+    return json.loads(answer_of(*arguments, "--json"))
 
 
 def channel(preset: str, *arguments: str) -> dict[str, Any]:
@@ -60,11 +58,10 @@ def test_a_trial_counts_frames_and_receptions() -> None:
 
 
 def test_a_trial_in_words() -> None:
-    outcome = vcmvsp_command(*TRIAL, "--quiet", "--preset", "wifi-b-1", *sets("mac.kind=ideal"))
-    assert (outcome.code, outcome.err) == (0, "")
-    assert "wifi-b-1: 40 frames of 4 vehicles\n" in outcome.out
-    assert "50.00 % of frame x receiver (60 below sensitivity)\n" in outcome.out
-    assert "mean 1.28, p50 1.28, p95 1.28, p99 1.28 ms\n" in outcome.out
+    out = answer_of(*TRIAL, "--quiet", "--preset", "wifi-b-1", *sets("mac.kind=ideal"))
+    assert "wifi-b-1: 40 frames of 4 vehicles\n" in out
+    assert "50.00 % of frame x receiver (60 below sensitivity)\n" in out
+    assert "mean 1.28, p50 1.28, p95 1.28, p99 1.28 ms\n" in out
 
 
 @pytest.mark.parametrize("preset", ["ideal", "wss", "wifi-b-1", "wifi-g-6", "wifi-a-54", "zigbee"])

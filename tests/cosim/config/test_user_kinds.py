@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 import vcmvsp
-from tests.support.cosim.command_line import assert_refused, vcmvsp_command
+from tests.support.cosim.command_line import answer_of, assert_refused, vcmvsp_command
 from vcmvsp.cosim.errors import ScenarioError
 
 OWN = '''
@@ -55,10 +55,9 @@ def folder(here: Path) -> Path:
 
 
 def test_a_user_class_is_shown_with_its_comments(folder: Path) -> None:
-    outcome = vcmvsp_command("show", "sensor", "own.py:Sonar")
-    assert (outcome.code, outcome.err) == (0, "")
-    assert "Tells how high it is." in outcome.out
-    assert "how far it hears" in outcome.out
+    out = answer_of("show", "sensor", "own.py:Sonar")
+    assert "Tells how high it is." in out
+    assert "how far it hears" in out
 
 
 @pytest.mark.parametrize(

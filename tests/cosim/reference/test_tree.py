@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from tests.support.cosim.command_line import assert_refused, vcmvsp_command
+from tests.support.cosim.command_line import answer_of, assert_refused, vcmvsp_command
 from vcmvsp.cosim.config import binding, builtin_kinds, registry
 from vcmvsp.cosim.reference import describe, tree
 from vcmvsp.cosim.reference.describe import Key
@@ -146,9 +146,7 @@ def test_an_invalid_name_is_refused(section: str) -> None:
 
 
 def test_without_a_terminal_it_is_plain() -> None:
-    code, out, err = vcmvsp_command("reference", "radio.loss.bernoulli")
-    assert (code, err) == (0, "")
-    head, row = out.splitlines()
+    head, row = answer_of("reference", "radio.loss.bernoulli").splitlines()
     assert head.startswith('radio.loss, kind = "bernoulli": Every frame is lost with one probability on all links, ')
     assert row == "  probability  0 to 1  required  of a message to be lost, whatever its size"
 

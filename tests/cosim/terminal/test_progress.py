@@ -114,7 +114,7 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[Terminal]:
 
 def show_vehicles(shown: Progress) -> None:
     """Show two vehicles half-way through a run."""
-    observer = shown.observer(lambda: {"car1": "trajectory"})
+    observer = shown.observer({"car1": "trajectory"})
     assert observer is not None
     observer(states(0, POSES))
     shown.on_instant(5 * SECOND_NS, 10 * SECOND_NS)
@@ -253,7 +253,7 @@ def test_a_dumb_terminal_gets_lines_like_a_file(terminal: Terminal, monkeypatch:
     monkeypatch.setenv("TERM", "dumb")
     monkeypatch.setattr(progress, "LOG_EVERY_S", 0.0)
     with terminal, Progress(quiet=False) as shown:
-        assert shown.observer(dict) is None  # it costs nothing
+        assert shown.observer({}) is None  # it costs nothing
         shown.on_instant(5 * SECOND_NS, 10 * SECOND_NS)
     assert b"\x1b" not in terminal.sent()
     assert terminal.screen()[0].startswith("5.0 of 10 s simulated (50 %, ")
@@ -274,7 +274,7 @@ def test_a_file_has_plain_lines_even_where_colours_are_forced(monkeypatch: pytes
 
 def test_quiet_is_quiet_on_a_terminal(terminal: Terminal) -> None:
     with terminal, Progress(quiet=True) as shown:
-        assert shown.observer(dict) is None
+        assert shown.observer({}) is None
         shown.on_instant(5 * SECOND_NS, 10 * SECOND_NS)
         shown.tell("a line")
     assert terminal.sent() == b""

@@ -27,6 +27,13 @@ def vcmvsp_command(*arguments: str) -> Outcome:
     return Outcome(code or 0, out.getvalue(), err.getvalue())
 
 
+def answer_of(*arguments: str) -> str:
+    """What a command prints that succeeds, with nothing on stderr."""
+    code, out, err = vcmvsp_command(*arguments)
+    assert (code, err) == (0, "")
+    return out
+
+
 def assert_refused(outcome: Outcome, *words: str) -> None:
     """A command has failed with exit code 2 and one line with these words on stderr, and nothing on stdout."""
     assert (outcome.code, outcome.out, outcome.err.count("\n")) == (2, "", 1), outcome
