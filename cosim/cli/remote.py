@@ -287,6 +287,8 @@ def doctor_command(
     """
     if connect is None and (keys is not None or insecure):
         raise UsageError("--keys and --insecure need a run to connect to: add --connect ENDPOINT")
+    if connect is None and secret is not None:
+        raise UsageError("--secret needs a run to connect to: add --connect ENDPOINT")
     checks = installation() if connect is None else connection(connect, keys, insecure=insecure, secret=secret)
     if json:
         with stdout_to_stderr():

@@ -172,6 +172,7 @@ def test_a_run_without_a_description(stack: contextlib.ExitStack) -> None:
         (["--connect", "tls/127.0.0.1:7447", "--keys", "nobody.keys"], "nobody.keys: cannot be read"),
         (["--keys", "anna.keys"], "--keys and --insecure need a run to connect to: add --connect ENDPOINT"),
         (["--insecure"], "add --connect ENDPOINT"),
+        (["--secret", "run.secret"], "--secret needs a run to connect to: add --connect ENDPOINT"),
     ],
 )
 def test_bad_arguments(arguments: list[str], words: str) -> None:
