@@ -253,28 +253,47 @@ def build(
     preset = radio.get("preset", "ideal")
     if preset not in PRESETS:
         raise source.error(binding.unknown("preset", str(preset), PRESETS), binding.join(key, "preset"))
-    base, layers, resolved = preset_of(preset), {}, {"preset": preset}
-    offered: dict[str, Any] = {"sightline": Sightline(solids), "solids": SolidSurfaces(solids)}
+    base, offered = preset_of(preset), {"sightline": Sightline(solids), "solids": SolidSurfaces(solids)}
     _check_rays(base, radio, key, source)
+    tables = _tables(base, radio, key, source)
     try:
-        for name in LAYERS:
-            where, own = binding.join(key, name), radio.get(name, {})
-            if not isinstance(own, dict):
-                raise source.error(f"must be a table, not {binding.show(own)}{_proposal(name, base[name], own, where)}", where)
-            content, guard = _merged(name, base[name], own), partial(user_layers.guarded, name)
-            layers[name], resolved[name] = registry.build(
-                name, content, key=where, source=source, portable=portable, offered=offered, keep=keep, guard=guard
-            )
-            user_layers.check_attributes(name, layers[name])
-            if name == "path_loss":
-                offered["rays"] = layers[name]
-            if name == "phy":
-                offered["noise_dbm"] = getattr(layers["phy"], "noise_dbm", None)
+        layers, resolved = _layers(tables, offered, key=key, source=source, portable=portable, keep=keep)
         _check_mac(layers, key, source)
         _check_names(layers, vehicles, key, source)
-        return Channel(**layers, radios=radios), resolved
+        return Channel(**layers, radios=radios), {"preset": preset, **resolved}
     except user_layers.LayerError as error:
         raise source.error(error.cause, binding.join(key, error.layer)) from error
+
+
+def _tables(
+    base: Mapping[str, Mapping[str, Any]], radio: Mapping[str, Any], key: str, source: Source
+) -> dict[str, Mapping[str, Any]]:
+    """The table of each layer: the preset's with the changes of the scenario."""
+    tables = {}
+    for name in LAYERS:
+        where, own = binding.join(key, name), radio.get(name, {})
+        if not isinstance(own, dict):
+            raise source.error(f"must be a table, not {binding.show(own)}{_proposal(name, base[name], own, where)}", where)
+        tables[name] = _merged(name, base[name], own)
+    return tables
+
+
+def _layers(
+    tables: Mapping[str, Mapping[str, Any]], offered: dict[str, Any], *, key: str, **options: Any
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The layers of a channel, and their complete tables; a layer is offered to later ones that have a parameter for it."""
+    from vcmvsp.netsim.channel import user_layers
+
+    layers, resolved = {}, {}
+    for name, content in tables.items():
+        where, guard = binding.join(key, name), partial(user_layers.guarded, name)
+        layers[name], resolved[name] = registry.build(name, content, key=where, offered=offered, guard=guard, **options)
+        user_layers.check_attributes(name, layers[name])
+        if name == "path_loss":
+            offered["rays"] = layers[name]
+        if name == "phy":
+            offered["noise_dbm"] = getattr(layers["phy"], "noise_dbm", None)
+    return layers, resolved
 
 
 def _check_rays(base: dict[str, dict[str, Any]], radio: Mapping[str, Any], key: str, source: Source) -> None:

@@ -16,6 +16,7 @@ from vcmvsp.cosim.view import HOST, PORT
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.runs.api import Result
+    from vcmvsp.cosim.studies.engine import Studied
     from vcmvsp.cosim.view.live.foxglove_server import FoxgloveServer
     from vcmvsp.cosim.view.live.session import Viewing
 
@@ -352,9 +353,7 @@ def study_command(
     from vcmvsp.cosim.scenario import loader as scenarios
     from vcmvsp.cosim.studies import engine
     from vcmvsp.cosim.studies.plan import vary_of
-    from vcmvsp.cosim.studies.summary import rows, summarise
     from vcmvsp.cosim.terminal.progress import StudyProgress
-    from vcmvsp.cosim.util.files import to_json
 
     if out is not None and str(out) == ".":
         raise UsageError("--out: name a folder; the files of a study cannot go into the current folder")
@@ -377,20 +376,27 @@ def study_command(
             checking=progress.on_check,
             noted=progress.on_value,
         )
-    plan, table = studied.plan, studied.table
-    summary = summarise(table, list(plan.vary), plan.metrics)
-    failed = [text for text in table["error"].to_pylist() if text is not None]
+    failed = [text for text in studied.table["error"].to_pylist() if text is not None]
+    _show_study(studied, len(failed), json=json, quiet=quiet)
+    if failed:
+        which = "every run" if len(failed) == studied.plan.size else f"{len(failed)} of {studied.plan.size} runs"
+        raise VcmvspError(f"{which} failed, the first with: {failed[0]}")
+
+
+def _show_study(studied: "Studied", failed: int, *, json: bool, quiet: bool) -> None:
+    from vcmvsp.cosim.studies.summary import rows, summarise
+    from vcmvsp.cosim.util.files import to_json
+
+    plan = studied.plan
+    summary = summarise(studied.table, list(plan.vary), plan.metrics)
     points = rows(summary, list(plan.vary), plan.metrics)
     if json:
-        about = {"scenario": plan.scenario, "vary": plan.vary, "seeds": plan.seeds, "runs": plan.size, "failed": len(failed)}
+        about = {"scenario": plan.scenario, "vary": plan.vary, "seeds": plan.seeds, "runs": plan.size, "failed": failed}
         sys.stdout.write(to_json({**about, "rows": points, "out": str(studied.folder)}))
     elif not quiet:
         sys.stdout.write(f"{plan.scenario}: {plan.size} runs, {len(points)} points with {len(plan.seeds)} seeds each\n")
         sys.stdout.write(_table(points, list(plan.vary), plan.metrics))
         sys.stdout.write(f"results: {studied.folder}\n")
-    if failed:
-        which = "every run" if len(failed) == plan.size else f"{len(failed)} of {plan.size} runs"
-        raise VcmvspError(f"{which} failed, the first with: {failed[0]}")
 
 
 def _table(points: Sequence[Mapping[str, Any]], keys: Sequence[str], metrics: Sequence[str]) -> str:

@@ -65,9 +65,7 @@ def test_every_bit_of_link_frame_and_slot_counts(key: int, frame: int, slot: int
 
 
 def test_draws_broadcast_over_links_and_frames() -> None:
-    keys = np.arange(3, dtype=np.uint64)[:, None]
-    frames = np.arange(5, dtype=np.uint64)
-    assert link_uniform(keys, frames, 1).shape == (3, 5, 2)
+    assert link_uniform(np.arange(3, dtype=np.uint64)[:, None], np.arange(5, dtype=np.uint64), 1).shape == (3, 5, 2)
 
 
 # One million fixed draws each: each test's result is always the same. One good generator in two million exceeds a bound of 5
@@ -98,6 +96,8 @@ def test_frames_links_slots_and_the_two_draws_are_uncorrelated() -> None:
 def test_a_key_is_the_same_on_every_machine() -> None:
     # printf 1/car2/positioning | b2sum -l 64
     assert key64(1, "car2/positioning").to_bytes(8, "little").hex() == "32bae8a8e9a19034"
+    assert key64(1, "1/car") != key64(11, "/car")  # seed and name are separated
+    assert key64(1, "2") != key64(12, "")
 
 
 def test_a_stream_is_fixed_by_seed_and_name() -> None:
@@ -109,11 +109,6 @@ def test_a_stream_is_fixed_by_seed_and_name() -> None:
     assert head(1, "car2/positioning") == here
     others = [head(seed, name) for seed, name in [(2, "car2/positioning"), (1, "car3/positioning"), (1, "car2/positionin")]]
     assert all(not set(here) & set(other) for other in others)
-
-
-def test_seed_and_name_are_separated() -> None:
-    assert key64(1, "1/car") != key64(11, "/car")
-    assert key64(1, "2") != key64(12, "")
 
 
 @pytest.mark.parametrize(

@@ -132,19 +132,13 @@ def test_of_latest_keys_only_the_newest_event_is_delivered() -> None:
     assert [sorted(inbox) for _, _, inbox in log] == [["car/heard"] * 3 + ["car/scan"], [], ["car/heard", "car/scan"]]
 
 
-def test_a_future_event_wakes_at_its_own_time() -> None:
+def test_a_future_event_wakes_at_its_own_time_and_cancels_no_own_step() -> None:
     log: Log = []
-    agent = Script("agent", Slot.AGENT, {10: [("car/command", 7)]})
-    robot = Script("robot", Slot.WORLD, wakes=("*/command",), wake_slot=Slot.APPLY, log=log)
-    assert run(agent, robot) == [(17, "car/command")]
-    assert log == [("robot", 17, ["car/command"])]
-
-
-def test_a_wake_up_does_not_cancel_the_next_own_step() -> None:
-    log: Log = []
-    robot = Script("robot", Slot.WORLD, {0: [], 50: []}, wakes=("car/command",), wake_slot=Slot.APPLY, log=log)
-    run(Script("agent", Slot.AGENT, {20: [("car/command", 0)]}), robot)
-    assert [when for _, when, _ in log] == [0, 20, 50]
+    agent = Script("agent", Slot.AGENT, {10: [("car/command", 7)], 20: [("car/command", 0)]})
+    robot = Script("robot", Slot.WORLD, {0: [], 50: []}, wakes=("*/command",), wake_slot=Slot.APPLY, log=log)
+    assert run(agent, robot) == [(17, "car/command"), (20, "car/command")]
+    command = ["car/command"]
+    assert log == [("robot", 0, []), ("robot", 17, command), ("robot", 20, command), ("robot", 50, [])]
 
 
 def test_agents_do_not_step_at_the_end() -> None:
