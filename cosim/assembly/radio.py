@@ -339,7 +339,7 @@ def _check_mac(layers: Mapping[str, Any], key: str, source: Source) -> None:
     try:
         layers["mac"].open(layers["phy"], 2, np.zeros(2, np.uint64), 1e-9)
     except ScenarioError as error:
-        where = binding.join(key, "mac.kind")
+        where = binding.join(key, error.key if error.key.startswith("mac.") else "mac.kind")
         origin = source.of(where)
         origin = source.of(binding.join(key, "phy")) if origin == source.name else origin  # only one of them was changed
         raise ScenarioError(error.problem, key=where, source=origin) from error

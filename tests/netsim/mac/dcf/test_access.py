@@ -176,9 +176,9 @@ def test_a_higher_priority_goes_first_and_equal_ones_in_their_order() -> None:
         ("wifi-b-1", "preamble_time_us", 1e30, r"radio.mac.preamble_time_us: must be a number >= "),
         ("wifi-b-1", "lifetime_s", 1e300, r"radio.mac.lifetime_s: must be a number >= "),
         ("wifi-b-1", "capture_margin_db", 1e308, r"radio.mac.capture_margin_db: must be a number >= "),
-        ("wifi-b-1", "cw_max", 3, r"must not be less than cw_min = 31 of the standard, not 3"),
-        ("wifi-b-1", "rate_control", "ideal", r"ideal chooses among the rates of 802.11a, g, n and ax"),
-        ("zigbee", "cw_max", 63, r"dcf .* IEEE 802.11 and needs phy dsss or ofdm, not Ieee802154"),
+        ("wifi-b-1", "cw_max", 3, r"radio.mac.cw_max: must not be less than cw_min = 31 of the standard, not 3"),
+        ("wifi-b-1", "rate_control", "ideal", r"radio.mac.rate_control: ideal chooses among the rates of 802.11a, g, n and ax"),
+        ("zigbee", "cw_max", 63, r"radio.mac.kind: dcf .* IEEE 802.11 and needs phy dsss or ofdm, not Ieee802154"),
     ],
 )
 def test_numbers_and_phys_that_no_radio_has_are_refused(preset: str, key: str, value: float, message: str) -> None:
