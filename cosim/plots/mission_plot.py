@@ -39,6 +39,13 @@ MARKED: dict[str, Any] = {
     "markeredgecolor": EDGE,
     "linestyle": "",
 }
+OPEN: dict[str, Any] = {  # around dots, which it does not hide
+    **MARKED,
+    "markersize": 18.0,
+    "markerfacecolor": "none",
+    "markeredgecolor": TARGET,
+    "markeredgewidth": 1.4,
+}
 FALSE: dict[str, Any] = {"marker": "X", "markersize": 8.0, "color": "white", "markeredgecolor": EDGE, "linestyle": ""}
 GIVEN_UP: dict[str, Any] = {**FALSE, "marker": "v", "markersize": 7.0}
 DOT: dict[str, Any] = {"marker": "o", "markersize": 4.0, "markeredgecolor": "white", "markeredgewidth": 0.6, "linestyle": ""}
@@ -76,12 +83,12 @@ def mosaic(log: MissionLog, moved: Motion, targets: Sequence[Target]) -> Figure:
             _track(axes, moved, name, index, log.end_ns, halo=True)
             sightings = [sighting for _, each in log.sightings.get(name, ()) for sighting in each.found]
             places = np.array([each.place for each in sightings]).reshape(-1, 2)
-            axes.plot(*places.T, color=color_of(index), **DOT)
-        _true_places(axes, targets, log.end_ns, named=True)
+            axes.plot(*places.T, color=color_of(index), zorder=6, **DOT)  # above the vehicle
+        _true_places(axes, targets, log.end_ns, OPEN, named=True)
         _square(axes)
         dots = Line2D([], [], color=GREY, label="recognised here", **DOT)
         lines = [Line2D([], [], color=color_of(index), label=name) for index, name in enumerate(log.vehicles)]
-        lines += [dots, Line2D([], [], label="target, at the end", **MARKED)]
+        lines += [dots, Line2D([], [], label="target, at the end", **OPEN)]
         figure.legend(handles=lines, loc="outside lower left", ncols=6, frameon=False)
     return figure
 
@@ -229,7 +236,7 @@ def _maps(figure: FigureBase, log: MissionLog, moved: Motion, targets: Sequence[
         axes.add_collection(solids, autolim=False)
         for index, name in enumerate(log.vehicles):
             _track(axes, moved, name, index, now)
-        _true_places(axes, targets, now, named=number == 1)
+        _true_places(axes, targets, now, MARKED, named=number == 1)
         _square(axes)
         axes.set_title(": ".join(filter(None, (f"{now / SECOND_NS:g} s", event))))
         axes.label_outer()
@@ -248,13 +255,13 @@ def _track(axes: Axes, moved: Motion, name: str, index: int, now_ns: int, *, hal
         draw_vehicle(axes, (x[-1], y[-1], moved.yaw[until - 1, column]), color_of(index), 10.0)
 
 
-def _true_places(axes: Axes, targets: Sequence[Target], now_ns: int, *, named: bool) -> None:
+def _true_places(axes: Axes, targets: Sequence[Target], now_ns: int, mark: dict[str, Any], *, named: bool) -> None:
     for target in targets:
         x, y = target.place(now_ns / SECOND_NS)
-        axes.plot(x, y, zorder=4, **MARKED)
+        axes.plot(x, y, zorder=4, **mark)
         if named:
             halo = [withStroke(linewidth=2.0, foreground="white")]
-            beside, side = (8.0, "left") if x < np.mean(axes.get_xlim()) else (-8.0, "right")
+            beside, side = (10.0, "left") if x < np.mean(axes.get_xlim()) else (-10.0, "right")
             axes.annotate(target.name, (x, y), (beside, -3.0), textcoords="offset points", ha=side, zorder=7, path_effects=halo)
 
 
