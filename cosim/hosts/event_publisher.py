@@ -20,6 +20,7 @@ from zenoh.handlers import Callback
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.hosts import protocol
 from vcmvsp.cosim.transport import key_names
+from vcmvsp.cosim.transport.zenoh_session import undeclare
 from vcmvsp.cosim.types import (
     AnyValue,
     Array,
@@ -98,10 +99,7 @@ class Topics:
 
     def close(self) -> None:
         """Stop publishing."""
-        handles: list[Any] = [self._queryable, *self._publishers.values()]
-        for handle in handles:
-            with contextlib.suppress(zenoh.ZError):  # the session may be closed already
-                handle.undeclare()
+        undeclare(self._queryable, *self._publishers.values())
 
     def _declare(self, key: str) -> None:
         def on_matching(status: zenoh.MatchingStatus) -> None:

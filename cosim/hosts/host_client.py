@@ -16,7 +16,7 @@ from vcmvsp.cosim.errors import FederateError, Interrupted, UsageError, VcmvspEr
 from vcmvsp.cosim.federate import Federate
 from vcmvsp.cosim.hosts import protocol
 from vcmvsp.cosim.transport import access_control, endpoints, key_names, zenoh_session
-from vcmvsp.cosim.transport.zenoh_session import UNIX, client, common_names, threads
+from vcmvsp.cosim.transport.zenoh_session import UNIX, client, common_names, threads, undeclare
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Bundle
@@ -138,8 +138,7 @@ def serve(
             return desk.ended or ""
         finally:
             desk.close()
-            for handle in (watch, token, subscriber, publisher):
-                handle.undeclare()  # type: ignore[no-untyped-call]
+            undeclare(watch, token, subscriber, publisher)
 
 
 def _answer(

@@ -26,7 +26,7 @@ from vcmvsp.cosim.hosts import protocol
 from vcmvsp.cosim.hosts.protocol import Machine
 from vcmvsp.cosim.hosts.remote_host import LateError, LinkError
 from vcmvsp.cosim.transport import access_control, key_names
-from vcmvsp.cosim.transport.zenoh_session import UNIX, closed, opened, threads
+from vcmvsp.cosim.transport.zenoh_session import UNIX, closed, opened, threads, undeclare
 
 if TYPE_CHECKING:
     from vcmvsp.cosim.security.certificates import Keys
@@ -173,7 +173,7 @@ class ZenohLink:
         self.leaving = self._closed = True
         with contextlib.suppress(zenoh.ZError):  # the session may be closed
             self._farewell()
-            self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+        undeclare(self._subscriber)
         self._callbacks.released(not self._failed)
 
     def _accept(self, news: "zenoh.Sample | bool") -> bytes | None:

@@ -21,7 +21,7 @@ from vcmvsp.cosim.hosts import protocol
 from vcmvsp.cosim.hosts.event_publisher import ECHO, About, stamp
 from vcmvsp.cosim.hosts.host_client import NO_RUN, dial, dialling, hub_of
 from vcmvsp.cosim.transport import access_control, key_names, zenoh_session
-from vcmvsp.cosim.transport.zenoh_session import client, common_names
+from vcmvsp.cosim.transport.zenoh_session import client, common_names, undeclare
 from vcmvsp.cosim.util.documents import read_json
 
 if TYPE_CHECKING:
@@ -331,7 +331,7 @@ def _access(session: zenoh.Session, name: str, bundle: "Bundle | None") -> Check
         is_receiving = answers.get(timeout=PATIENCE_S if bundle is None or bundle.role == "observer" else PATIENCE_S / 4)
     except queue.Empty:
         is_receiving = False
-    subscriber.undeclare()  # type: ignore[no-untyped-call]
+    undeclare(subscriber)
     speaks = ask(session, _SOMEBODY) is not None
     topics = "receives the topics of the run" if is_receiving else "does not receive the topics of the run"
     others = "may act for other vehicles" if speaks else "acts only for itself"

@@ -1,12 +1,10 @@
 """The page of a run for observers on other machines: updates as samples, the scenery on request. Nothing is ever read."""
 
-import contextlib
-from typing import Any
-
 import zenoh
 from zenoh.handlers import Callback
 
 from vcmvsp.cosim.transport import key_names
+from vcmvsp.cosim.transport.zenoh_session import undeclare
 
 
 class PagePublisher:
@@ -48,10 +46,7 @@ class PagePublisher:
     def close(self) -> None:
         """Stop publishing."""
         self.open = False
-        handles: list[Any] = [self._queryable, self._publisher]
-        for handle in handles:
-            with contextlib.suppress(zenoh.ZError):  # the session may be closed already
-                handle.undeclare()
+        undeclare(self._queryable, self._publisher)
 
     def _on_matching(self, status: zenoh.MatchingStatus) -> None:
         self._has_readers = status.matching

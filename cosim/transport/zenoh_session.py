@@ -68,6 +68,13 @@ def closed(session: zenoh.Session) -> None:
         session.close()  # type: ignore[no-untyped-call]
 
 
+def undeclare(*handles: Any) -> None:
+    """Undeclare publishers, subscribers and the like; their session may be closed already."""
+    for handle in handles:
+        with contextlib.suppress(zenoh.ZError):
+            handle.undeclare()
+
+
 def common_names(session: zenoh.Session) -> Iterable[str | None]:
     """Common names of the certificates at the other ends of a session's links."""
     return [link.auth_identifier for link in session.info.links()]
