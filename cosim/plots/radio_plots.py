@@ -8,9 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, NullFormatter
 
-from vcmvsp.cosim.plots.style import ABOVE, GREY, LEVEL, MAP, style, styled
+from vcmvsp.cosim.plots.style import ABOVE, GREY, LEVEL, MAP, plain_numbers, style, styled
 from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.util.palette import OKABE_ITO
 
@@ -178,7 +177,5 @@ def _draw_levels(axes: Axes, distance_m: Array, level_dbm: Array, line_m: Array,
     low, high = line_dbm - sigma_db, line_dbm + sigma_db
     axes.fill_between(line_m, low, high, color=_BLUE, alpha=0.18, linewidth=0.0, zorder=1, label="$\\pm\\sigma$")
     axes.set_xscale("log")
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.xaxis.set_major_formatter("{x:g}")
-    axes.xaxis.set_minor_formatter(NullFormatter())
+    plain_numbers(axes.xaxis)
     axes.set_xlabel("distance [m]")

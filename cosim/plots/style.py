@@ -14,12 +14,14 @@ from typing import Any, ParamSpec
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.collections import Collection, QuadMesh
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import PlaceHolderLayoutEngine
 from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from vcmvsp.cosim.util.files import replacing, write_whole
 from vcmvsp.cosim.util.palette import OKABE_ITO, color_of
@@ -144,6 +146,13 @@ def svg(figure: Figure) -> str:
         canvas.print_svg(stream, metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))  # type: ignore[no-untyped-call]
         figure.dpi = dpi
     return _PATH.sub(_shorter, stream.getvalue())
+
+
+def plain_numbers(axis: Axis) -> None:
+    """Labels 0.1, 0.2, 0.5, 1 on a logarithmic axis of few decades."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
 
 
 def save(figure: Figure, stem: Path, kinds: Sequence[str] = tuple(SAVE)) -> list[Path]:

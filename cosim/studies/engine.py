@@ -139,7 +139,8 @@ def conduct(
         if out is not None and numbered:
             with writing(out):
                 out = Folder(out, numbered=True).claim()
-        with Answers(plan) if out is None else Store(out, plan, resume=resume, force=force) as answers:
+        rows_of = Store(out, plan, resume=resume, force=force) if out else contextlib.nullcontext(Answers(plan))
+        with rows_of as answers:
             before = len(answers.rows)
             try:
                 _run(plan, answers, ask, progress, noted)

@@ -53,12 +53,6 @@ class Answers:
         self.plan = plan
         self.rows: dict[str, bytes] = {}  # by `Run.key`, packed
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        """Do nothing: no resource is open."""
-
     def add(self, run: str, row: bytes) -> None:
         """Store a run's row."""
         self.rows[run] = rows.packed(row)

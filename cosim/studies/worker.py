@@ -83,9 +83,7 @@ def failed(message: str) -> bytes:
 DIED = failed("its worker died")
 
 
-@functools.lru_cache(maxsize=4)
-def _content(text: str) -> dict[str, Any]:
-    return content(text)
+_content = functools.lru_cache(maxsize=4)(content)
 
 
 def _in(folder: str) -> contextlib.AbstractContextManager[None]:

@@ -6,14 +6,12 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.colors import LinearSegmentedColormap, TwoSlopeNorm
 from matplotlib.figure import Figure as Canvas
-from matplotlib.ticker import LogLocator, NullFormatter
 from matplotlib.transforms import offset_copy
 
 from vcmvsp.cosim.plots.run_plots import draw_vehicle
-from vcmvsp.cosim.plots.style import LEVEL, MAP, line_of, marker_of, save, style, styled
+from vcmvsp.cosim.plots.style import LEVEL, MAP, line_of, marker_of, plain_numbers, save, style, styled
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Heat, Panel, as_json
 from vcmvsp.cosim.reproduction.row import COLUMNS, write_csv
 from vcmvsp.cosim.util.files import write_whole, writing
@@ -118,25 +116,18 @@ def _draw_legend(axes: Axes) -> int:
 def _set_scales(axes: Axes, panel: Panel) -> None:
     if panel.log_x:
         axes.set_xscale("log")
-        _plain_numbers(axes.xaxis)
+        plain_numbers(axes.xaxis)
     if panel.log_y:
         axes.set_yscale("log")
         low, high = panel.y_limits or axes.get_ylim()
         if high < 1000.0 * low:
-            _plain_numbers(axes.yaxis)
+            plain_numbers(axes.yaxis)
     if panel.equal:
         axes.set_aspect("equal", adjustable="datalim")
     if panel.x_limits:
         axes.set_xlim(*panel.x_limits)
     if panel.y_limits:
         axes.set_ylim(*panel.y_limits)
-
-
-def _plain_numbers(axis: Axis) -> None:
-    """Labels 0.1, 0.2, 0.5, 1 on a logarithmic axis of few decades."""
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axis.set_major_formatter("{x:g}")
-    axis.set_minor_formatter(NullFormatter())
 
 
 def _draw_curve(axes: Axes, curve: Curve, label: str, *, marked: bool, shaped: bool) -> None:

@@ -30,7 +30,7 @@ class Check:
     area: str
     title: str
     source: str  # of what is expected
-    measure: str  # "module:function" of this package, which gives a sequence of `Row`; or the name of a figure
+    measure: str  # "module:function" of this package, which yields each `Row`; or the name of a figure
     seconds: float = 2.0  # about, on one core: the longest begin first
     settings: Mapping[str, Any] = field(default_factory=dict)  # what the function is given
     reduced: str = ""  # in which way it is less than it could be
@@ -74,7 +74,7 @@ def measured(check: Check) -> Outcome:
     module, _, function = check.measure.partition(":")
     try:
         if function:
-            rows = getattr(importlib.import_module(f"{__name__}.{module}"), function)(**check.settings)
+            rows: Sequence[Row] = list(getattr(importlib.import_module(f"{__name__}.{module}"), function)(**check.settings))
         else:
             rows = figures.find(module)(Runner(), **check.settings).rows
     except Exception as error:

@@ -1,6 +1,6 @@
 """Checks of shared media: Bianchi's model of IEEE 802.11, and ns-3 with the same radios and traffic."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -85,18 +85,15 @@ LRWPAN = (
 )
 
 
-def bianchi() -> Sequence[Row]:
+def bianchi() -> Iterator[Row]:
     """Saturated radios at equal levels: throughput of unicast, and collisions of broadcast."""
-    rows = []
     for count in (3, 10):
         on, position = channel("wifi-b-11", mac=SATURATED, path_loss=EQUAL), _near(count)
         for k in range(9000):
             send(on, position, sender=k % count, to=(k + 1) % count, size_bytes=1000)
         reports = on.advance(8 * 10**9)
         received = sum(each == "received" for report in reports for each in report.outcome)
-        rows.append(
-            relative(f"unicast, {count} radios: frames received a second", _rate_hz(count, reports), received / 8.0, 0.03)
-        )
+        yield relative(f"unicast, {count} radios: frames received a second", _rate_hz(count, reports), received / 8.0, 0.03)
     for count in (3, 20):
         on, position = channel("wifi-b-11", mac=SATURATED, path_loss=EQUAL), _near(count)
         for k in range(5000):
@@ -104,8 +101,7 @@ def bianchi() -> Sequence[Row]:
         ends = [report for report in on.advance(10**10) if report.access_ns + report.queue_ns > 20_000_000][:4000]
         collided = float(np.mean([set(report.outcome) != {"received"} for report in ends]))
         exact = 1 - (1 - 2 / 33) ** (count - 1)
-        rows.append(absolute(f"broadcast, {count} radios: share that collides", exact, collided, 0.02))
-    return rows
+        yield absolute(f"broadcast, {count} radios: share that collides", exact, collided, 0.02)
 
 
 def _near(count: int) -> Array:
@@ -130,9 +126,8 @@ def sending_chance(count: int, window: int = 32, stages: int = 5) -> float:
     return tau
 
 
-def periodic(seeds: int = 20) -> Sequence[Row]:
+def periodic(seeds: int = 20) -> Iterator[Row]:
     """Radios with random phases, in several placements: ``vcmvsp channel``."""
-    rows = []
     for preset, count, delivery, mean_ms in PERIODIC:
         counts = []
         for seed in range(seeds):
@@ -143,14 +138,11 @@ def periodic(seeds: int = 20) -> Sequence[Row]:
         weights = [each["receptions"] for each in counts]
         delay_s = np.average([each["delay_s"]["mean"] for each in counts], weights=weights)
         share, case = float(np.mean([each["delivery_ratio"] for each in counts])), f"{preset}, {count} radios"
-        rows += [
-            absolute(f"{case}: delivery", delivery, share, 0.01),
-            relative(f"{case}: mean delay, ms", mean_ms, 1e3 * delay_s, 0.1 if mean_ms > 10.0 else 0.05),
-        ]
-    return rows
+        yield absolute(f"{case}: delivery", delivery, share, 0.01)
+        yield relative(f"{case}: mean delay, ms", mean_ms, 1e3 * delay_s, 0.1 if mean_ms > 10.0 else 0.05)
 
 
-def judged(name: str) -> Sequence[Row]:
+def judged(name: str) -> Iterator[Row]:
     """Compare one case of `NS3`."""
     of = NS3[name]
     position = np.zeros((of.radios, 3))
@@ -167,20 +159,16 @@ def judged(name: str) -> Sequence[Row]:
             receptions += np.bincount(others[arrived], minlength=len(EDGES_M))
             delays.append((np.asarray(report.received_ns)[arrived] - report.sent_ns) / 1e6)
     delay_ms = np.concatenate(delays)
-    rows = [
-        absolute("delivery", of.delivery, receptions.sum() / frames.sum(), 0.01),
-        relative("mean delay, ms", of.mean_ms, delay_ms.mean(), 0.05),
-    ]
+    yield absolute("delivery", of.delivery, receptions.sum() / frames.sum(), 0.01)
+    yield relative("mean delay, ms", of.mean_ms, delay_ms.mean(), 0.05)
     for at_ms, share, within in zip(of.quantiles_ms, of.shares, (0.03, 0.015, 0.015), strict=True):
-        rows.append(absolute(f"share of delays up to {at_ms:g} ms", share, float(np.mean(delay_ms <= at_ms + 1e-3)), within))
+        yield absolute(f"share of delays up to {at_ms:g} ms", share, float(np.mean(delay_ms <= at_ms + 1e-3)), within)
     for low, expected, measured in zip(EDGES_M, of.by_distance, receptions / frames, strict=True):
-        rows.append(absolute(f"delivery from {low:g} m on", expected, measured, 0.02))
-    return rows
+        yield absolute(f"delivery from {low:g} m on", expected, measured, 0.02)
 
 
-def lrwpan() -> Sequence[Row]:
+def lrwpan() -> Iterator[Row]:
     """Unslotted CSMA/CA in a room of 10 m, and on a line with hidden ends."""
-    rows = []
     for kind, count, hz, size, seconds, runs, delivery, mean_ms in LRWPAN:
         arrived, expected, delays = 0, 0, []
         for seed in range(runs):
@@ -197,11 +185,8 @@ def lrwpan() -> Sequence[Row]:
                 arrived, expected = arrived + len(arrivals_ns), expected + count - 1
                 delays.append((arrivals_ns - report.sent_ns) / 1e6)
         case = f"{kind}, {count} radios, {hz:g} Hz, {size} bytes"
-        rows += [
-            absolute(f"{case}: delivery", delivery, arrived / expected, 0.02),
-            relative(f"{case}: mean delay, ms", mean_ms, np.concatenate(delays).mean(), 0.05),
-        ]
-    return rows
+        yield absolute(f"{case}: delivery", delivery, arrived / expected, 0.02)
+        yield relative(f"{case}: mean delay, ms", mean_ms, np.concatenate(delays).mean(), 0.05)
 
 
 def _random(on: Channel, position: Array, hz: float, seconds: float, size: int, rng: np.random.Generator) -> list[FrameReport]:

@@ -134,7 +134,7 @@ def decided(on: Channel) -> Iterator[FrameReport]:
         yield from on.advance(due_ns + SECOND_NS)
 
 
-def path_loss() -> Sequence[Row]:
+def path_loss() -> Iterator[Row]:
     """Three laws over 1 m to 2 km, and the range with the parameters of the Wireless Simulation Server."""
     d, height = np.array(DISTANCES_M), 1.5
     free = 20.0 * np.log10(4.0 * math.pi * d * HZ / LIGHT_M_S)
@@ -149,24 +149,19 @@ def path_loss() -> Sequence[Row]:
             {"kind": "two_ray_ground", "frequency_hz": HZ},
         ),
     }
-    rows = []
     for name, (expected, layer) in laws.items():
         losses = part("path_loss_db", channel("ideal", path_loss=layer), line(DISTANCES_M, height))
         for far, exact, measured in zip(DISTANCES_M, expected, losses, strict=True):
-            rows.append(absolute(f"{name}, {far:g} m: loss, dB", exact, measured, 1e-4))
+            yield absolute(f"{name}, {far:g} m: loss, dB", exact, measured, 1e-4)
     for exponent in (2.0, 2.5, 3.0, 4.0):
         reach = 2.0 * 10.0 ** ((-49.67 + 93.0) / (10.0 * exponent))
         edge = np.linspace(reach - 0.05, reach + 0.05, 1001)
         report = report_of(channel("wss", path_loss={"exponent": exponent}), line(edge.tolist()))
-        rows.append(
-            absolute(f"wss, exponent {exponent:g}: range, m", reach, edge[np.array(report.received_ns) >= 0].max(), 2e-4)
-        )
-    return rows
+        yield absolute(f"wss, exponent {exponent:g}: range, m", reach, edge[np.array(report.received_ns) >= 0].max(), 2e-4)
 
 
-def walls() -> Sequence[Row]:
+def walls() -> Iterator[Row]:
     """Slabs of common walls in a world between two vehicles."""
-    rows = []
     for material, thick, *expected in SLABS:
         for hz, loss_db in zip((2.437e9, 5.2e9), expected, strict=True):
             box = {"center": (5.0, 0.0, 1.0), "size": (thick, 8.0, 2.0), "material": material}
@@ -180,11 +175,10 @@ def walls() -> Sequence[Row]:
                 vehicles={"kind": "kinematic"},
             )
             measured = numbers(run(scenario, mcap=False).radio, "wall_loss_db")
-            rows.append(absolute(f"{material}, {1000 * thick:g} mm, {hz / 1e9:g} GHz: loss, dB", loss_db, measured[0], 0.051))
-    return rows
+            yield absolute(f"{material}, {1000 * thick:g} mm, {hz / 1e9:g} GHz: loss, dB", loss_db, measured[0], 0.051)
 
 
-def shadowing() -> Sequence[Row]:
+def shadowing() -> Iterator[Row]:
     """Spread and correlation over 20,000 links in 2 km, from twenty transmitters; both directions."""
     layer = {"kind": "gudmundson", "sigma_db": SIGMA_DB, "correlation_distance_m": APART_M}
     rng, on = np.random.default_rng(3), channel("ideal", shadowing=layer)
@@ -200,33 +194,29 @@ def shadowing() -> Sequence[Row]:
         there_first = position[[1, 0]]
         back.append(part("shadowing_db", on, there_first)[0] - before[-1][0])
     values = np.concatenate(before)
-    rows = [
-        relative("standard deviation, dB", SIGMA_DB, values.std(), 0.02),
-        absolute("mean, dB", 0.0, values.mean(), 0.15),
-        absolute("largest difference between there and back, dB", 0.0, np.abs(back).max(), 1e-9),
-    ]
+    yield relative("standard deviation, dB", SIGMA_DB, values.std(), 0.02)
+    yield absolute("mean, dB", 0.0, values.mean(), 0.15)
+    yield absolute("largest difference between there and back, dB", 0.0, np.abs(back).max(), 1e-9)
     for delta, measured in after.items():
         rho = np.corrcoef(values, np.concatenate(measured))[0, 1]
         case = f"one end moved by {delta:g} m: correlation, exp(-d / 10 m)"
-        rows.append(absolute(case, math.exp(-delta / APART_M), rho, 0.03))
-    return rows
+        yield absolute(case, math.exp(-delta / APART_M), rho, 0.03)
 
 
-def fading() -> Sequence[Row]:
+def fading() -> Iterator[Row]:
     """A million gains of each distribution."""
-    rows = []
     for m, expected in NAKAGAMI_DB.items():
-        rows += _quantiles(f"Nakagami m = {m:g}", {"kind": "nakagami", "m": m}, expected, 1.0 / m, 0.15 if m >= 1.0 else 0.3)
+        within = 0.15 if m >= 1.0 else 0.3
+        yield from _quantiles(f"Nakagami m = {m:g}", {"kind": "nakagami", "m": m}, expected, 1.0 / m, within)
     for k, expected in RICIAN_DB.items():
         spread = (2.0 * k + 1.0) / (k + 1.0) ** 2
-        rows += _quantiles(f"Rician K = {k:g}", {"kind": "rician", "k_factor": k}, expected, spread, 0.15)
+        yield from _quantiles(f"Rician K = {k:g}", {"kind": "rician", "k_factor": k}, expected, spread, 0.15)
     exact = 10.0 * np.log10(-np.log1p(-np.array(PERCENT) / 100.0))
-    return [*rows, *_quantiles("Rayleigh", {"kind": "rayleigh"}, exact.tolist(), 1.0, 0.15)]
+    yield from _quantiles("Rayleigh", {"kind": "rayleigh"}, exact.tolist(), 1.0, 0.15)
 
 
-def doppler() -> Sequence[Row]:
+def doppler() -> Iterator[Row]:
     """A thousand links with time-varying gains, at 60 instants within an hour and a little later."""
-    rows = []
     for name, layer, direct in (
         ("Rayleigh", {"kind": "rayleigh", "doppler_hz": DOPPLER_HZ}, 0.0),
         ("Rician K = 4", {"kind": "rician", "k_factor": 4.0, "doppler_hz": DOPPLER_HZ}, 4.0),
@@ -242,95 +232,84 @@ def doppler() -> Sequence[Row]:
             bessel = float(j0(2.0 * math.pi * DOPPLER_HZ * lag_s))
             exact = (2.0 * direct * bessel + bessel**2) / (2.0 * direct + 1.0)
             measured = float((now * later).mean() / (now.std() * later.std()))
-            rows.append(absolute(f"{name}, {DOPPLER_HZ:g} Hz: correlation after {1e3 * lag_s:g} ms", exact, measured, 0.05))
-    return rows
+            yield absolute(f"{name}, {DOPPLER_HZ:g} Hz: correlation after {1e3 * lag_s:g} ms", exact, measured, 0.05)
 
 
-def _quantiles(name: str, layer: Mapping[str, object], expected: Sequence[float], variance: float, within: float) -> list[Row]:
+def _quantiles(
+    name: str, layer: Mapping[str, object], expected: Sequence[float], variance: float, within: float
+) -> Iterator[Row]:
     on, position = channel("ideal", fading=layer), line(np.linspace(1.0, 2.0, 20_000).tolist())
     decibels = np.concatenate([part("fading_db", on, position, sent_ns=k * 10**9) for k in range(50)])
     gain = 10.0 ** (decibels / 10.0)
-    pairs = zip(PERCENT, expected, np.percentile(decibels, PERCENT), strict=True)
-    return [
-        *(absolute(f"{name}: quantile {percent} %, dB", exact, measured, within) for percent, exact, measured in pairs),
-        absolute(f"{name}: mean power", 1.0, gain.mean(), 0.01),
-        relative(f"{name}: variance of the power", variance, gain.var(), 0.02),
-    ]
+    for percent, exact, measured in zip(PERCENT, expected, np.percentile(decibels, PERCENT), strict=True):
+        yield absolute(f"{name}: quantile {percent} %, dB", exact, measured, within)
+    yield absolute(f"{name}: mean power", 1.0, gain.mean(), 0.01)
+    yield relative(f"{name}: variance of the power", variance, gain.var(), 0.02)
 
 
-def success() -> Sequence[Row]:
+def success() -> Iterator[Row]:
     """The error models behind ``vcmvsp per``."""
-    rows = []
     for (preset, model), points in SUCCESS.items():
         errors, _ = channel_trial.error_rate(channel(preset).phy, model)
         sinr_db, expected = np.array(points).T
         within = 1e-6 if model == "oqpsk" else 1e-5
         for at, exact, share in zip(sinr_db, expected, errors.success(sinr_db, BITS), strict=True):
-            rows.append(absolute(f"{preset}, {model}, {at:g} dB: success of {BITS} bits", exact, share, within))
+            yield absolute(f"{preset}, {model}, {at:g} dB: success of {BITS} bits", exact, share, within)
     sinr_db = np.arange(-10.0, 30.0, 0.002)
     for rate, half_db in HALF_DB.items():
         errors, _ = channel_trial.error_rate(channel(f"wifi-a-{rate}").phy, "table")
         measured_db = float(np.interp(0.5, errors.success(sinr_db, 1024), sinr_db))
-        rows.append(absolute(f"wifi-a-{rate}, table: SINR of one half, dB", half_db, measured_db, 0.1))
-    return rows
+        yield absolute(f"wifi-a-{rate}, table: SINR of one half, dB", half_db, measured_db, 0.1)
 
 
-def received() -> Sequence[Row]:
+def received() -> Iterator[Row]:
     """Noise, headers, padding bits and error curves together; within 3.5 standard deviations."""
-    rows = []
     for preset, model, level_dbm, size, arrived in RECEIVED:
         on = channel(preset)
         errors, _ = channel_trial.error_rate(on.phy, model)
         snr_db = np.array([level_dbm - on.hearing.noise_dbm])
         chance = channel_trial.packet_errors(errors, snr_db, size)["success"][0]
         within = 3.5 * np.sqrt(chance * (1.0 - chance) / 20_000)
-        rows.append(absolute(f"{preset}, {level_dbm:g} dBm, {size} bytes: share received", arrived / 20_000, chance, within))
-    return rows
+        yield absolute(f"{preset}, {level_dbm:g} dBm, {size} bytes: share received", arrived / 20_000, chance, within)
 
 
-def air_time() -> Sequence[Row]:
+def air_time() -> Iterator[Row]:
     """Air time of sent frames."""
     sizes = {"zigbee": (1, 7, 100)}
-    return [
-        absolute(f"{preset}, {size} bytes: time on the air, us", us, _air_us(preset, size), 0.0)
-        for preset, expected in AIR_US.items()
-        for size, us in zip(sizes.get(preset, SIZES), expected, strict=True)
-    ]
+    for preset, expected in AIR_US.items():
+        for size, us in zip(sizes.get(preset, SIZES), expected, strict=True):
+            report = report_of(channel(preset, mac={"kind": "ideal"}), line([1.0]), size_bytes=size)
+            yield absolute(f"{preset}, {size} bytes: time on the air, us", us, report.air_time_ns / 1e3, 0.0)
 
 
-def _air_us(preset: str, size: int) -> float:
-    return report_of(channel(preset, mac={"kind": "ideal"}), line([1.0]), size_bytes=size).air_time_ns / 1e3
-
-
-def chance() -> Sequence[Row]:
+def chance() -> Iterator[Row]:
     """Losses of Bernoulli and of Gilbert and Elliott on a thousand links: frequency, burst length, correlation."""
-    position, rows = line(np.linspace(1.0, 2.0, LINKS).tolist()), []
+    position = line(np.linspace(1.0, 2.0, LINKS).tolist())
     for p in (0.1, 0.5, 0.9):
         on = channel("ideal", loss={"kind": "bernoulli", "probability": p})
         share = float(np.mean([_lost(report_of(on, position, sent_ns=k * T_NS).outcome) for k in range(200)]))
-        rows.append(absolute(f"bernoulli {p:g}: share lost", p, share, 5.0 * math.sqrt(p * (1.0 - p) / (200 * LINKS))))
+        yield absolute(f"bernoulli {p:g}: share lost", p, share, 5.0 * math.sqrt(p * (1.0 - p) / (200 * LINKS)))
     for bad, good in ((2.0, 3.0), (5.0, 0.5)):
         layer = {"kind": "gilbert_elliott", "to_bad_per_s": bad, "to_good_per_s": good, "bad_loss": 1.0, "good_loss": 0.0}
         on, rate, share = channel("ideal", loss=layer), bad + good, bad / (bad + good)
         step_ns = round(0.02 / rate * 1e9)
         lost = np.array([_lost(report_of(on, position, sent_ns=k * step_ns).outcome) for k in range(1500)])
         case = f"gilbert_elliott, {bad:g} and {good:g} per s"
-        rows.append(absolute(f"{case}: share lost, p / (p + r)", share, lost.mean(), 0.015))
+        yield absolute(f"{case}: share lost, p / (p + r)", share, lost.mean(), 0.015)
         for lag in (15, 50):
             correlation = np.mean((lost[lag:] - share) * (lost[:-lag] - share)) / (share * (1.0 - share))
-            rows.append(
-                absolute(f"{case}: correlation after {0.02 * lag:g} / (p + r)", math.exp(-0.02 * lag), float(correlation), 0.03)
+            yield absolute(
+                f"{case}: correlation after {0.02 * lag:g} / (p + r)", math.exp(-0.02 * lag), float(correlation), 0.03
             )
-    return rows
 
 
 def _lost(outcome: tuple[str, ...]) -> Array:
     return np.array([each != "received" for each in outcome], float)
 
 
-def queue() -> Sequence[Row]:
+def queue() -> Iterator[Row]:
     """A radio with randomly arriving frames: Lindley's recursion frame by frame, and the mean wait of M/D/1."""
-    air_ns, position, rows = 1_280_000, line([5.0]), []
+    air_ns, position = 1_280_000, line([5.0])
     for load in (0.3, 0.6, 0.8):
         on = channel("wifi-b-1", mac={"kind": "ideal"})
         times = np.cumsum(np.rint(np.random.default_rng(1).exponential(air_ns / load, 60_000)))
@@ -338,16 +317,13 @@ def queue() -> Sequence[Row]:
         walk = np.concatenate([[0.0], np.cumsum(air_ns - np.diff(times))])
         exact = walk - np.minimum.accumulate(walk)
         mean = load * air_ns / (2.0 * (1.0 - load))
-        rows += [
-            absolute(f"load {load:g}: largest difference from Lindley's recursion, ns", 0.0, np.abs(waits - exact).max(), 0.0),
-            relative(f"load {load:g}: mean wait of M/D/1, us", mean / 1e3, waits.mean() / 1e3, 0.01 + 0.05 * load),
-        ]
-    return rows
+        yield absolute(f"load {load:g}: largest difference from Lindley's recursion, ns", 0.0, np.abs(waits - exact).max(), 0.0)
+        yield relative(f"load {load:g}: mean wait of M/D/1, us", mean / 1e3, waits.mean() / 1e3, 0.01 + 0.05 * load)
 
 
-def age() -> Sequence[Row]:
+def age() -> Iterator[Row]:
     """A message every 0.1 s, lost with p, received d later: mean age over time, and mean of its peaks."""
-    period_s, rows = T_NS / 1e9, []
+    period_s = T_NS / 1e9
     for p, delay_s in ((0.0, 0.1), (0.3, 0.0), (0.5, 0.25), (0.8, 0.1)):
         layers: dict[str, Any] = {
             "loss": {"kind": "bernoulli", "probability": p},
@@ -361,11 +337,8 @@ def age() -> Sequence[Row]:
         mean = (end**2 - start**2).sum() / 2.0 / (end - start).sum()
         case = f"loss {p:g}, delay {delay_s:g} s"
         exact = delay_s + period_s * (1.0 + p) / (2.0 * (1.0 - p))
-        rows += [
-            relative(f"{case}: mean age, d + T (1 + p) / (2 (1 - p)), s", exact, mean, 0.01),
-            relative(f"{case}: mean of its peaks, d + T / (1 - p), s", delay_s + period_s / (1.0 - p), end.mean(), 0.01),
-        ]
-    return rows
+        yield relative(f"{case}: mean age, d + T (1 + p) / (2 (1 - p)), s", exact, mean, 0.01)
+        yield relative(f"{case}: mean of its peaks, d + T / (1 - p), s", delay_s + period_s / (1.0 - p), end.mean(), 0.01)
 
 
 def _ramps(sent_ns: Array, received_ns: Array) -> tuple[Array, Array]:

@@ -1,7 +1,7 @@
 """Checks of time and reproducibility: ticks without drift, exact delays, published vectors of the generator, equal bytes."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator
 from fractions import Fraction
 from typing import Any
 
@@ -26,13 +26,12 @@ PHILOX = (
 )
 
 
-def ticks() -> Sequence[Row]:
+def ticks() -> Iterator[Row]:
     """Times of tick trains after an hour, and the instants of a run in which agents of several rates act."""
-    rows = []
     for hz in (10, 30, 60, 120, 1000 / 7):
         train, exact = Ticks.rate(hz), Fraction(repr(float(hz)))
         late = max(abs(train.at(k) - k * SECOND_NS / exact) for k in (1, 7, 1_000, 3600 * int(hz)))
-        rows.append(absolute(f"{hz:g} Hz: furthest from k / rate within an hour, ns", 0.0, float(late), 1.0))
+        yield absolute(f"{hz:g} Hz: furthest from k / rate within an hour, ns", 0.0, float(late), 1.0)
     rates = {"car1": 0.1, "car2": 0.03, "car3": 1.0 / 64.0}
     scenario, acts = fleet(6.0, [{}, {}]), {name: list[int]() for name in rates}
     for car in scenario["vehicle"]:
@@ -48,36 +47,29 @@ def ticks() -> Sequence[Row]:
         train = Ticks.every(period_s)
         off = np.abs(np.array(acts[name]) - [train.at(k) for k in range(len(acts[name]))])
         case = f"agent of {period_s:g} s in a run of 6 s"
-        rows += [
-            absolute(f"{case}: commands", math.ceil(6.0 / period_s - 1e-9), len(acts[name]), 0.0),
-            absolute(f"{case}: furthest from its tick, ns", 0.0, off.max(), 0.0),
-        ]
-    return rows
+        yield absolute(f"{case}: commands", math.ceil(6.0 / period_s - 1e-9), len(acts[name]), 0.0)
+        yield absolute(f"{case}: furthest from its tick, ns", 0.0, off.max(), 0.0)
 
 
-def late_loop() -> Sequence[Row]:
+def late_loop() -> Iterator[Row]:
     """``z' = -k z(t - d)``, sampled and held: every latency exact to the tick, and the stability limit."""
-    rows = []
     for latency_s in (0.0, 0.05, 0.1, 0.25, 0.3):
         _, z = _delayed_follower(2.0, latency_s, 10.0)
         off = np.abs(z - _recursion(2.0, latency_s / T, len(z))).max()
-        rows.append(absolute(f"latency {latency_s:g} s: furthest from the recursion, m", 0.0, off, 1e-9))
+        yield absolute(f"latency {latency_s:g} s: furthest from the recursion, m", 0.0, off, 1e-9)
     for late in (0, 1, 2, 3, 5):
         limit = 2.0 * math.sin(math.pi / (2 * (2 * late + 1))) / T
         for factor in (0.97, 1.03):
             time_s, z = _delayed_follower(factor * limit, late * T, 40.0)
             begin, end = np.abs(z[(time_s > 5) & (time_s <= 15)]).max(), np.abs(z[time_s > 30]).max()
             case = f"{late} ticks late, {factor:g} of 2 sin(pi / (2 (2 d + 1))) / T: grows (1) or not (0)"
-            rows.append(absolute(case, float(factor > 1.0), float(end > begin), 0.0))
+            yield absolute(case, float(factor > 1.0), float(end > begin), 0.0)
     delay_s, period_s = 0.3, 0.01
     for k_d in (1.45, 1.52, 1.60, 1.70):
         time_s, z = _delayed_follower(k_d / delay_s, delay_s, 12.0, period_s=period_s)
         age_s = delay_s + 0.5 * period_s
         exact = math.exp((lambertw(-k_d / delay_s * age_s) / age_s).real)
-        rows.append(
-            relative(f"k d = {k_d:g}: growth a second, exp(W(-k d) / d)", exact, growth(z[time_s > 4.0], 20) ** 100, 0.01)
-        )
-    return rows
+        yield relative(f"k d = {k_d:g}: growth a second, exp(W(-k d) / d)", exact, growth(z[time_s > 4.0], 20) ** 100, 0.01)
 
 
 def _delayed_follower(gain: float, latency_s: float, duration_s: float, *, period_s: float = T) -> tuple[Array, Array]:
@@ -100,9 +92,8 @@ def _recursion(gain: float, late: float, count: int) -> Array:
     return np.array(z)
 
 
-def old_reports() -> Sequence[Row]:
+def old_reports() -> Iterator[Row]:
     """``hold``: lag caused by the age of reports, on a line and along the arc of a circle."""
-    rows = []
     for delay_s in (0.0, 0.25, 0.3, 1.0):
         age_s = T * max(1, math.ceil(delay_s / T - 1e-9))
         more: dict[str, Any] = {"radio": lossy(delay_s=delay_s), "agents": {"estimator": "hold"}, "metrics": {"from_s": 40.0}}
@@ -111,43 +102,38 @@ def old_reports() -> Sequence[Row]:
         for side, error in zip((ASIDE, -ASIDE), tracks(result, scenario).error[-1], strict=True):
             chord = 2.0 * (R + side) * math.sin(0.5 * W * age_s)
             case = f"delay {delay_s:g} s, circle of {R + side:g} m: 2 R sin(w a / 2), m"
-            rows.append(relative(case, chord, error, 1e-4))
+            yield relative(case, chord, error, 1e-4)
         measured_s = result.metrics["radio"]["age_s"]["max"]
-        rows.append(absolute(f"delay {delay_s:g} s: age in use, s", age_s, measured_s, 1e-9))
+        yield absolute(f"delay {delay_s:g} s: age in use, s", age_s, measured_s, 1e-9)
         line = run(fleet(60.0, path="straight", **more), mcap=False).metrics["formation"]["final_m"]
-        rows.append(relative(f"delay {delay_s:g} s, line: v a, m", V * age_s, line, 1e-6))
-    return rows
+        yield relative(f"delay {delay_s:g} s, line: v a, m", V * age_s, line, 1e-6)
 
 
-def draws() -> Sequence[Row]:
+def draws() -> Iterator[Row]:
     """The generator behind every draw of a link, against published vectors."""
-    rows = []
     for number, (counter, key, answer) in enumerate(PHILOX, 1):
         c0, c1, c2, c3 = _words(counter)
         k0, k1 = _words(key)
         words = [int(each) for each in philox4x32((c0, c1, c2, c3), (k0, k1))]
         wrong = sum(word != expected for word, expected in zip(words, _words(answer), strict=True))
-        rows.append(absolute(f"vector {number} of philox4x32 x 10: words that differ", 0.0, wrong, 0.0))
-    return rows
+        yield absolute(f"vector {number} of philox4x32 x 10: words that differ", 0.0, wrong, 0.0)
 
 
 def _words(text: str) -> list[int]:
     return [int(word, 16) for word in text.split()]
 
 
-def same_bytes() -> Sequence[Row]:
+def same_bytes() -> Iterator[Row]:
     """Digests of everything that a run records, from scenarios with random draws and with bodies."""
     short = {"duration_s": 4.0, "metrics.from_s": 2.0}
     ways: dict[str, dict[str, Any]] = {
         "again": {"set": short},
         "agents in another process": {"set": {**short, "agents.processes": 1}, "agents": "process"},
     }
-    rows = []
     for name in ("formation-slalom", "formation-circle"):
         first = run(name, set=short, mcap=False).metrics["digest"]
         for way, settings in ways.items():
             same = run(name, mcap=False, **settings).metrics["digest"] == first
-            rows.append(absolute(f"{name}, {way}: the same digest (1: yes)", 1.0, same, 0.0))
+            yield absolute(f"{name}, {way}: the same digest (1: yes)", 1.0, same, 0.0)
         same = run(name, seed=4711, set=short, mcap=False).metrics["digest"] == first
-        rows.append(absolute(f"{name}, another seed: the same digest (1: yes)", 0.0, same, 0.0))
-    return rows
+        yield absolute(f"{name}, another seed: the same digest (1: yes)", 0.0, same, 0.0)

@@ -6,7 +6,7 @@ Nothing here waits for the viewer, grows while it does not read, or changes the 
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -19,6 +19,9 @@ from vcmvsp.cosim.types import Image, Later, Scan
 from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.view.live import protocol
 from vcmvsp.cosim.view.messages import Craft, LinkStatus, Order, Pace, PageUpdate, Pose, Scenery, Sensors
+
+if TYPE_CHECKING:
+    from vcmvsp.cosim.hosts.page_publisher import PagePublisher
 
 PERIOD_S = 1.0 / 30.0  # wall clock, minimum time between two messages
 AGAIN_S = 0.002  # between two attempts to finish a message
@@ -40,34 +43,11 @@ Poses = Mapping[str, Callable[[float], Pose]]
 Places = Mapping[str, Callable[[float], tuple[float, float]]]
 
 
-class PagePipe(Protocol):
-    """Connection to a viewer process, as of `protocol.Pipe`, or to observers of the run."""
-
-    @property
-    def open(self) -> bool:
-        """Whether the other end is there, as far as known."""
-
-    def push(self) -> bool:
-        """Whether a message can begin."""
-
-    def offer(self, payload: bytes) -> bool:
-        """Begin a message if it can; returns whether it has begun."""
-
-    def offer_within(self, payload: bytes, wait_s: float) -> bool:
-        """Send a message; returns whether that succeeded in time."""
-
-    def take(self) -> list[bytes]:
-        """The received messages."""
-
-    def close(self) -> None:
-        """Close this end."""
-
-
 class Feed:
     """Sends the state of a run through a pipe to the viewer process.
 
     Args:
-        pipe: connection to the viewer process.
+        pipe: connection to the viewer process, or to observers of the run.
         scenery: scenery that the viewer process has received.
         moving: function of time, s: poses of obstacles with a time-table, x, y, z m and yaw rad, by name.
         targets: function of time, s: positions of targets, x, y m.
@@ -77,7 +57,7 @@ class Feed:
 
     def __init__(
         self,
-        pipe: PagePipe,
+        pipe: "protocol.Pipe | PagePublisher",
         scenery: Scenery,
         *,
         moving: Poses | None = None,

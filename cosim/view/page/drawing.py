@@ -25,6 +25,7 @@ SKY = (205, 224, 242)  # paler than that of the cameras, for curves and names be
 FLOOR, FLOOR_DARK, SKY_DARK = (236, 238, 240), (150, 154, 160), (84, 88, 94)
 TARGET_RGB, EDGE_RGB, LOST_RGB, STOPPED_RGB = (240, 228, 66), (38, 38, 38), (220, 30, 30), (220, 30, 30)
 CHOSEN_RGB = (255, 140, 0)
+NO_SHADOW: dict[str, Any] = {"cast_shadow": False, "receive_shadow": False}
 
 
 _SRGB = np.arange(256) / 255.0

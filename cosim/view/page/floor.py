@@ -11,7 +11,7 @@ import viser
 
 from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.view.messages import Floor, Scenery
-from vcmvsp.cosim.view.page.drawing import FLOOR, FLOOR_DARK, SUN
+from vcmvsp.cosim.view.page.drawing import FLOOR, FLOOR_DARK, NO_SHADOW, SUN
 
 MARGIN_M, WIDE_M = 5.0, 40.0
 APART = 0.004  # distance between grid and picture, of the size of the floor: a browser's depths are coarse
@@ -89,8 +89,7 @@ class DrawnFloor:
             jpeg_quality=85,
             position=(x, y, FLOOR_Z_M),
             wxyz=(0.0, 1.0, 0.0, 0.0),  # rows along -y, seen from above: half a turn about x
-            cast_shadow=False,
-            receive_shadow=False,
+            **NO_SHADOW,
         )
 
 

@@ -12,7 +12,7 @@ from vcmvsp.cosim.types import Array, Image, Mosaic, ProbabilityMap, Scan, Sight
 from vcmvsp.cosim.util import pictures
 from vcmvsp.cosim.util.palette import PROBABILITY, rgb
 from vcmvsp.cosim.view.messages import Scenery
-from vcmvsp.cosim.view.page.drawing import TARGET_RGB, Every, colors_of, rotated
+from vcmvsp.cosim.view.page.drawing import NO_SHADOW, TARGET_RGB, Every, colors_of, rotated
 from vcmvsp.cosim.view.page.state import PageState
 
 GROUNDS = MAP, MOSAIC, NOTHING = "map of targets", "mosaic", "nothing"
@@ -60,8 +60,7 @@ class Scans:
                     color=(red, green, blue),
                     opacity=FAN_OPACITY,
                     side="double",
-                    cast_shadow=False,
-                    receive_shadow=False,
+                    **NO_SHADOW,
                 )
 
 
@@ -134,8 +133,7 @@ class Frusta:
                 image=pixels,
                 format="jpeg",
                 jpeg_quality=80,
-                cast_shadow=False,
-                receive_shadow=False,
+                **NO_SHADOW,
             )
 
     def show(self, keys: Collection[str]) -> None:
@@ -189,8 +187,7 @@ class Ground:
             format="png",
             position=(left + 0.5 * width, bottom + 0.5 * height, OVER_FLOOR_M),
             wxyz=(0.0, 1.0, 0.0, 0.0),
-            cast_shadow=False,
-            receive_shadow=False,
+            **NO_SHADOW,
         )
 
 

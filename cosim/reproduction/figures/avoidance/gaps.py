@@ -10,7 +10,7 @@ for a series of needed widths. So these are the widths on which the platform dec
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -300,16 +300,14 @@ def fig_41(runner: Runner) -> Figure:
     )
 
 
-def _widths(four: GaugeReading, parts: Sequence[GaugeReading]) -> list[Row]:
+def _widths(four: GaugeReading, parts: Sequence[GaugeReading]) -> Iterator[Row]:
     true = np.array([door.width for door in four.doors])
     off = np.concatenate([_off(each) for each in parts])
     right = int(((four.width > NEEDED_M) == (true > NEEDED_M)).sum())
-    return [
-        absolute(f"{len(true)} doors 5 cm too narrow or wider than needed: told apart", len(true), right, 0.0),
-        at_least(f"{len(off)} random doors: least width above the true one, m", -STEP_M, off.min()),
-        absolute("random doors: width above the true one, mean, m", 0.009, off.mean(), 0.001),
-        at_most("random doors: width above the true one, m", 0.023 * 1.05, off.max()),
-    ]
+    yield absolute(f"{len(true)} doors 5 cm too narrow or wider than needed: told apart", len(true), right, 0.0)
+    yield at_least(f"{len(off)} random doors: least width above the true one, m", -STEP_M, off.min())
+    yield absolute("random doors: width above the true one, mean, m", 0.009, off.mean(), 0.001)
+    yield at_most("random doors: width above the true one, m", 0.023 * 1.05, off.max())
 
 
 def _off(each: GaugeReading) -> Array:

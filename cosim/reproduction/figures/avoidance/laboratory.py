@@ -7,6 +7,7 @@ At the end the handles of the followers, which the law controls, are in place. T
 drives on, only 4 s after the last call: they stand 0.54 m from each other and 0.65 m from it.
 """
 
+from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
@@ -46,17 +47,14 @@ def fig_54(runner: Runner) -> Figure:
     return Figure("Fig. 54: a team among the furniture of a laboratory", panels, rows, columns=3)
 
 
-def _rows(case: str, tour: TeamRun) -> list[Row]:
+def _rows(case: str, tour: TeamRun) -> Iterator[Row]:
     safety = tour.metrics["safety"]
-    rows = [
-        absolute(f"{case}: contacts", 0.0, safety["collisions"], 0.0),
-        at_least(f"{case}: least clearance of a robot's middle, m", BODY_M, safety["min_clearance_m"]),
-        at_least(f"{case}: two robots' middles apart, m", 2.0 * BODY_M, safety["min_separation_m"]),
-        absolute(f"{case}: a wedge at the end", 1.0, not tour.is_column[-1], 0.0),
-    ]
+    yield absolute(f"{case}: contacts", 0.0, safety["collisions"], 0.0)
+    yield at_least(f"{case}: least clearance of a robot's middle, m", BODY_M, safety["min_clearance_m"])
+    yield at_least(f"{case}: two robots' middles apart, m", 2.0 * BODY_M, safety["min_separation_m"])
+    yield absolute(f"{case}: a wedge at the end", 1.0, not tour.is_column[-1], 0.0)
     for i, name in enumerate(NAMES[1:]):
-        rows.append(at_most(f"{case}: |z| of {name} at the end, m", NEAR_M, tour.error[-1, i]))
-    return rows
+        yield at_most(f"{case}: |z| of {name} at the end, m", NEAR_M, tour.error[-1, i])
 
 
 def _map(tour: TeamRun) -> Panel:

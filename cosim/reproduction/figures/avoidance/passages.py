@@ -8,7 +8,7 @@ The scanners look over the robots and see walls only. Where they see robots, too
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import islice
 from typing import Any
@@ -172,10 +172,10 @@ def _corridor(runner: Runner, policy: str, title: str) -> Figure:
         Panel("Formation error", "time [s]", "|z| [m]", errors, levels={"5 cm": NEAR}),
         Panel("Width of the team, without bodies", "time [s]", "width [m]", shape),
     ]
-    return Figure(title, panels, _rows("corridor", policy, runs), columns=3)
+    return Figure(title, panels, list(_rows("corridor", policy, runs)), columns=3)
 
 
-def _rows(world: str, policy: str, runs: Sequence[TeamRun]) -> list[Row]:
+def _rows(world: str, policy: str, runs: Sequence[TeamRun]) -> Iterator[Row]:
     """Rows that compare runs with an entry of `EXPECTED`.
 
     Among offset gates, results depend on the leader's path, which has more clearance here: there the clearance, and all values
@@ -185,25 +185,21 @@ def _rows(world: str, policy: str, runs: Sequence[TeamRun]) -> list[Row]:
     case, exact = f"{world}, {LETTERS[policy]}", world != "offset gates" or policy == "immediate"
     counted, away_s = _count(runs, "mode_toggles"), _count(runs, "avoid_s")
     nearest = _mean(each.metrics["safety"]["min_clearance_m"] for each in runs)
-    rows = [absolute(f"{case}: changes of shape, mean of {len(runs)} runs", changes, _count(runs, "shape_changes"), 0.0)]
+    yield absolute(f"{case}: changes of shape, mean of {len(runs)} runs", changes, _count(runs, "shape_changes"), 0.0)
     if exact:
         spread = 0.0 if world != "offset gates" else 0.1 * toggles
-        rows += [
-            absolute(f"{case}: changes of mode", toggles, counted, spread),
-            absolute(f"{case}: in other modes than the formation's, s", avoid_s, away_s, max(0.05 * avoid_s, TICK_S)),
-        ]
+        yield absolute(f"{case}: changes of mode", toggles, counted, spread)
+        yield absolute(f"{case}: in other modes than the formation's, s", avoid_s, away_s, max(0.05 * avoid_s, TICK_S))
     else:
-        rows += [
-            at_most(f"{case}: changes of mode", 1.1 * toggles, counted),
-            at_most(f"{case}: in other modes than the formation's, s", avoid_s, away_s),
-        ]
+        yield at_most(f"{case}: changes of mode", 1.1 * toggles, counted)
+        yield at_most(f"{case}: in other modes than the formation's, s", avoid_s, away_s)
     if world != "offset gates":
-        rows.append(absolute(f"{case}: least clearance, m", clearance_m, nearest, 0.02))
+        yield absolute(f"{case}: least clearance, m", clearance_m, nearest, 0.02)
     else:
-        rows.append(at_least(f"{case}: least clearance, m", clearance_m - 0.02, nearest))
+        yield at_least(f"{case}: least clearance, m", clearance_m - 0.02, nearest)
     if not math.isnan(expected_s):
-        rows.append(relative(f"{case}: formed again after, s", expected_s, _mean_formed_s(runs, world), 0.05))
-    return [*rows, absolute(f"{case}: largest |z| at the end, m", 0.0, _final_error(runs), NEAR)]
+        yield relative(f"{case}: formed again after, s", expected_s, _mean_formed_s(runs, world), 0.05)
+    yield absolute(f"{case}: largest |z| at the end, m", 0.0, _final_error(runs), NEAR)
 
 
 def _map(world: str, policy: str, trial: TeamRun) -> Panel:

@@ -114,8 +114,9 @@ def fig_29(runner: Runner) -> Figure:
     """Figure 29: a triangle flies to a goal behind the pillar, as printed and with a sideways push; close spacings."""
     goal = (10.0, 0.3)
     cases = ((0.0, 51.6, 0.639, 1.11), (1.0, 47.8, 0.699, 0.87))
-    jobs = [_triangle(tang, goal) for tang, *_ in cases]
-    jobs += [_free(spacing, radius) for radius in (THIN_M, WIDE_M) for spacing in SPACINGS]
+    jobs = [_job(75.0, (-4.0, goal[1]), _leader(goal, tang=tang), _slots(2.0), tang=tang) for tang, *_ in cases]
+    for radius in (THIN_M, WIDE_M):
+        jobs += [_job(50.0, (0.0, 0.0), _leader(None), _slots(each), boxes=[], radius=radius) for each in SPACINGS]
     pasts, thin, wide = _split(runner(jobs), (len(cases), len(SPACINGS), len(SPACINGS)))
     rows, panels = [], []
     names = ("leader", "follower 1", "follower 2")
@@ -172,14 +173,6 @@ def stall(runner: Runner) -> Figure:
 
 def _single_robot(y0: float, *, goal: tuple[float, float] | None = None, beams: int = 32, **field: object) -> Job:
     return _job(30.0 if goal is None else 40.0, (-3.0, y0), _leader(goal, **field), (), beams=beams)
-
-
-def _triangle(tang: float, goal: tuple[float, float]) -> Job:
-    return _job(75.0, (-4.0, goal[1]), _leader(goal, tang=tang), _slots(2.0), tang=tang)
-
-
-def _free(spacing: float, radius: float) -> Job:
-    return _job(50.0, (0.0, 0.0), _leader(None), _slots(spacing), boxes=[], radius=radius)
 
 
 def _leader(goal: tuple[float, float] | None, **field: object) -> dict[str, Any]:

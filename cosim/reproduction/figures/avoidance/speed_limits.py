@@ -127,10 +127,6 @@ def _clearance(track: Array) -> Array:
     return np.asarray(np.hypot(beyond[:, 0], beyond[:, 1]))
 
 
-def _between(track: Array, west: float, east: float) -> Array:
-    return track[(track[:, 0] >= west) & (track[:, 0] <= east)]
-
-
 def _from_above(tracks: Mapping[Case, Array], level: int) -> Panel:
     around = np.linspace(0.0, math.tau, 401) + 1e-6  # no beam hits a corner of the pillar exactly
     cos, sin = np.cos(around), np.sin(around)
@@ -140,7 +136,8 @@ def _from_above(tracks: Mapping[Case, Array], level: int) -> Panel:
     ]
     for number, speed in enumerate(SPEEDS, 1):
         for stepped in (True, False):
-            x, y, _ = _between(tracks[stepped, level, speed], *SHOWN).T
+            track = tracks[stepped, level, speed]
+            x, y, _ = track[(track[:, 0] >= SHOWN[0]) & (track[:, 0] <= SHOWN[1])].T
             lines.append(Curve(x, y, f"{speed:g} m/s" if stepped else "", number, LAGS[stepped][1]))
     title = f"{NAMES[level][0].upper()}{NAMES[level][1:]} (dashed: exact lag)"
     return Panel(title, "x east [m]", "y north [m]", lines, equal=True, x_limits=(SHOWN[0], 6.0))

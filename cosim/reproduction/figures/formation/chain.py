@@ -1,7 +1,7 @@
 """A column in which each vehicle follows its predecessor: growth of sway from hop to hop, and its remedies."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import partial
 from itertools import starmap
 from typing import Any
@@ -47,7 +47,7 @@ def chain(runner: Runner) -> Figure:
     columns = {**WAYS, "leader": LED}
     answers = runner([*starmap(_surge, swings), *map(column, columns.values())])
     gains, links = np.array(answers[: len(swings)]), dict(zip(columns, answers[len(swings) :], strict=True))
-    rows = _gain_rows(gains, peaks) + _column_rows(links)
+    rows = [*_gain_rows(gains, peaks), *_column_rows(links)]
     omega = np.geomspace(0.2, 5.0, 200)
     curves, lines = [], []
     for color, way in enumerate(WAYS, 1):
@@ -71,41 +71,30 @@ def chain(runner: Runner) -> Figure:
     return Figure("String stability, servo lag 0.5 s, k1 = 0.8 1/s", panels, rows)
 
 
-def _gain_rows(gains: Array, peaks: Mapping[float, tuple[float, float]]) -> list[Row]:
+def _gain_rows(gains: Array, peaks: Mapping[float, tuple[float, float]]) -> Iterator[Row]:
     must = {"hold": 1.213, "dr": 1.366, "none": 0.857, "acceleration": 1.0}
     at = OMEGAS.index(OMEGA)
-    rows = [
-        relative(f"gain of a hop, {LABELS[way]}, {OMEGA:g} rad/s, delay {DELAY_S:g} s", gain, gains[at, i], 0.015)
-        for i, (way, gain) in enumerate(must.items())
-    ]
+    for i, (way, gain) in enumerate(must.items()):
+        yield relative(f"gain of a hop, {LABELS[way]}, {OMEGA:g} rad/s, delay {DELAY_S:g} s", gain, gains[at, i], 0.015)
     top = _peak("hold", 0.0)
-    rows.append(relative(f"hold: largest gain, at {top[0]:.3f} rad/s", 1.2274, gains[OMEGAS.index(0.963), 0], 0.015))
+    yield relative(f"hold: largest gain, at {top[0]:.3f} rad/s", 1.2274, gains[OMEGAS.index(0.963), 0], 0.015)
     for row, d in zip(gains[len(OMEGAS) :], DELAYS_S, strict=True):
-        rows.append(relative(f"dr, delay {d:g} s: largest gain, at {peaks[d][0]:.3f} rad/s", peaks[d][1], row[1], 0.015))
+        yield relative(f"dr, delay {d:g} s: largest gain, at {peaks[d][0]:.3f} rad/s", peaks[d][1], row[1], 0.015)
     for i, way in enumerate(WAYS):
         exact = closed_forms.hop_gain(np.array(OMEGAS), K1, LAG_S, DELAY_S, way)
-        rows.append(
-            absolute(f"{LABELS[way]}: largest share off |G|", 0.0, np.abs(gains[: len(OMEGAS), i] / exact - 1).max(), 0.015)
-        )
-    return rows
+        yield absolute(f"{LABELS[way]}: largest share off |G|", 0.0, np.abs(gains[: len(OMEGAS), i] / exact - 1).max(), 0.015)
 
 
-def _column_rows(links: Mapping[str, Array]) -> list[Row]:
-    rows = []
+def _column_rows(links: Mapping[str, Array]) -> Iterator[Row]:
     for way, (first, last) in COLUMN.items():
-        rows += [
-            relative(f"column, {way}, link 1: RMS |z|, m", first, links[way][0], 0.1),
-            relative(f"column, {way}, link {LINKS}: RMS |z|, m", last, links[way][-1], 0.1),
-        ]
+        yield relative(f"column, {way}, link 1: RMS |z|, m", first, links[way][0], 0.1)
+        yield relative(f"column, {way}, link {LINKS}: RMS |z|, m", last, links[way][-1], 0.1)
     over = links["dr"] / links["hold"]
-    rows += [
-        at_most("column, links 1 to 3: largest dr over hold", 1.0, over[:3].max()),
-        at_most("column, links 4 to 6: largest hold over dr", 1.0, (1.0 / over[3:]).max()),
-    ]
+    yield at_most("column, links 1 to 3: largest dr over hold", 1.0, over[:3].max())
+    yield at_most("column, links 4 to 6: largest hold over dr", 1.0, (1.0 / over[3:]).max())
     for way in ("none", "acceleration", "leader"):
         grown = links[way][1:] / links[way][:-1]
-        rows.append(at_most(f"column, {LABELS[way]}: largest growth from link to link", 1.05, grown.max()))
-    return rows
+        yield at_most(f"column, {LABELS[way]}: largest growth from link to link", 1.05, grown.max())
 
 
 def _peak(way: str, delay_s: float) -> tuple[float, float]:

@@ -1,6 +1,7 @@
 """Figures 24 to 26: the triangle on a circle; exact, with inertia, with position noise. And the proof of convergence."""
 
 import math
+from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
@@ -118,20 +119,16 @@ def _rho(track: Tracks) -> Array:
     return np.asarray(np.hypot(*(track.pose[-1, 1:, :2] - track.pose[-1, :1, :2]).T))
 
 
-def _on_circle(track: Tracks, tolerance: float = 1e-5) -> list[Row]:
+def _on_circle(track: Tracks, tolerance: float = 1e-5) -> Iterator[Row]:
     """Rows for radius, distance and speed of both followers at the end, against the closed forms."""
     chord = np.hypot(*(track.pose[-1, 1:, :2] - track.pose[-2, 1:, :2]).T)
     speed = chord / (T * np.sinc(W * T / 2.0 / math.pi))  # along the arc
-    rows = []
     for number, side in enumerate(SIDES):
         radius, rho, v = closed_forms.circle(R, V, side, AHEAD)
         of = f"of follower {number + 1}"
-        rows += [
-            absolute(f"radius {of}, m", radius, _radius(track)[-1, number + 1], tolerance),
-            absolute(f"rho {of}, m", rho, _rho(track)[number], tolerance),
-            absolute(f"speed {of}, m/s", v, speed[number], tolerance),
-        ]
-    return rows
+        yield absolute(f"radius {of}, m", radius, _radius(track)[-1, number + 1], tolerance)
+        yield absolute(f"rho {of}, m", rho, _rho(track)[number], tolerance)
+        yield absolute(f"speed {of}, m/s", v, speed[number], tolerance)
 
 
 def _proof(part: int) -> Job:

@@ -8,7 +8,7 @@ graph, the mode of its eigenvalue lambda is finally multiplied in every tick by 
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -143,18 +143,15 @@ def _age(graph: str, share: float) -> int:
     return round(share * math.pi / (2.0 * lambda_max(graph)) / FINE)
 
 
-def _bounds(graph: str, swings: Mapping[tuple[str, int], float]) -> Sequence[Row]:
+def _bounds(graph: str, swings: Mapping[tuple[str, int], float]) -> Iterator[Row]:
     name, last = f"{graph} {GRAPHS[graph]}, 10 Hz", LAST_STABLE[graph]
     stable = [age for age in AGES if swings[graph, age] < 1.0]
     unstable = [age for age in AGES if swings[graph, age] >= 1.0]
-    return (
-        absolute(f"{name}: last stable age, ticks", last, max(stable, default=0), 0.0),
-        absolute(f"{name}: first unstable age, ticks", last + 1, min(unstable, default=0), 0.0),
-        *(
-            relative(f"{name}, age {age}: growth per s", root(T * lambda_max(graph), age) ** (1 / T), swings[graph, age], 0.01)
-            for age in (last, last + 1)
-        ),
-    )
+    yield absolute(f"{name}: last stable age, ticks", last, max(stable, default=0), 0.0)
+    yield absolute(f"{name}: first unstable age, ticks", last + 1, min(unstable, default=0), 0.0)
+    for age in (last, last + 1):
+        expected = root(T * lambda_max(graph), age) ** (1 / T)
+        yield relative(f"{name}, age {age}: growth per s", expected, swings[graph, age], 0.01)
 
 
 def _colors() -> Mapping[str, int]:

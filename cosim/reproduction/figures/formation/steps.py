@@ -1,7 +1,7 @@
 """Figures 30 to 33: steps along and across the heading, by gain and control rate, servo lag, and starts from rest."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -147,7 +147,8 @@ def fig_33(runner: Runner) -> Figure:
     components = [0] * 4 + [1] * 4 + [0] * 4 + [1] * 8  # z1 or z2
     runs = runner([*along, *across, *servo, *tiny])
     responses = [_response(each, BEFORE_S, component) for each, component in zip(runs, components, strict=True)]
-    panels, rows = [], []
+    panels: list[Panel] = []
+    rows: list[Row] = []
     names = ("z1, kinematic, 0.5 m behind", "z2, kinematic, 0.5 m to the left", "z1, servo lag 0.5 s, 0.5 m behind")
     for part, name in enumerate(names):
         curves = []
@@ -170,19 +171,18 @@ def fig_33(runner: Runner) -> Figure:
     return Figure("Fig. 33: rates of control", panels, rows)
 
 
-def _rate_rows(name: str, rate: float, time_s: Array, z: Array, number: int) -> list[Row]:
+def _rate_rows(name: str, rate: float, time_s: Array, z: Array, number: int) -> Iterator[Row]:
     case, over = f"{name}, {rate:g} Hz: overshoot, %", 100 * overshoot(z)
     if name.startswith("z2"):
         expected = 100 * Z2_OVERSHOOT[number]
-        return [relative(case, expected, over, 0.05) if expected else absolute(case, 0.0, over, 0.1)]
-    if "servo" in name:
+        yield relative(case, expected, over, 0.05) if expected else absolute(case, 0.0, over, 0.1)
+    elif "servo" in name:
         exact = closed_forms.servo_step(K1, 1.0 / rate, LAG_S, len(z))
-        return [absolute(case, 100 * overshoot(exact), over, 0.05)]
-    settled = settling_s(time_s, z, FIVE_PER_CENT)
-    return [
-        absolute(case, max(0.0, 100 * (K1 / rate - 1.0)), over, 0.05),
-        absolute(f"{name}, {rate:g} Hz: settling to 5 %, s", Z1_SETTLING_S[number], settled, 1e-6),
-    ]
+        yield absolute(case, 100 * overshoot(exact), over, 0.05)
+    else:
+        settled = settling_s(time_s, z, FIVE_PER_CENT)
+        yield absolute(case, max(0.0, 100 * (K1 / rate - 1.0)), over, 0.05)
+        yield absolute(f"{name}, {rate:g} Hz: settling to 5 %, s", Z1_SETTLING_S[number], settled, 1e-6)
 
 
 def _bound(period_s: float) -> float:

@@ -10,7 +10,7 @@ that lose or dilute evidence must be slower than the ledger, and no slower than 
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import islice
@@ -202,52 +202,45 @@ def search_exchange(runner: Runner, seeds: int = SEEDS, losses: Sequence[float] 
     jobs = [partial(searched, *case, seed, LIMITS_S[case[0]]) for case, most in tries.items() for seed in range(most)]
     answers = iter(runner(jobs))
     searches: Searches = {case: list(islice(answers, most)) for case, most in tries.items()}
-    rows: list[Row] = sequential_rows()
+    rows = list(sequential_rows())
     for count in COUNTS:
         rows += _rows(count, searches, losses)
     panels = [draw(count, searches, losses) for draw in (_times, _bytes) for count in COUNTS]
     return Figure("Search for two targets: until all know both (medians; infinite ones not drawn)", panels, rows)
 
 
-def _rows(count: int, searches: Searches, losses: Sequence[float]) -> list[Row]:
-    rows, reference, best = [], REFERENCE[count], _median(searches[count, "ledger", losses[0]])
+def _rows(count: int, searches: Searches, losses: Sequence[float]) -> Iterator[Row]:
+    reference, best = REFERENCE[count], _median(searches[count, "ledger", losses[0]])
     for kind in KINDS:
         for loss in losses:
             runs, must = searches[count, kind, loss], reference[kind][LOSSES.index(loss)]
             case = f"N = {count}, {kind}, loss {loss:g}"
             if (kind, loss) in NOT_OVER[count]:
-                rows.append(absolute(f"{case}: share not over", NOT_OVER[count][kind, loss], _unfinished(runs), 0.25))
+                yield absolute(f"{case}: share not over", NOT_OVER[count][kind, loss], _unfinished(runs), 0.25)
             elif kind == "ledger":
-                rows.append(relative(f"{case}: median, s", must, _median(runs), SHARE))
+                yield relative(f"{case}: median, s", must, _median(runs), SHARE)
                 ratio = must / reference["ledger"][0]
                 if loss > 0.0:
-                    rows.append(relative(f"{case}: median over that without loss", ratio, _median(runs) / best, SHARE))
+                    yield relative(f"{case}: median over that without loss", ratio, _median(runs) / best, SHARE)
             else:
-                rows.append(at_most(f"{case}: median, s", (1.0 + SHARE) * must, _median(runs)))
+                yield at_most(f"{case}: median, s", (1.0 + SHARE) * must, _median(runs))
                 quicker = _median(searches[count, "ledger", loss]) - _median(runs)
-                rows.append(at_most(f"{case}: the ledger's median is greater by, s", 0.0, quicker))
+                yield at_most(f"{case}: the ledger's median is greater by, s", 0.0, quicker)
     if losses[0] == 0.0:
-        rows.append(
-            absolute(f"N = {count}, delta over ledger, no loss", 1.0, _median(searches[count, "delta", 0.0]) / best, 0.0)
-        )
-    rows.append(absolute(f"N = {count}, none: share not over", 1.0, _unfinished(searches[count, "none", 0.0]), 0.2))
+        yield absolute(f"N = {count}, delta over ledger, no loss", 1.0, _median(searches[count, "delta", 0.0]) / best, 0.0)
+    yield absolute(f"N = {count}, none: share not over", 1.0, _unfinished(searches[count, "none", 0.0]), 0.2)
     over = [each.false_cells for loss in losses for each in searches[count, "ledger", loss] if math.isfinite(each.done_s)]
     false = float(np.mean(over)) if over else math.nan
-    rows.append(absolute(f"N = {count}, ledger: false cells of a map", FALSE_CELLS, false, 0.3))
-    return rows
+    yield absolute(f"N = {count}, ledger: false cells of a map", FALSE_CELLS, false, 0.3)
 
 
-def sequential_rows() -> list[Row]:
+def sequential_rows() -> Iterator[Row]:
     """Exact test of a single cell: evidence of the platform's own map as a random walk between decisions."""
-    rows = []
     for p, (net, wrong, looks) in SEQUENTIAL.items():
         found_net, found_wrong, found_looks = sequential(p)
-        rows += [
-            absolute(f"one cell, p = {p:g}: net hits to decide", net, found_net, 0.0),
-            absolute(f"one cell, p = {p:g}: wrong decisions", wrong, found_wrong, 5e-6),
-            absolute(f"one cell, p = {p:g}: looks", looks, found_looks, 5e-4),
-        ]
-    return rows
+        yield absolute(f"one cell, p = {p:g}: net hits to decide", net, found_net, 0.0)
+        yield absolute(f"one cell, p = {p:g}: wrong decisions", wrong, found_wrong, 5e-6)
+        yield absolute(f"one cell, p = {p:g}: looks", looks, found_looks, 5e-4)
 
 
 def sequential(p: float) -> tuple[int, float, float]:
@@ -311,20 +304,17 @@ def fig_45(runner: Runner) -> Figure:
     for name in search.tracks:
         last = search.maps[-1][name].probability
         sure = sum(last[cell] > SURE for cell in cells)
+        decided = float(((last > SURE) | (last < 255.0 - SURE)).mean())
         rows += [
             absolute(f"{name}: targets that its map is sure of", 2.0, sure, 0.0),
             at_most(f"{name}: false cells", 2.0, float((last > SURE).sum() - sure)),
-            absolute(f"{name}: share of the cells that are decided", 1.0, _decided(last), 0.2),
+            absolute(f"{name}: share of the cells that are decided", 1.0, decided, 0.2),
         ]
         panels += [_map(name, at_s, each[name], search, targets) for at_s, each in zip(SHOWN_S, search.maps, strict=True)]
     apart = [np.abs(_plain(each["uav1"]) - _plain(each["uav2"])).mean() for each in search.maps]
     rows.append(at_most("the two maps differ by, mean of all cells and instants", 0.05, float(np.mean(apart))))
     rows.append(at_most("all know both after, s", SHOWN_S[-1], search.done_s))
     return Figure("Fig. 45: probability of a target, ledger, three messages in ten lost", panels, rows, columns=len(SHOWN_S))
-
-
-def _decided(probability: Array) -> float:
-    return float(((probability > SURE) | (probability < 255.0 - SURE)).mean())
 
 
 def _plain(belief: ProbabilityMap) -> Array:

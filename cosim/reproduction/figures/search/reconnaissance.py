@@ -4,7 +4,7 @@ The complete mission: bodies in Bullet, recognition in rendered pictures, maps o
 town. Both targets are found and tracked, each by one vehicle, without a contact.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -73,24 +73,20 @@ def fig_51(runner: Runner, seeds: tuple[int, ...] = SEEDS) -> Figure:
     )
 
 
-def rows_of(case: str, mission: MissionRun, once_s: float, away: dict[str, Array]) -> list[Row]:
+def rows_of(case: str, mission: MissionRun, once_s: float, away: dict[str, Array]) -> Iterator[Row]:
     """Rows with the requirements on a run."""
     last = float(np.max([*mission.found_s.values()]))  # NaN: a target was not found
     late = mission.time_s >= mission.time_s[-1] - LAST_S
-    rows = [
-        absolute(f"{case}: targets found", len(away), sum(np.isfinite(list(mission.found_s.values()))), 0.0),
-        absolute(f"{case}: targets tracked", len(away), mission.mission["targets_tracked"], 0.0),
-        absolute(f"{case}: finds of what is no target", 0.0, mission.mission["false_finds"], 0.0),
-        absolute(f"{case}: contacts", 0.0, mission.safety["collisions"], 0.0),
-        at_least(f"{case}: least clearance, m", BODY_M, mission.safety["min_clearance_m"]),
-        at_least(f"{case}: vehicles apart, m", 2.0 * BODY_M, mission.safety["min_separation_m"]),
-        absolute(f"{case}: last found, in times of one sweep of {once_s:.0f} s", 0.0, last / once_s, SLOW),
-    ]
-    rows += [
-        absolute(f"{case}: who tracks {name} is off by, mean at the end, m", 0.0, float(each[late].mean(axis=0).min()), ON_IT_M)
-        for name, each in away.items()
-    ]
-    return rows
+    yield absolute(f"{case}: targets found", len(away), sum(np.isfinite(list(mission.found_s.values()))), 0.0)
+    yield absolute(f"{case}: targets tracked", len(away), mission.mission["targets_tracked"], 0.0)
+    yield absolute(f"{case}: finds of what is no target", 0.0, mission.mission["false_finds"], 0.0)
+    yield absolute(f"{case}: contacts", 0.0, mission.safety["collisions"], 0.0)
+    yield at_least(f"{case}: least clearance, m", BODY_M, mission.safety["min_clearance_m"])
+    yield at_least(f"{case}: vehicles apart, m", 2.0 * BODY_M, mission.safety["min_separation_m"])
+    yield absolute(f"{case}: last found, in times of one sweep of {once_s:.0f} s", 0.0, last / once_s, SLOW)
+    for name, each in away.items():
+        off_m = float(each[late].mean(axis=0).min())
+        yield absolute(f"{case}: who tracks {name} is off by, mean at the end, m", 0.0, off_m, ON_IT_M)
 
 
 def _map(title: str, world: "worlds.World", mission: MissionRun, targets: dict[str, Array]) -> Panel:
