@@ -97,16 +97,6 @@ def test_the_age_is_the_delay_rounded_up_to_ticks_and_at_least_one(delay_s: floa
     assert way[..., 0] @ modes[:, -1] == pytest.approx(SMALL * sampled(0.5, age, len(way) - 1), abs=1e-14)
 
 
-def test_below_the_bound_of_continuous_time() -> None:
-    """At 1 kHz, 2 % below tau* = pi / (2 kappa lambda_max) on a path of five: growth per s."""
-    values, modes = modes_of("path", 5)
-    age = round(0.98 * math.pi / (2.0 * values[-1]) / 1e-3)
-    scenario = team(SMALL * modes[:, [-1, -1]], 2.6, period_s=1e-3, delay_s=1e-3 * age, graph="path", own="delayed")
-    measured = growth(points(scenario)[1800:, :, 0] @ modes[:, -1], 100) ** 1000
-    assert measured == pytest.approx(root(1e-3 * values[-1], age) ** 1000, rel=0.002)
-    assert measured == pytest.approx(0.966, rel=0.01)
-
-
 def test_at_the_bound_it_oscillates_with_omega_kappa_lambda_max() -> None:
     """Path of five at 100 Hz, kappa 1, the delay nearest to tau*: 3.618 rad/s."""
     values, modes = modes_of("path", 5)

@@ -4,48 +4,9 @@ import numpy as np
 import pytest
 
 import vcmvsp
-from tests.support.step_responses import overshoot, servo_step
-from tests.support.validation.fleets import (
-    K1,
-    UNLIMITED,
-    T,
-    V,
-    errors,
-    fleet,
-    lossy,
-)
-from vcmvsp.agents.formation.followers.laws import FollowerPlace
-from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
-from vcmvsp.cosim.agent import Observation, Radio
-from vcmvsp.cosim.types import Follows, Velocity
+from tests.support.validation.fleets import K1, UNLIMITED, T, V, errors, fleet, lossy
 
 pytestmark = pytest.mark.slow
-
-
-class StepFollower(LeaderFollower):
-    """A follower at 1.5 m, and at 1.0 m from ``at_s`` on."""
-
-    def __init__(self, at_s: float, k1: float) -> None:
-        super().__init__("car1", 1.5, k1=k1, max_reverse=1e9)
-        self.at_s = at_s
-
-    def act(self, obs: Observation, radio: Radio) -> Velocity:
-        if obs.time_s >= self.at_s:
-            self.place = FollowerPlace(0.5, 0.0, 1.5)
-            self.follows = Follows(leader="car1", slot=(-1.0, 0.0), handle_m=1.5)
-        return super().act(obs, radio)
-
-
-@pytest.mark.parametrize(("k1", "share"), [(0.4, 0.0), (0.8, 0.026), (2.0, 0.206), (4.0, 0.396)])
-def test_step_response_of_a_servo(k1: float, share: float) -> None:
-    """0.5 m behind the slot at v = 0.3 m/s, servo lag 0.5 s, 10 Hz (Fig 30): the sampled servo, state (z1, v_f - v_l)."""
-    at_s, tau = 40.0, 0.5
-    scenario = fleet(65.0, [{"distance": 1.5}], path="straight", kind="lag")
-    result = vcmvsp.run(scenario, agents={"car2": StepFollower(at_s, k1=k1)}, mcap=False)
-    times, z = errors(result)
-    z1 = z[times >= at_s, 0, 0]
-    assert z1 == pytest.approx(0.5 * servo_step(k1, T, tau, len(z1)), abs=1e-6)
-    assert overshoot(z1) == pytest.approx(share, abs=5e-4)
 
 
 def test_a_body_settles_later_than_a_point() -> None:

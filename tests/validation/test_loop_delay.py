@@ -9,7 +9,7 @@ import pytest
 
 import vcmvsp
 from tests.support.step_responses import overshoot
-from tests.support.validation.fleets import K1, UNLIMITED, Floats, R, T, V, W, errors, fleet, lossy
+from tests.support.validation.fleets import K1, UNLIMITED, Floats, T, V, errors, fleet, lossy
 
 pytestmark = pytest.mark.slow
 
@@ -43,14 +43,6 @@ def test_late_reports_shift_the_follower_and_never_destabilise_it(delay_s: float
     assert z[-1, 0, 0] == pytest.approx(V * delay_s, rel=1e-6)
     deviation = z[times >= delay_s + 0.05, 0, 0] - V * delay_s
     assert deviation[:50] == pytest.approx(deviation[0] * (1.0 - K1 * T) ** np.arange(50), abs=1e-9)
-
-
-def test_late_reports_on_a_circle_shift_the_follower_along_its_arc() -> None:
-    """|z| = 2 R sin(w d / 2) behind a leader on the circle, settled at ages of 1 s and of 5 s."""
-    for delay_s in (1.0, 5.0):
-        scenario = fleet(60.0 + delay_s, [UNLIMITED], radio=lossy(delay_s=delay_s), agents={"estimator": "hold"})
-        _, z = errors(vcmvsp.run(scenario, mcap=False))
-        assert np.hypot(*z[-1, 0]) == pytest.approx(2.0 * R * math.sin(0.5 * W * delay_s), rel=1e-4)
 
 
 def test_a_late_loop_overshoots_for_k_d_above_one_over_e() -> None:

@@ -5,8 +5,7 @@ import os
 import socket
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from tests.support.cosim.command_line import contents
 from tests.support.cosim.memory_links import behind_the_wire
 from tests.support.cosim.run_processes import VCMVSP
 from tests.support.netsim.gateway_context import free_ports
+from tests.support.waiting import wait_for
 from vcmvsp.agents.formation.followers.leader_follower import LeaderFollower
 from vcmvsp.agents.formation.leaders.trajectory import Trajectory
 
@@ -148,7 +148,7 @@ def test_hosts_started_by_hand(reference: dict[str, bytes], tmp_path: Path) -> N
             started.append(host(logs[1], "car2"))
 
     try:
-        wait_for(lambda: (tmp_path / "early.txt").stat().st_size > 0)
+        wait_for(lambda: (tmp_path / "early.txt").stat().st_size > 0, 500.0)
         vcmvsp.run("formation-circle", set=SHORT, agents="zenoh", listen=endpoint, tell=tell, out=tmp_path / "out")
         assert [process.wait(timeout=500) for process in started] == [0, 0]
     finally:
@@ -159,10 +159,3 @@ def test_hosts_started_by_hand(reference: dict[str, bytes], tmp_path: Path) -> N
             log.close()
     assert_same(tmp_path / "out", reference)
     assert set(json.loads((tmp_path / "out" / "about.json").read_text())["agents"].values()) == {"zenoh"}
-
-
-def wait_for(condition: Callable[[], bool], timeout_s: float = 500.0) -> None:
-    last = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < last
-        time.sleep(0.02)

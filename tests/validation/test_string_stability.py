@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import vcmvsp
-from tests.support.cosim.figures import RUNNER, checked_figure
+from tests.support.cosim.figures import checked_figure
 from tests.support.validation.fleets import K1, lossy
 from tests.support.validation.teams import COLUMN, oscillation, rms_of_links, team
 from vcmvsp.cosim.reproduction.figures.formation import chain
@@ -53,23 +53,17 @@ def test_without_the_speed_a_steady_error_remains() -> None:
     assert rms_of_links(vcmvsp.run(scenario, mcap=False)) == pytest.approx([0.3 / K1] * 3, rel=1e-3)
 
 
-def column(**way: Any) -> list[float]:
-    """RMS of each link of a column of 7 with servos behind a random leader, delay 0.3 s, 10 Hz: a run of the figure."""
-    (links,) = RUNNER([chain.column(way)])
-    return [float(each) for each in links]
-
-
-def test_feed_forward_reduces_errors() -> None:
+def test_the_figure_shows_gains_of_hops_and_that_feed_forward_reduces_errors(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Feed-forward of the leader's speed, or of the parent's acceleration: smaller errors at the end of the chain."""
-    plain, led, pushed = (column(**way) for way in (chain.WAYS["dr"], chain.LED, chain.WAYS["acceleration"]))
-    assert led[-1] < 0.25 * plain[-1]
-    assert max(led) < 1.1 * led[0]
-    assert pushed[-1] < 0.5 * plain[-1]
-
-
-def test_the_figure_shows_these_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(chain, "OMEGAS", (0.8, 0.963))
     monkeypatch.setattr(chain, "DELAYS_S", ())
     monkeypatch.setattr(chain, "WARM_S", 8.0)
     figure = checked_figure("chain", tmp_path, 2, ["largest gain", "column"])
     assert len(figure.rows) == 4 + 1 + 4 + 4 + 2 + 3
+    links = {curve.label: curve.y for curve in figure.panels[1].curves}
+    plain, led, pushed = (links[chain.LABELS[way]] for way in ("dr", "leader", "acceleration"))
+    assert led[-1] < 0.25 * plain[-1]
+    assert max(led) < 1.1 * led[0]
+    assert pushed[-1] < 0.5 * plain[-1]

@@ -9,7 +9,7 @@ import pytest
 import vcmvsp
 from tests.support.cosim.command_line import Outcome, vcmvsp_command
 from tests.support.cosim.html_pages import Reader
-from tests.support.cosim.studies import LOSS, mine, two
+from tests.support.cosim.studies import LOSS, two
 from vcmvsp.cosim.studies.plan import Plan, Run
 from vcmvsp.cosim.studies.rows import Row, encode
 from vcmvsp.cosim.studies.store import JOURNAL, PLAN, JournalLine
@@ -83,16 +83,3 @@ def test_a_damaged_study_is_one_error(study: Path, name: str, content: str) -> N
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert "out" in err
     assert (study / "report.html").read_bytes() == before
-
-
-def test_errors_of_runs_are_listed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    mine(tmp_path)
-    vary = {"agents.nap_s": [0.0, 0.001]}
-    vcmvsp.study("mine.toml", vary=vary, seeds=2, seed=1, set={"agents.bad_seed": 2}, jobs=1, out="out")
-    page = read(Path("out"))
-    assert [row[1] for row in page.rows("agents.nap_s", "seed", "error")] == ["2", "2"]
-    assert all("not with this seed" in row[-1] for row in page.rows("agents.nap_s", "seed", "error"))
-    before = Path("out", "report.html").read_bytes()
-    assert vcmvsp_command("report", "out").code == 0
-    assert Path("out", "report.html").read_bytes() == before

@@ -9,14 +9,12 @@ import pytest
 from tests.support.cosim.figures import draw_figure, missed
 from vcmvsp.agents.reconnaissance.recognition.detector import Detection
 from vcmvsp.agents.reconnaissance.recognition.ground import Truth
-from vcmvsp.agents.reconnaissance.recognition.inspection import colour_map, inspect
-from vcmvsp.cosim.frames import wrap
+from vcmvsp.agents.reconnaissance.recognition.inspection import colour_map
 from vcmvsp.cosim.reproduction.figures.search import recognition_stages
 from vcmvsp.cosim.reproduction.figures.search.synthetic_pictures import (
     KINDS,
     Tally,
     box,
-    photographed,
     synthetic_frame,
     target,
     together,
@@ -52,22 +50,6 @@ def test_boxes_turn_counter_clockwise_in_the_picture() -> None:
         assert (curve.x[-1], curve.y[-1]) == pytest.approx((u, v))
 
 
-def test_inspection_gives_angle_and_scores() -> None:
-    """The angle, and scores above and below the thresholds of the stages."""
-    frame = synthetic_frame(20.0, 3)
-    (truth,) = frame.seen.truths
-    inspection = inspect(target(), frame.image, 20.0, FOCAL_PX, (truth.u, truth.v))
-    assert abs(wrap(inspection.angle - truth.angle)) < math.radians(1.0)
-    assert inspection.colour > 0.55
-    assert inspection.rings > 0.95
-    assert inspection.match > 0.95
-    assert inspection.match > inspection.upright
-    for kind, u, v in frame.likenesses:
-        like = inspect(target(), frame.image, 20.0, FOCAL_PX, (u, v))
-        assert like.match < 0.65
-        assert (like.rings > 0.95) == (kind == "mirrored")
-
-
 def test_colour_maps_have_their_peaks_in_the_picture() -> None:
     frame = synthetic_frame(15.0, 1)
     (truth,) = frame.seen.truths
@@ -78,14 +60,6 @@ def test_colour_maps_have_their_peaks_in_the_picture() -> None:
     assert found.score[row, column] > 0.9 * 255 * found.peaks[near.argmin(), 2]
 
 
-def test_cameras_over_towns_see_targets_and_no_likenesses() -> None:
-    rates = photographed(20.0, 8, (1,))
-    assert rates.unoccluded.of >= 4
-    assert rates.unoccluded.value == rates.precision.value == 1.0
-    assert math.degrees(max(rates.angles)) < 3.0
-    assert max(rates.places) < 0.1
-
-
 def test_recognition(tmp_path: Path) -> None:
     figure = draw_figure("recognition", tmp_path, 6, frames=3)
     assert missed(figure) == []
@@ -94,6 +68,7 @@ def test_recognition(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("name", "panels"), [("46", 5), ("47", 6)])
 def test_stages(name: str, panels: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Scores above and below the thresholds of the stages, and angles within a degree."""
     monkeypatch.setattr(recognition_stages, "TURNS_DEG", (0, 15, 20, 90))
     monkeypatch.setattr(recognition_stages, "SHIFTS_PX", (0, 4, 7))
     figure = draw_figure(name, tmp_path, panels, frames=2)

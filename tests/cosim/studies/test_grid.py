@@ -1,7 +1,6 @@
 """Values of ``--vary KEY=...``."""
 
 import json
-import math
 from decimal import Decimal
 from typing import Any
 
@@ -54,7 +53,7 @@ def test_labels_are_equal_exactly_for_equal_values(one: Any, other: Any) -> None
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("0:1:0.1", [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0]),
+        ("0:1:0.1", [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0]),  # 0.3 != 0.1 * 3
         ("0:1:0.4", [0.0, 0.4, 0.8]),
         ("1e-3:3e-3:1e-3", [0.001, 0.002, 0.003]),
         ("0,5:7:1,10", [0, 5, 6, 7, 10]),
@@ -100,8 +99,3 @@ def test_bad_values_are_named(text: str, words: str) -> None:
 def test_bad_arguments_are_named(arguments: list[str], words: str) -> None:
     with pytest.raises(UsageError, match=words):
         vary_of(arguments)
-
-
-def test_steps_are_clean_where_floats_would_not_be() -> None:
-    assert values_of("0:1:0.1")[3] == 0.3 != 0.1 * 3
-    assert math.isclose(sum(values_of("0:0.9:0.1")), 4.5)

@@ -56,6 +56,12 @@ def figure_of(vary: Mapping[str, Any], metrics: tuple[str, ...] = (METRIC,)) -> 
     return study_plot.lines(summarise(table, list(vary), metrics), list(vary), metrics)
 
 
+def map_of(vary: Mapping[str, Any], seeds: int = 3) -> Figure:
+    figure = study_plot.heat_map(summarise(study(vary, seeds)[0], list(vary), [METRIC]), list(vary), METRIC)
+    assert figure is not None
+    return figure
+
+
 # --- figures -----------------------------------------------------------------------------------------------------------------
 
 
@@ -88,12 +94,9 @@ def test_names_alone_are_points_with_error_bars() -> None:
     assert len(set(places)) == 6  # beside each other
 
 
-def test_booleans_count_as_names() -> None:
+def test_booleans_count_as_names_and_tables_are_named_by_their_kinds_where_these_differ() -> None:
     (axes,) = figure_of({"record.sensors": [True, False]}).axes
     assert [text.get_text() for text in axes.get_xticklabels()] == ["true", "false"]
-
-
-def test_tables_are_named_by_their_kinds_where_these_differ() -> None:
     gap, field, wide = '{"kind": "gap"}', '{"kind": "potential_field", "reach": 0.6}', '{"kind": "gap", "top": 5}'
     (axes,) = figure_of({"agents.avoidance": [gap, field], "world": ['{"kind": "gates"}', '{"kind": "pillar"}']}).axes
     assert [text.get_text() for text in axes.get_xticklabels()] == ["gap", "potential_field"]
@@ -119,11 +122,8 @@ def test_there_is_a_panel_for_each_metric() -> None:
 
 def test_the_map_has_the_mean_of_each_point_in_its_cell() -> None:
     vary = {DELAY: [2.0, 0.5], LOSS: [0.1, 0.9, 0.5]}
-    table, _ = study(vary)
-    summary = summarise(table, list(vary), [METRIC])
-    figure = study_plot.heat_map(summary, list(vary), METRIC)
-    assert figure is not None
-    axes = figure.axes[0]
+    axes = map_of(vary).axes[0]
+    summary = summarise(study(vary)[0], list(vary), [METRIC])
     assert [text.get_text() for text in axes.get_xticklabels()] == ["0.5", "2"]
     assert [text.get_text() for text in axes.get_yticklabels()] == ["0.1", "0.5", "0.9"]
     means = {(row[DELAY], row[LOSS]): row[f"{METRIC}.mean"] for row in summary.to_pylist()}
@@ -134,21 +134,15 @@ def test_the_map_has_the_mean_of_each_point_in_its_cell() -> None:
 
 
 def test_a_large_map_has_no_numbers_and_a_map_needs_two_numeric_keys() -> None:
-    vary = {DELAY: [0.1 * i for i in range(8)], LOSS: [0.1 * i for i in range(8)]}
-    table, _ = study(vary, seeds=1)
-    figure = study_plot.heat_map(summarise(table, list(vary), [METRIC]), list(vary), METRIC)
-    assert figure is not None
-    assert not figure.axes[0].texts
+    eight = [0.1 * i for i in range(8)]
+    assert not map_of({DELAY: eight, LOSS: eight}, seeds=1).axes[0].texts
     names = {WHO: ["hold", "dr"], LOSS: [0.1, 0.5]}
     table, _ = study(names)
     assert study_plot.heat_map(summarise(table, list(names), [METRIC]), list(names), METRIC) is None
 
 
 def test_a_third_key_gives_a_map_for_each_of_its_values() -> None:
-    vary = {WHO: ["hold", "dr", "acc"], DELAY: [0.0, 1.0], LOSS: [0.1, 0.5]}
-    table, _ = study(vary)
-    figure = study_plot.heat_map(summarise(table, list(vary), [METRIC]), list(vary), METRIC)
-    assert figure is not None
+    figure = map_of({WHO: ["hold", "dr", "acc"], DELAY: [0.0, 1.0], LOSS: [0.1, 0.5]})
     assert [axes.get_title() for axes in figure.axes if axes.get_title()] == ["hold", "dr", "acc"]
 
 

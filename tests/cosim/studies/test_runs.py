@@ -18,6 +18,7 @@ import pytest
 
 import vcmvsp
 from tests.support.cosim.studies import ESTIMATOR, LOSS, columns, mine, two
+from tests.support.waiting import wait_for
 from vcmvsp.cosim.assembly.run import AssembledRun
 from vcmvsp.cosim.errors import AgentError, FederateError, UsageError, VcmvspError
 from vcmvsp.cosim.processes import child_process, worker_pool
@@ -118,13 +119,6 @@ def test_progress_counts_up(tmp_path: Path) -> None:
     assert reports == [(0, 0, 3), (1, 1, 3), (2, 1, 3), (3, 1, 3)]
 
 
-def wait_for(condition: Any, seconds: float = 30.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
-
-
 def pool_and_job(folder: Path) -> tuple[Pool, Job]:
     """A pool of one worker, and a run that leaves a mark and then waits while the file ``held`` exists."""
     work = Work(mine(folder).read_text(), str(folder), version())
@@ -139,9 +133,12 @@ def test_a_worker_that_is_killed_costs_its_run_only_if_it_dies_twice(tmp_path: P
     quick = Job(0, {})
     mark = tmp_path / "mark"
 
+    def marked(number: int) -> bool:
+        return mark.exists() and len(mark.read_text()) > number
+
     def kill() -> None:
         for number in range(deaths):
-            wait_for(lambda n=number: mark.exists() and len(mark.read_text()) > n)
+            wait_for(functools.partial(marked, number))
             (worker,) = pool._workers
             os.kill(worker._process.pid, signal.SIGKILL)
         (tmp_path / "held").unlink()

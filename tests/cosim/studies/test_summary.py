@@ -74,29 +74,21 @@ def test_the_order_of_the_runs_changes_no_bit(random: Any) -> None:
     assert sorted(shuffled, key=str) == sorted(sorted_rows, key=str)
 
 
-def test_points_come_in_the_order_of_the_study() -> None:
-    listed = runs({0.9: [1.0], 0.1: [2.0], 0.5: [3.0]})
-    assert summarise(table(listed), ["radio.loss.probability"], [METRIC])["radio.loss.probability"].to_pylist() == [
-        0.9,
-        0.1,
-        0.5,
-    ]
-
-
-def test_nulls_are_left_out_and_counted_and_failures_too() -> None:
-    listed = [*runs({0.1: [1.0, None, 3.0]}), {"radio.loss.probability": 0.1, "seed": 3, "error": "car2: it raised"}]
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [([1.0, None, 3.0], (3, 1, 2, 2.0)), ([], (0, 1, 0, None))],
+    ids=["nulls and a failure", "failures alone"],
+)
+def test_nulls_and_failures_are_left_out_and_counted(values: list[float | None], expected: tuple[object, ...]) -> None:
+    listed = [*runs({0.1: values}), {"radio.loss.probability": 0.1, "seed": 3, "error": "car2: it raised"}]
     (point,) = summarise(table(listed), ["radio.loss.probability"], [METRIC]).to_pylist()
-    assert (point["n"], point["failed"], point[f"{METRIC}.n"], point[f"{METRIC}.mean"]) == (3, 1, 2, 2.0)
+    assert (point["n"], point["failed"], point[f"{METRIC}.n"], point[f"{METRIC}.mean"]) == expected
 
 
-def test_where_all_runs_failed_there_is_a_row_without_values() -> None:
-    failed = [{"radio.loss.probability": 0.1, "seed": seed, "error": "no"} for seed in (1, 2)]
-    (point,) = summarise(table(failed), ["radio.loss.probability"], [METRIC]).to_pylist()
-    assert (point["n"], point["failed"], point[f"{METRIC}.n"], point[f"{METRIC}.mean"]) == (0, 2, 0, None)
-
-
-@pytest.mark.parametrize("values", [[1, 2], ["a", "b"], [True, False], [[1, 2], [2, 1]], [{"kind": "a"}, {"kind": "b"}]])
-def test_values_of_any_type_make_points(values: list[Any]) -> None:
+@pytest.mark.parametrize(
+    "values", [[0.9, 0.1, 0.5], ["b", "a"], [True, False], [[1, 2], [2, 1]], [{"kind": "a"}, {"kind": "b"}]]
+)
+def test_values_of_any_type_make_points_in_the_order_of_the_study(values: list[Any]) -> None:
     listed = [{"key": value, "seed": seed, METRIC: 1.0, "error": None} for value in values for seed in (1, 2)]
     found = summarise(table(listed), ["key"], [METRIC])
     assert found["key"].to_pylist() == values

@@ -5,9 +5,7 @@ import contextlib
 import json
 import re
 import struct
-import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +16,7 @@ from websockets.typing import Subprotocol
 
 import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.run_processes import VCMVSP
+from tests.support.cosim.run_processes import served
 from vcmvsp.cosim.errors import UsageError
 
 pytest.importorskip("foxglove")
@@ -59,19 +57,8 @@ name = "car2"
 pose = [0.0, -1.0, 0.0]
 agent = { kind = "leader_follower", leader = "car1" }
 """
+COMMAND = ("run", "streamed.toml", "--foxglove", "0", "--out", "out")
 Message = tuple[str, int, bytes]  # topic, time, content
-
-
-@contextlib.contextmanager
-def streamed(folder: Path) -> Iterator[tuple["subprocess.Popen[str]", str]]:
-    """The process of a run, and the address that it prints."""
-    command = [*VCMVSP, "run", "streamed.toml", "--foxglove", "0", "--out", "out"]
-    with subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stderr is not None
-        try:
-            yield process, next(line for line in process.stderr if line.startswith("Foxglove: ")).split()[-1]
-        finally:
-            process.kill()
 
 
 class Reader:
@@ -135,7 +122,7 @@ def recorded(path: Path) -> tuple[list[Message], dict[tuple[str, str], bytes]]:
 def test_a_client_gets_the_recorded_messages_and_changes_nothing(tmp_path: Path) -> None:
     (tmp_path / "streamed.toml").write_text(SCENARIO)
     vcmvsp.run(tmp_path / "streamed.toml", out=tmp_path / "alone")
-    with streamed(tmp_path) as (process, url):
+    with served(tmp_path, "Foxglove: ", *COMMAND) as (process, url):
         reader = read(url)
         assert process.wait(PATIENCE_S) == 0
     assert url.startswith("ws://127.0.0.1:")
@@ -168,7 +155,7 @@ def test_a_client_gets_the_recorded_messages_and_changes_nothing(tmp_path: Path)
 def test_messages_of_a_client_change_nothing(tmp_path: Path, first: str | bytes) -> None:
     (tmp_path / "streamed.toml").write_text(SCENARIO.replace("duration_s = 4.0", "duration_s = 1.0"))
     vcmvsp.run(tmp_path / "streamed.toml", out=tmp_path / "alone")
-    with streamed(tmp_path) as (process, url):
+    with served(tmp_path, "Foxglove: ", *COMMAND) as (process, url):
         read(url, first)
         assert process.wait(PATIENCE_S) == 0
     assert (tmp_path / "out" / "run.mcap").read_bytes() == (tmp_path / "alone" / "run.mcap").read_bytes()

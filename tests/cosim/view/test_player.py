@@ -16,7 +16,6 @@ from tests.support.cosim.recorded_run import (
     Run,
     all_of,
     assert_same,
-    observed_run,
     observer_state,
     recording_state,
 )
@@ -32,11 +31,6 @@ from vcmvsp.cosim.view.player.recording import FASTEST, Player, Recording
 pytestmark = pytest.mark.slow
 
 TIMES = st.integers(0, END_NS)
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    return observed_run(tmp_path_factory.mktemp("runs") / "run")
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,6 @@ from tests.support.cosim.recorded_run import (
     Run,
     assert_same,
     chunk_ends,
-    observed_run,
     observer_state,
     recording_state,
 )
@@ -40,11 +39,6 @@ pytestmark = pytest.mark.slow
 NAMES = ("uav1", "uav2")
 TIMES = st.integers(0, 5 * SECOND_NS)
 SHARES = st.floats(0.0, 1.0, exclude_max=True)  # a place in a file
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    return observed_run(tmp_path_factory.mktemp("runs") / "run")
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 import urllib.parse
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from websockets.typing import Origin, Subprotocol
 from tests.support.cosim import view_pages
 from tests.support.cosim.run_processes import reserve_port
 from tests.support.paths import ROOT
+from tests.support.waiting import wait_for
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.scenario.schema import HaltTable
@@ -49,14 +50,6 @@ CAMERA = {  # first message of a page
     "look_at": (0.0, 0.0, 0.0),
     "up_direction": (0.0, 0.0, 1.0),
 }
-
-
-def until(holds: Callable[[], Any]) -> Any:
-    """Wait until ``holds`` returns a true value; returns this value."""
-    end_s = time.monotonic() + PATIENCE_S
-    while not (value := holds()) and time.monotonic() < end_s:
-        time.sleep(0.01)
-    return value
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +86,7 @@ def messages_to(page: Connection) -> list[dict[str, Any]]:
 
 
 def test_events_reach_the_page_and_buttons_give_orders(viewer: Viewing) -> None:
-    feed, text_of, buttons = viewer.feed, str, dict[str, str]()
+    feed, buttons = viewer.feed, dict[str, str]()
     with page_connection(viewer.url) as page:
         page.send(msgspec.msgpack.encode(CAMERA))
 
@@ -103,15 +96,14 @@ def test_events_reach_the_page_and_buttons_give_orders(viewer: Viewing) -> None:
                     buttons[message["props"]["label"]] = message["uuid"]
             return "Stop all vehicles" in buttons
 
-        assert until(press)
+        wait_for(press)
         stop = buttons["Stop all vehicles"]
         page.send(msgspec.msgpack.encode({"type": "GuiUpdateMessage", "uuid": stop, "updates": {"value": True}}))
-        orders = until(feed.orders)
-        assert orders == [HaltTable(at_s=0.0, halted=True)]
+        assert wait_for(feed.orders) == [HaltTable(at_s=0.0, halted=True)]
         feed.say("warning", "the bridge is up")
         feed.on(Event("world/states", SECOND_NS, view_pages.moving_state(SCENERY, 1.0).states))  # type: ignore[arg-type]  # not None
         feed.pace(Pace())
-        assert until(lambda: "the bridge is up" in text_of(messages_to(page)))
+        wait_for(lambda: "the bridge is up" in str(messages_to(page)))
 
 
 def test_a_browser_shows_the_page_without_errors(viewer: Viewing) -> None:
@@ -186,7 +178,7 @@ def test_the_process_ends_with_its_parent(number: signal.Signals, last: str, cod
         parent.send_signal(number)
         assert parent.stdout.read() == last
         assert parent.wait(PATIENCE_S) == code
-    assert until(lambda: not is_running(child))
+    wait_for(lambda: not is_running(child))
 
 
 def is_running(pid: int) -> bool:

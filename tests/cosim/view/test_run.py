@@ -5,15 +5,15 @@ import re
 import subprocess
 import time
 import tomllib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import vcmvsp
-from tests.support.cosim.run_processes import VCMVSP
+from tests.support.cosim.run_processes import served
 from tests.support.cosim.view_pages import browser, positions
 from vcmvsp.cosim.tables.schema import load
 
@@ -61,19 +61,11 @@ def is_trouble(message: Any) -> bool:
     return message.type == "error" and "non-existent component" not in message.text
 
 
-@contextmanager
-def watched_run(folder: Path) -> Iterator[tuple["subprocess.Popen[str]", str]]:
+def watched_run(folder: Path, *options: str) -> AbstractContextManager[tuple["subprocess.Popen[str]", str]]:
     """The process of a run, and the URL of its page."""
     (folder / "looked-at.toml").write_text(SCENARIO)
-    options = ["--view", "--view-port", "0", "--out", str(folder / "out")]
-    command = [*VCMVSP, "run", str(folder / "looked-at.toml"), *options]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stderr is not None
-        try:
-            line = next(line for line in process.stderr if line.startswith("control station: "))
-            yield process, line.split()[-1]
-        finally:
-            process.kill()
+    page_and_files = ("--view", "--view-port", "0", "--out", "out")
+    return served(folder, "control station: ", "run", "looked-at.toml", *page_and_files, *options)
 
 
 def test_a_click_in_the_browser_loses_frames_of_the_run_and_the_run_can_be_repeated(tmp_path: Path) -> None:
@@ -105,21 +97,13 @@ def test_a_click_in_the_browser_loses_frames_of_the_run_and_the_run_can_be_repea
 
 
 def test_the_page_opens_before_the_agents_join_and_shows_a_failed_start(tmp_path: Path) -> None:
-    (tmp_path / "looked-at.toml").write_text(SCENARIO)
-    hosts = ["--agents", "zenoh", "--listen", "tcp/127.0.0.1:0", "--set", "agents.join_timeout_s=8"]
-    page_and_files = ["--view", "--view-port", "0", "--out", str(tmp_path / "out")]
-    command = [*VCMVSP, "run", str(tmp_path / "looked-at.toml"), *hosts, *page_and_files]
-    with browser() as chromium, subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stderr is not None
-        try:
-            line = next(line for line in process.stderr if line.startswith("control station: "))
-            page = chromium.new_page()
-            page.goto(line.split()[-1])
-            page.get_by_text("waiting for its agents").wait_for(timeout=WAIT_MS)
-            page.locator("#over").wait_for(timeout=WAIT_MS)
-            assert "car1" in page.inner_text("#over")  # name of an agent that did not join
-        finally:
-            process.kill()
+    hosts = ("--agents", "zenoh", "--listen", "tcp/127.0.0.1:0", "--set", "agents.join_timeout_s=8")
+    with browser() as chromium, watched_run(tmp_path, *hosts) as (_, url):
+        page = chromium.new_page()
+        page.goto(url)
+        page.get_by_text("waiting for its agents").wait_for(timeout=WAIT_MS)
+        page.locator("#over").wait_for(timeout=WAIT_MS)
+        assert "car1" in page.inner_text("#over")  # name of an agent that did not join
 
 
 def _lost(frames: Any) -> list[Any]:

@@ -2,7 +2,6 @@
 
 import math
 import time
-from collections.abc import Iterator
 
 import msgspec
 import numpy as np
@@ -12,7 +11,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.cosim import view_pages
-from tests.support.cosim.view_pages import RECORDED, StationPage, moving_state, open_station, scenery, states, station_state
+from tests.support.cosim.view_pages import (
+    RECORDED,
+    StationPage,
+    moving_state,
+    open_station,
+    positions_at,
+    scenery,
+    states,
+    station_state,
+)
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.types import Mosaic, ProbabilityMap
@@ -29,14 +37,6 @@ pytestmark = pytest.mark.sockets
 
 ANGLES = st.floats(-3.0, 3.0)
 METRES = st.floats(-50.0, 50.0)
-
-
-@pytest.fixture(scope="module")
-def live() -> Iterator[StationPage]:
-    """A station of a live run of two robots and a quadrotor."""
-    with open_station(scenery(3, flying=1)) as station_page:
-        station_page.show(0.0)
-        yield station_page
 
 
 # --- the scene ---
@@ -67,7 +67,7 @@ def test_a_vehicle_is_drawn_with_its_own_shape() -> None:
         first, second = station_page.node("/vehicles/own0/0"), station_page.node("/vehicles/own0/1")
         for node, part in ((first, parts[0]), (second, parts[1])):
             assert node.vertices.tolist() == part.triangles.reshape(-1, 3).tolist()
-            assert node.batched_positions[0] == pytest.approx(moving_state(scene, 1.0).states.position[0])  # type: ignore[union-attr]
+            assert node.batched_positions[0] == pytest.approx(positions_at(scene, 1.0)[0])
             assert node.batched_scales.tolist() == [[1.0, 1.0, 1.0]]
         assert len(station_page.node("/vehicles/ground").batched_positions) == 2
         assert len(station_page.node("/vehicles/wheels").batched_positions) == 4
@@ -136,7 +136,7 @@ def test_a_vehicle_is_chosen_by_a_click_at_its_body(live: StationPage) -> None:
     )
     assert live.part("Vehicle").value == "v3"
     live.show(6.0)
-    assert live.node("/chosen").position[:2] == pytest.approx(moving_state(live.scene, 6.0).states.position[2, :2])  # type: ignore[union-attr]
+    assert live.node("/chosen").position[:2] == pytest.approx(positions_at(live.scene, 6.0)[2, :2])
     live.use("Vehicle", "v1")
 
 
@@ -210,7 +210,7 @@ def test_trails_are_bounded_and_begin_anew_where_time_goes_back() -> None:
             station_page.station.show(moving_state(station_page.scene, float(second)))
         station_page.show(400.0)
         ends = station_page.node("/trails").points.reshape(2, -1, 2, 3)
-        assert ends[0, -1, 1] == pytest.approx(moving_state(station_page.scene, 400.0).states.position[0], abs=1e-5)  # type: ignore[union-attr]
+        assert ends[0, -1, 1] == pytest.approx(positions_at(station_page.scene, 400.0)[0], abs=1e-5)
         size = ends.size
         station_page.show(10.0)
         points = station_page.node("/trails").points
@@ -225,7 +225,7 @@ def test_a_link_is_an_arrow_from_the_sender_to_the_receiver_in_the_colour_of_its
     with open_station(scenery(2)) as station_page:
         station_page.show(3.0)
         points, colors = station_page.node("/links").points, station_page.node("/links").colors
-        here, there = moving_state(station_page.scene, 3.0).states.position  # type: ignore[union-attr]
+        here, there = positions_at(station_page.scene, 3.0)
         start, tip = points[0]
         along = (there - here) / np.linalg.norm(there - here)
         assert (start - here) @ along < 0.1 * np.linalg.norm(there - here)
@@ -250,7 +250,7 @@ def test_the_paths_of_the_wave_to_another_vehicle_are_drawn_and_listed() -> None
             station_page.show(3.0)
             assert time.monotonic() < until
             time.sleep(0.05)
-        here, there = moving_state(station_page.scene, 3.0).states.position + np.array((0.0, 0.0, 0.5))  # type: ignore[union-attr]
+        here, there = positions_at(station_page.scene, 3.0) + np.array((0.0, 0.0, 0.5))
         points = station_page.node("/paths").points.reshape(-1, LEGS, 2, 3)
         middle = 0.5 * (here + there) * (1.0, 1.0, 0.0)
         assert points[0, 0] == pytest.approx(np.stack([here, there]), abs=1e-4)

@@ -17,12 +17,13 @@ from tests.support.cosim.view_pages import (
     open_station,
     picture,
     positions,
+    positions_at,
     scan,
     scenery,
     states,
 )
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.types import Array, Mosaic
+from vcmvsp.cosim.types import Array, Mosaic, States
 from vcmvsp.cosim.view.messages import Floor, Seek
 from vcmvsp.cosim.view.page.drawing import colors_of, rotated
 
@@ -76,6 +77,23 @@ class Page:
         """Positions of the robots on the page."""
         return positions(self.page, "/vehicles/ground")
 
+    @property
+    def canvas(self) -> Any:
+        """The part of the page with the scene: x, y, width and height in pixels."""
+        return self.page.locator("canvas").first.bounding_box()
+
+    def shows_positions_at(self, time_s: float) -> bool:
+        """Whether the robots on the page have their positions at a time."""
+        return np.allclose(self.places(), positions_at(self.station_page.scene, time_s), atol=1e-4)
+
+    def redness(self) -> list[int]:
+        """Red less blue near the middle of the scene: in the south-west, south-east, north-west and north-east."""
+        box, colors = self.canvas, []
+        for right, up in ((-0.1, -0.1), (0.1, -0.1), (-0.1, 0.1), (0.1, 0.1)):
+            across = (box["x"] + (0.5 + right) * box["width"]) / 1000
+            colors.append(self.pixel(across, (box["y"] + (0.5 - up) * box["height"]) / 700))
+        return [red - blue for red, _, blue in colors]
+
     def pixel(self, right: float, down: float) -> list[int]:
         """The colour of the page at ``right`` and ``down``, each from 0 to 1."""
         screenshot = cv2.imdecode(np.frombuffer(self.page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
@@ -99,6 +117,11 @@ def page(chromium: Any) -> Iterator[Page]:
         opened.close()
 
 
+def at_rest(places: list[tuple[float, float, float]]) -> States:
+    """The five vehicles of the page at rest, heading east."""
+    return states(places, [0.0] * 5, ("v1", "v2", "v3", "v4", "v5"))
+
+
 def look_down(page: Page, x: float, y: float, height: float) -> None:
     (client,) = page.station_page.server.get_clients().values()
     with client.atomic():
@@ -108,10 +131,8 @@ def look_down(page: Page, x: float, y: float, height: float) -> None:
 
 def test_vehicles_have_their_positions_and_move(page: Page) -> None:
     for time_s in (0.0, 4.0):
-        vehicle_states = moving_state(page.station_page.scene, time_s).states
-        assert vehicle_states is not None
         page.show(time_s)
-        page.until(lambda vehicle_states=vehicle_states: np.allclose(page.places(), vehicle_states.position, atol=1e-4))  # type: ignore[misc]
+        page.until(lambda time_s=time_s: page.shows_positions_at(time_s))  # type: ignore[misc]
     names = page.page.evaluate("Object.keys(window.__viserSceneTree.getState()).filter(name => name.startsWith('/names/'))")
     assert sorted(names) == [f"/names/v{index}" for index in range(1, 6)]
 
@@ -124,10 +145,9 @@ def test_texts_are_shown(page: Page) -> None:
 
 def test_a_click_at_a_vehicle_chooses_it(page: Page) -> None:
     page.show(7.0)
-    states = moving_state(page.station_page.scene, 7.0).states
-    assert states is not None
-    look_down(page, float(states.position[3, 0]), float(states.position[3, 1]), 3.0)
-    canvas = page.page.locator("canvas").first.bounding_box()
+    x, y, _ = positions_at(page.station_page.scene, 7.0)[3].tolist()
+    look_down(page, x, y, 3.0)
+    canvas = page.canvas
 
     def clicked() -> bool:
         page.page.mouse.click(canvas["x"] + 0.5 * canvas["width"], canvas["y"] + 0.5 * canvas["height"])
@@ -148,18 +168,8 @@ def test_row_0_of_a_mosaic_is_its_south_edge(page: Page) -> None:
     page.station_page.station.show(moving_state(scene, 8.0))
     look_down(page, 15.0, 15.0, 12.0)
     page.show(8.1, mosaics={"v1": mosaic})
-    box = page.page.locator("canvas").first.bounding_box()
-
-    def redder(right: float, up: float) -> int:
-        across = (box["x"] + (0.5 + right) * box["width"]) / 1000
-        red, _, blue = page.pixel(across, (box["y"] + (0.5 - up) * box["height"]) / 700)
-        return red - blue
-
-    def quarters() -> list[int]:
-        return [redder(right, up) for right, up in ((-0.1, -0.1), (0.1, -0.1), (-0.1, 0.1), (0.1, 0.1))]
-
-    page.until(lambda: sum(each < -50 for each in quarters()) == 3)  # in view: nothing else is blue
-    assert [each > 0 for each in quarters()] == [True, False, False, False]
+    page.until(lambda: sum(each < -50 for each in page.redness()) == 3)  # in view: nothing else is blue
+    assert [each > 0 for each in page.redness()] == [True, False, False, False]
 
 
 def test_a_choice_is_shown_during_a_pause(page: Page) -> None:
@@ -175,18 +185,14 @@ def test_a_page_opened_during_a_pause_shows_the_present_state(chromium: Any) -> 
         station_page.now_s += 1.0
         station_page.station.show(moving_state(station_page.scene, 20.0))  # no client: nothing is sent
         late = Page(station_page, chromium.new_page())
-        vehicle_states = moving_state(station_page.scene, 20.0).states
-        assert vehicle_states is not None
-        late.until(lambda: np.allclose(late.places(), vehicle_states.position, atol=1e-4))
+        late.until(lambda: late.shows_positions_at(20.0))
         late.page.close()
 
 
 def test_the_camera_follows(page: Page) -> None:
     page.station_page.use("Camera follows")
     for time_s in (9.0, 12.0):
-        states = moving_state(page.station_page.scene, time_s).states
-        assert states is not None
-        place, before = states.position[0], page.camera._state
+        place, before = positions_at(page.station_page.scene, time_s)[0], page.camera._state
 
         def follows(time_s: float = time_s, place: Array = place, before: Any = before) -> bool:
             page.show(time_s)
@@ -199,19 +205,17 @@ def test_the_camera_follows(page: Page) -> None:
 
 
 def test_fit_all_shows_all_vehicles_at_any_distance(page: Page) -> None:
-    names = tuple(each.name for each in page.station_page.scene.vehicles)
-    far = states([(400.0 * (index + 1), 250.0 * (index % 2), 0.0) for index in range(5)], [0.0] * 5, names)
+    far = at_rest([(400.0 * (index + 1), 250.0 * (index % 2), 0.0) for index in range(5)])
     page.station_page.use("Names", False)
     page.station_page.use("Links", "none")
     page.show(20.0, states=far, places={}, links=())
     page.station_page.use("Fit all")
     page.until(lambda: bool(np.linalg.norm(page.camera.position - page.camera.look_at) > 500.0))
-    box = page.page.locator("canvas").first.bounding_box()
 
     def seen() -> bool:
         page.show(20.0, states=far, places={}, links=())
         page.page.wait_for_timeout(1000)
-        taken = cv2.imdecode(np.frombuffer(page.page.screenshot(clip=box), np.uint8), cv2.IMREAD_COLOR)
+        taken = cv2.imdecode(np.frombuffer(page.page.screenshot(clip=page.canvas), np.uint8), cv2.IMREAD_COLOR)
         assert taken is not None
         widths = []
         for place, color in zip(far.position, colors_of(5), strict=True):
@@ -235,8 +239,7 @@ def pixel_of(place: Array, camera: Any, shape: tuple[int, ...]) -> tuple[int, in
 
 
 def test_a_wall_before_a_vehicle_is_translucent(page: Page) -> None:
-    names = tuple(each.name for each in page.station_page.scene.vehicles)
-    behind = states([(0.3 * index, 4.0, 0.0) for index in range(5)], [0.0] * 5, names)
+    behind = at_rest([(0.3 * index, 4.0, 0.0) for index in range(5)])
 
     def visible_from(position: tuple[float, float, float]) -> set[str]:
         page.camera.position, page.camera.look_at = position, (0.0, 4.0, 0.1)
@@ -249,10 +252,9 @@ def test_a_wall_before_a_vehicle_is_translucent(page: Page) -> None:
 
 def test_the_team_stays_in_the_picture(page: Page) -> None:
     page.station_page.use("Follow team")
-    names = tuple(each.name for each in page.station_page.scene.vehicles)
 
     def centred(east: float) -> bool:
-        page.show(22.0, states=states([(east + index, 1.0, 0.0) for index in range(5)], [0.0] * 5, names), places={})
+        page.show(22.0, states=at_rest([(east + index, 1.0, 0.0) for index in range(5)]), places={})
         return bool(np.allclose(page.camera.look_at, (east + 2.0, 1.0, 0.0), atol=0.1))
 
     for east in (10.0, 30.0):
@@ -268,16 +270,8 @@ def test_the_picture_of_the_floor_has_north_above_and_hides_the_plain_floor(chro
         station_page.show(0.0)
         page = Page(station_page, chromium.new_page(viewport={"width": 1000, "height": 700}))
         look_down(page, 30.0, 30.0, 60.0)
-        box = page.page.locator("canvas").first.bounding_box()
-
-        def bluer(right: float, up: float) -> int:
-            across = (box["x"] + (0.5 + right) * box["width"]) / 1000
-            red, _, blue = page.pixel(across, (box["y"] + (0.5 - up) * box["height"]) / 700)
-            return blue - red
-
-        quarters = (0.1, 0.1), (-0.1, 0.1), (-0.1, -0.1), (0.1, -0.1)
-        page.until(lambda: bluer(*quarters[0]) > 50)
-        page.until(lambda: all(bluer(*each) < -50 for each in quarters[1:]))
+        page.until(lambda: [each > 50 for each in page.redness()] == [True, True, True, False])
+        page.until(lambda: page.redness()[3] < -50)
         page.page.close()
 
 

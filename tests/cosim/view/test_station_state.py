@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.cosim.view_pages import moving_state, scenery, states, station_state
+from tests.support.cosim.view_pages import moving_state, positions_at, scenery, states, station_state
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.recording.run_state import LogLine
 from vcmvsp.cosim.types import Follows, Presence
@@ -22,7 +22,7 @@ METRES = st.floats(-50.0, 50.0)
 def test_omitted_values_are_unchanged() -> None:
     scene = scenery(3)
     known = station_state(scene, moving_state(scene, 1.0), PageUpdate(time_ns=2 * SECOND_NS))
-    assert np.array_equal(known.position, moving_state(scene, 1.0).states.position)  # type: ignore[union-attr]
+    assert np.array_equal(known.position, positions_at(scene, 1.0))
     assert known.now.places.keys() == {"v2", "v3"}
     assert known.now.sent is not None
     assert known.now.time_ns == 2 * SECOND_NS

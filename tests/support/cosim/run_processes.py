@@ -102,6 +102,16 @@ def read_until(process: subprocess.Popen[str], text: str) -> str:
     return found
 
 
+@contextlib.contextmanager
+def served(folder: Path, label: str, *arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A ``vcmvsp`` process in a folder, and the address that it prints behind a label; leaving the block ends it."""
+    with subprocess.Popen([*VCMVSP, *arguments], cwd=folder, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            yield process, read_until(process, label).split()[-1]
+        finally:
+            process.kill()
+
+
 def wait_for(path: Path) -> None:
     """Wait for a file."""
     last = time.monotonic() + 60.0

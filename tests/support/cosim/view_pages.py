@@ -126,6 +126,13 @@ def moving_state(scene: Scenery, time_s: float, **more: Any) -> PageUpdate:
     return PageUpdate(time_ns=int(time_s * SECOND_NS), **{**content, **more})
 
 
+def positions_at(scene: Scenery, time_s: float) -> Array:
+    """Positions of all vehicles in `moving_state`, (n, 3) m."""
+    vehicle_states = moving_state(scene, time_s).states
+    assert vehicle_states is not None
+    return vehicle_states.position
+
+
 def link(names: tuple[str, ...], sender: int, time_s: float) -> LinkStatus:
     """A frame to all others."""
     others = tuple(name for name in names if name != names[sender])
