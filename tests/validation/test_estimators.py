@@ -25,6 +25,7 @@ from tests.support.step_responses import Floats
 from tests.support.validation.fleets import ASIDE, errors, fleet, lossy
 from vcmvsp.cosim.reproduction.figures.formation import loss_integration as plain
 from vcmvsp.cosim.reproduction.figures.formation.messages import DELAYS_S
+from vcmvsp.cosim.reproduction.figures.formation.messages import NAMED as TOGETHER
 from vcmvsp.cosim.reproduction.figures.formation.messages import REFERENCE as DELAY
 from vcmvsp.cosim.reproduction.figures.scenarios import AHEAD, LEFT_BEHIND, RIGHT_BEHIND, T
 
@@ -55,7 +56,6 @@ INERTIAL = {  # published, of followers with inertia: p -> hold, dr
     "slalom": {0.0: (0.057, 0.057), 0.5: (0.080, 0.062), 0.8: (0.22, 0.099)},
     "random": {0.0: (0.059, 0.059), 0.5: (0.080, 0.072), 0.8: (0.21, 0.137)},
 }
-TOGETHER = {(0.6, 0.5): (0.219, 0.057), (0.9, 2.0): (0.94, 0.55)}  # published, slalom: (p, delay in s) -> hold, dr
 BURSTS = {5: (0.115, 0.035, 0.036), 10: (0.24, 0.11, 0.12), 20: (0.53, 0.37, 0.45)}  # frames -> hold, dr, dr without a horizon
 NOISE = (0.076, 0.065)  # published, slalom, p = 0.5, 0.15 m noise of the leader's pose: hold, dr
 FREE = "dr, free"  # dr without a horizon

@@ -10,6 +10,7 @@ from tests.support.cosim.studies import LOSS, mine
 pytestmark = pytest.mark.processes
 
 LOSSY = ("--vary", f"{LOSS}=0,0.5")
+GRID = ("--vary", f"{LOSS}=0:0.99:0.01", "--vary", "agents.k1=0:1:0.01")  # of 10,100 points
 
 
 @pytest.fixture(autouse=True)
@@ -28,6 +29,7 @@ def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
         (("--vary", f"{LOSS}=0,2"), [f"--vary {LOSS}=2", "must be a number >= 0 and <= 1, not 2"]),
         (("--vary", f"{LOSS}=0,nan"), [f"--vary {LOSS}=nan", "must be finite"]),
         (("--vary", f"{LOSS}=0.5,5e-1"), [f"{LOSS} is varied over 0.5 twice"]),
+        ((*GRID, "--vary", "agents.estimator=hold,hodl"), ["--vary agents.estimator=hodl"]),
         ((*LOSSY, *LOSSY), ["already varied"]),
         (("--vary", f"{LOSS}=0:1"), [f"--vary {LOSS}=0:1", "start:stop:step"]),
         (("--vary", "vehicle.car9.kind=lag,p2dx"), ["unknown vehicle 'car9'", "car1, car2"]),
@@ -67,13 +69,6 @@ def test_an_unknown_scenario_is_named() -> None:
     found = vcmvsp_command("study", "formation-cirle", *LOSSY)
     assert found.code == 2
     assert "did you mean 'formation-circle'?" in found.err
-
-
-def test_a_value_is_found_in_a_grid_of_thousands_of_points() -> None:
-    grid = ("--vary", f"{LOSS}=0:0.99:0.01", "--vary", "agents.k1=0:1:0.01", "--vary", "agents.estimator=hold,hodl")
-    found = vcmvsp_command("study", "s.toml", *grid, "--out", "new")
-    assert found.code == 2
-    assert "--vary agents.estimator=hodl" in found.err
 
 
 def test_a_study_table_is_the_default(tmp_path: Path) -> None:

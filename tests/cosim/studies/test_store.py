@@ -6,7 +6,6 @@ import os
 import shutil
 import signal
 import subprocess
-import time
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ import pytest
 
 from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.cosim.studies import ESTIMATOR, LOSS, columns, mine, start, two
+from tests.support.waiting import wait_for
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.studies import plan as plans
 from vcmvsp.cosim.studies import rows
@@ -155,10 +155,15 @@ def test_another_study_is_not_continued(tmp_path: Path, change: dict[str, Any], 
     assert (tmp_path / "study.parquet").read_bytes() == before
 
 
-def test_a_file_of_a_new_value_keeps_the_study(tmp_path: Path) -> None:
-    whole(tmp_path, plan_of(files={"mine.py": "0"}))
-    more = plan_of(files={"mine.py": "0 1", "new.py": "2"})
-    with Store(tmp_path, more, resume=True, force=False) as store:
+@pytest.mark.parametrize(
+    "change",
+    [{"files": {"mine.py": "0 1", "new.py": "2"}}, {"scenario_toml": 'name = "two" # 2\n[study]\nseeds = 3\n'}],
+    ids=["a file of a new value", "comments and the study table"],
+)
+def test_a_change_without_effect_on_the_rows_keeps_the_study(tmp_path: Path, change: dict[str, Any]) -> None:
+    files = {"mine.py": "0"}
+    whole(tmp_path, plan_of(files=files))
+    with Store(tmp_path, plan_of(**{"files": files, **change}), resume=True, force=False) as store:
         assert len(store.rows) == 7
 
 
@@ -192,12 +197,6 @@ def test_rows_of_changed_code_are_not_mixed_with_new_ones(tmp_path: Path, monkey
         with pytest.raises(UsageError, match=r"holds another study: its file differs \(own\.py: "):
             study(scenario, vary={key: values}, seeds=2, out=tmp_path / "s", resume=True)
         path.write_text(before)
-
-
-def test_comments_and_the_study_table_keep_the_study(tmp_path: Path) -> None:
-    whole(tmp_path, plan_of())
-    with Store(tmp_path, plan_of(scenario_toml='name = "two" # 2\n[study]\nseeds = 3\n'), resume=True, force=False) as store:
-        assert len(store.rows) == 7
 
 
 def test_a_folder_with_contents_needs_an_option(tmp_path: Path) -> None:
@@ -313,20 +312,21 @@ def started_plan(settings: dict[str, Any]) -> Plan:
     return examined(plans.make(base, seeds=1, settings={}, stored=None, **arguments), base)
 
 
-def done(folder: Path) -> int:
-    """Number of finished runs in the journal of a folder."""
-    journal = folder / "study.journal"
-    return journal.read_bytes().count(b"\n") if journal.exists() else 0
+def held_study(folder: Path, out: str) -> tuple["subprocess.Popen[str]", list[psutil.Process]]:
+    """A study that has finished a run and is held before its end, and the processes that it has started."""
+    mine(folder)
+    (folder / "held").touch()
+    run = start(folder, *ARGUMENTS, "--out", out)
 
+    table, journal = folder / out / "study.parquet", folder / out / "study.journal"
 
-def wait_for_lines(run: "subprocess.Popen[str]", folder: Path) -> None:
-    end = time.monotonic() + 60
-    while not (folder / "study.parquet").exists() or (
-        pq.read_table(folder / "study.parquet").num_rows == 0 and not done(folder)
-    ):
+    def begun() -> bool:
         assert run.poll() is None, run.communicate()
-        assert time.monotonic() < end
-        time.sleep(0.005)
+        noted = journal.exists() and b"\n" in journal.read_bytes()
+        return noted or (table.exists() and pq.read_table(table).num_rows > 0)
+
+    wait_for(begun)
+    return run, psutil.Process(run.pid).children(recursive=True)
 
 
 HOLD = ("--set", "agents.held_by=held", "--set", "agents.held_from=5")  # no run of the last seed continues while it exists
@@ -334,11 +334,7 @@ ARGUMENTS = ("mine.toml", "--vary", f"{NAP}=0.1,0.101,0.102", "--seeds", "6", "-
 
 
 def test_a_killed_study_resumes_to_equal_bytes_and_leaves_no_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    mine(tmp_path)
-    (tmp_path / "held").touch()
-    killed = start(tmp_path, *ARGUMENTS, "--out", "killed")
-    wait_for_lines(killed, tmp_path / "killed")
-    workers = psutil.Process(killed.pid).children(recursive=True)
+    killed, workers = held_study(tmp_path, "killed")
     assert sum(not each.children() for each in workers) == 2
     killed.send_signal(signal.SIGKILL)
     killed.communicate()
@@ -362,11 +358,7 @@ def test_a_killed_study_resumes_to_equal_bytes_and_leaves_no_process(tmp_path: P
 
 
 def test_ctrl_c_reports_progress_and_resuming(tmp_path: Path) -> None:
-    mine(tmp_path)
-    (tmp_path / "held").touch()
-    run = start(tmp_path, *ARGUMENTS, "--out", "s")
-    wait_for_lines(run, tmp_path / "s")
-    workers = psutil.Process(run.pid).children(recursive=True)
+    run, workers = held_study(tmp_path, "s")
     run.send_signal(signal.SIGINT)
     out, err = run.communicate(timeout=500)
     assert (run.returncode, out) == (130, "")

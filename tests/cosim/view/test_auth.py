@@ -17,19 +17,14 @@ from hypothesis import strategies as st
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.http11 import Request, Response
-from websockets.sync.client import connect
 from websockets.sync.connection import Connection
-from websockets.typing import Origin, Subprotocol
 
+from tests.support.cosim.view_pages import PATIENCE_S, TOKEN, VERSION, page_connection, unpacked
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.view import web_server
 from vcmvsp.cosim.view.web_server import is_fit
 
 pytestmark = pytest.mark.sockets
-
-TOKEN = "a-secret-of-this-test"
-PATIENCE_S = 30.0
-VERSION = Subprotocol(f"viser-v{viser.__version__}")
 
 
 class Page:
@@ -48,15 +43,7 @@ class Page:
             return response.status, dict(response.headers), response.read()
 
     def connect(self, **changed: Any) -> Connection:
-        own: dict[str, Any] = {
-            "origin": Origin(f"http://{self.host}"),
-            "subprotocols": [VERSION, Subprotocol(f"token.{TOKEN}")],
-            "compression": None,
-            "max_size": None,
-            "open_timeout": PATIENCE_S,
-            "close_timeout": PATIENCE_S,
-        }
-        return connect(f"ws://{self.host}/", **own | changed)
+        return page_connection(self.host, TOKEN, **changed)
 
     def hears(self, client: Connection) -> bool:
         """Whether an addition by the server reaches this client."""
@@ -66,7 +53,7 @@ class Page:
             until_s = time.monotonic() + PATIENCE_S
             while time.monotonic() < until_s:
                 with contextlib.suppress(TimeoutError):
-                    if label in _words(client.recv(timeout=0.5)):
+                    if label.encode() in unpacked(client.recv(timeout=0.5)):
                         return True
             return False
         finally:
@@ -351,12 +338,3 @@ def _is_closed(client: Connection) -> bool:
             except ConnectionClosed:
                 return True
     return False
-
-
-def _words(message: object) -> str:
-    """Readable text of a message of viser's: its names are compressed."""
-    import zstandard
-
-    assert isinstance(message, bytes)
-    packed = int.from_bytes(message[8:16], "little")
-    return zstandard.ZstdDecompressor().decompress(message[16 : 16 + packed]).decode(errors="replace")

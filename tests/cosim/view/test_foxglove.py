@@ -18,6 +18,7 @@ import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
 from tests.support.cosim.run_processes import served
 from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.view.live.foxglove_server import FoxgloveServer, caution
 
 pytest.importorskip("foxglove")
 pytestmark = [pytest.mark.processes, pytest.mark.sockets]
@@ -162,8 +163,6 @@ def test_messages_of_a_client_change_nothing(tmp_path: Path, first: str | bytes)
 
 
 def test_a_used_port_is_one_line() -> None:
-    from vcmvsp.cosim.view.live.foxglove_server import FoxgloveServer
-
     with FoxgloveServer(port=0) as server:
         code, out, err = vcmvsp_command("run", "formation-circle", "--foxglove", str(server.port))
     assert (code, out, err.count("\n")) == (2, "", 1)
@@ -178,14 +177,10 @@ def test_without_the_sdk_its_installation_is_named(monkeypatch: pytest.MonkeyPat
 
 
 def test_an_address_beyond_loopback_gives_a_caution() -> None:
-    from vcmvsp.cosim.view.live.foxglove_server import caution
-
     assert caution("127.0.0.1") == ""
     assert "neither token nor encryption" in caution("0.0.0.0")
 
 
 def test_a_sink_needs_a_recording() -> None:
-    from vcmvsp.cosim.view.live.foxglove_server import FoxgloveServer
-
     with FoxgloveServer(port=0) as server, pytest.raises(UsageError, match="sink"):
         vcmvsp.run("formation-circle", mcap=False, sink=server)

@@ -15,14 +15,11 @@ from typing import Any
 
 import msgspec
 import pytest
-import viser
-import zstandard
-from websockets.sync.client import connect
 from websockets.sync.connection import Connection
-from websockets.typing import Origin, Subprotocol
 
 from tests.support.cosim import view_pages
 from tests.support.cosim.run_processes import reserve_port
+from tests.support.cosim.view_pages import PATIENCE_S
 from tests.support.paths import ROOT
 from tests.support.waiting import wait_for
 from vcmvsp.cosim.clock import SECOND_NS
@@ -36,7 +33,6 @@ from vcmvsp.cosim.view.messages import Pace, PageUpdate
 
 pytestmark = [pytest.mark.processes, pytest.mark.sockets]
 
-PATIENCE_S = 30.0
 SCENERY = view_pages.scenery()
 CAMERA = {  # first message of a page
     "type": "ViewerCameraMessage",
@@ -59,18 +55,9 @@ def viewer() -> Iterator[Viewing]:
         yield opened
 
 
-def page_connection(url: str) -> Connection:
-    """A connection like that of the page."""
-    parts = urllib.parse.urlsplit(url)
-    token = urllib.parse.parse_qs(parts.query)["token"][0]
-    return connect(
-        f"ws://{parts.netloc}/",
-        origin=Origin(f"http://{parts.netloc}"),
-        subprotocols=[Subprotocol(f"viser-v{viser.__version__}"), Subprotocol(f"token.{token}")],
-        compression=None,
-        max_size=None,
-        open_timeout=PATIENCE_S,
-    )
+def host_and_token(viewer: Viewing) -> tuple[str, str]:
+    parts = urllib.parse.urlsplit(viewer.url)
+    return parts.netloc, urllib.parse.parse_qs(parts.query)["token"][0]
 
 
 def messages_to(page: Connection) -> list[dict[str, Any]]:
@@ -79,15 +66,12 @@ def messages_to(page: Connection) -> list[dict[str, Any]]:
         data = page.recv(timeout=0.1)
     except TimeoutError:
         return []
-    assert isinstance(data, bytes)
-    packed = int.from_bytes(data[8:16], "little")
-    content = msgspec.msgpack.decode(zstandard.ZstdDecompressor().decompress(data[16 : 16 + packed]))
-    return content["messages"]
+    return msgspec.msgpack.decode(view_pages.unpacked(data))["messages"]
 
 
 def test_events_reach_the_page_and_buttons_give_orders(viewer: Viewing) -> None:
     feed, buttons = viewer.feed, dict[str, str]()
-    with page_connection(viewer.url) as page:
+    with view_pages.page_connection(*host_and_token(viewer)) as page:
         page.send(msgspec.msgpack.encode(CAMERA))
 
         def press() -> bool:
@@ -224,7 +208,7 @@ def test_drawing_does_not_block_the_run() -> None:
 
 
 def test_no_secret_is_in_the_list_of_processes(viewer: Viewing) -> None:
-    token = urllib.parse.parse_qs(urllib.parse.urlsplit(viewer.url).query)["token"][0]
+    _, token = host_and_token(viewer)
     pid = viewer._process.pid
     for file in ("cmdline", "environ"):
         assert token.encode() not in Path(f"/proc/{pid}/{file}").read_bytes()

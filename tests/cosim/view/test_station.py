@@ -1,7 +1,6 @@
 """Messages of the control station to its pages, without a browser."""
 
 import math
-import time
 
 import msgspec
 import numpy as np
@@ -21,6 +20,7 @@ from tests.support.cosim.view_pages import (
     states,
     station_state,
 )
+from tests.support.waiting import wait_for
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.types import Mosaic, ProbabilityMap
@@ -245,11 +245,12 @@ def test_the_paths_of_the_wave_to_another_vehicle_are_drawn_and_listed() -> None
     site = scenery_of(*scenarios.load({"name": "open", "duration_s": 1.0, "radio": radio, "vehicle": cars})).site
     with open_station(scenery(2, site=site)) as station_page:
         station_page.use("Paths to", "v2")
-        until = time.monotonic() + 60.0
-        while not station_page.node("/paths").points.any():
+
+        def drawn() -> bool:
             station_page.show(3.0)
-            assert time.monotonic() < until
-            time.sleep(0.05)
+            return bool(station_page.node("/paths").points.any())
+
+        wait_for(drawn)
         here, there = positions_at(station_page.scene, 3.0) + np.array((0.0, 0.0, 0.5))
         points = station_page.node("/paths").points.reshape(-1, LEGS, 2, 3)
         middle = 0.5 * (here + there) * (1.0, 1.0, 0.0)
@@ -259,10 +260,7 @@ def test_the_paths_of_the_wave_to_another_vehicle_are_drawn_and_listed() -> None
         (text,) = [each.content for each in station_page.parts(viser.GuiHtmlHandle) if "reflection" in each.content]
         assert text.index("direct") < text.index("reflection") < text.index("2 paths")
         station_page.use("Paths to", "nobody")
-        while station_page.node("/paths").points.any():
-            station_page.show(3.0)
-            assert time.monotonic() < until
-            time.sleep(0.05)
+        wait_for(lambda: not drawn())
 
 
 def test_without_rays_there_are_no_paths_to_choose() -> None:

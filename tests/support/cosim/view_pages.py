@@ -8,6 +8,10 @@ from typing import Any, TypeVar
 import numpy as np
 import pytest
 import viser
+import zstandard
+from websockets.sync.client import connect
+from websockets.sync.connection import Connection
+from websockets.typing import Origin, Subprotocol
 
 from tests.support import requirements
 from vcmvsp.cosim.clock import SECOND_NS
@@ -32,6 +36,8 @@ ARGUMENTS = [
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
 ]
+VERSION = Subprotocol(f"viser-v{viser.__version__}")
+PATIENCE_S = 30.0
 LIVE = ("sensors", "pace", "halt", "outage", "move", "set", "end")
 RECORDED = ("sensors", "pace", "seek")
 
@@ -237,6 +243,26 @@ def open_station(scene: Scenery) -> Iterator[StationPage]:
         yield StationPage(server, scene)
     finally:
         close_server(server)
+
+
+def page_connection(host: str, token: str, **changed: Any) -> Connection:
+    """A connection like that of a page, to a host and port."""
+    own: dict[str, Any] = {
+        "origin": Origin(f"http://{host}"),
+        "subprotocols": [VERSION, Subprotocol(f"token.{token}")],
+        "compression": None,
+        "max_size": None,
+        "open_timeout": PATIENCE_S,
+        "close_timeout": PATIENCE_S,
+    }
+    return connect(f"ws://{host}/", **own | changed)
+
+
+def unpacked(message: str | bytes) -> bytes:
+    """The content of messages from viser: msgpack."""
+    assert isinstance(message, bytes)
+    size = int.from_bytes(message[8:16], "little")
+    return zstandard.ZstdDecompressor().decompress(message[16 : 16 + size])
 
 
 @contextmanager
