@@ -41,7 +41,7 @@ def defined_in(file: str) -> set[str]:
     """Names of the functions in a file; none if there is no such file."""
     path = ROOT / file
     nodes = ast.walk(ast.parse(path.read_text("utf-8"))) if path.is_file() else iter(())
-    return {node.name for node in nodes if isinstance(node, ast.FunctionDef)}
+    return {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)}
 
 
 def changes() -> list[tuple[str, list[str]]]:
