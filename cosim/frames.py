@@ -4,6 +4,10 @@ Pure functions: no other package of the platform is imported.
 """
 
 import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 Quaternion = tuple[float, float, float, float]
 
@@ -47,6 +51,13 @@ def yaw_of(attitude: Quaternion) -> float:
     """Yaw of the body x axis seen from above, in [-pi, pi]; attitude is (w, x, y, z), world_from_body."""
     w, x, y, z = attitude
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def yaws_of(attitude: NDArray[Any]) -> NDArray[np.float64]:
+    """`yaw_of` many attitudes: (..., 4) to (...,)."""
+    w, x, y, z = attitude[..., 0], attitude[..., 1], attitude[..., 2], attitude[..., 3]
+    yaw: NDArray[np.float64] = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return yaw
 
 
 def rotate2(x: float, y: float, angle: float) -> tuple[float, float]:

@@ -12,8 +12,9 @@ from vcmvsp.cosim.agent import Agent, Observation
 from vcmvsp.cosim.clock import seconds_to_ns
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim.frames import yaws_of
 from vcmvsp.cosim.learning.mail import Mail
-from vcmvsp.cosim.learning.task import Floats, Task, Worlds, yaw_of_attitude
+from vcmvsp.cosim.learning.task import Floats, Task, Worlds
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.runs.stepping import SteppedRun, start
 from vcmvsp.cosim.scenario import loader as scenarios
@@ -146,7 +147,7 @@ class Episode:
 
 def _world(motion: Mapping[str, Floats], rest: Mapping[str, Any]) -> Worlds:
     """One world with this motion (1, n, ...) of its vehicles."""
-    yaw, yaw_rate = yaw_of_attitude(motion["attitude"]), motion["angular_velocity"][..., 2]
+    yaw, yaw_rate = yaws_of(motion["attitude"]), motion["angular_velocity"][..., 2]
     return Worlds(position=motion["position"], velocity=motion["velocity"], yaw=yaw, yaw_rate=yaw_rate, **rest)
 
 

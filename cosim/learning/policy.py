@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.errors import ScenarioError, UsageError
+from vcmvsp.cosim.frames import yaws_of
 from vcmvsp.cosim.learning.mail import Mail
 from vcmvsp.cosim.learning.sensors import SensorVector
-from vcmvsp.cosim.learning.task import Floats, Layout, Task, Worlds, yaw_of_attitude
+from vcmvsp.cosim.learning.task import Floats, Layout, Task, Worlds
 from vcmvsp.cosim.learning.tasks import TASKS
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Velocity
@@ -231,7 +232,7 @@ class Policy(Agent):
         position, velocity = np.full((1, n, 3), FAR_M), np.zeros((1, n, 3))
         yaw, yaw_rate = np.zeros((1, n)), np.zeros((1, n))
         position[0, row], velocity[0, row] = state.position, state.velocity
-        yaw[0, row] = yaw_of_attitude(np.array(state.attitude))
+        yaw[0, row] = yaws_of(np.array(state.attitude))
         yaw_rate[0, row] = state.angular_velocity[2]
         return Worlds(
             time_s=np.array([obs.time_ns / 1e9]),

@@ -199,10 +199,3 @@ class Layout:
         others[..., :-3] = worlds.message
         others[..., -3], others[..., -2], others[..., -1] = worlds.age_s, worlds.rssi_dbm, worlds.heard
         return np.minimum(np.maximum(values, bounds[0], out=values), bounds[1], out=values)  # np.clip takes five times as long
-
-
-def yaw_of_attitude(attitude: Floats) -> Floats:
-    """Yaw (...,) rad of attitudes (..., 4), w, x, y, z, world_from_body."""
-    w, x, y, z = attitude[..., 0], attitude[..., 1], attitude[..., 2], attitude[..., 3]
-    yaw: Floats = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    return yaw

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from vcmvsp.cosim.assembly.world_batch import WorldBatch
 from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.frames import yaws_of
 from vcmvsp.cosim.learning.episode import TaskScenario
 from vcmvsp.cosim.learning.mail import Mail
-from vcmvsp.cosim.learning.task import Bools, Floats, Layout, Observed, Task, Worlds, yaw_of_attitude
+from vcmvsp.cosim.learning.task import Bools, Floats, Layout, Observed, Task, Worlds
 
 Vectors = NDArray[np.float32]
 BYTES_PER_NUMBER = 4
@@ -130,7 +131,7 @@ class WorldsEnv:
             time_s=np.full(self.num_envs, now_ns / 1e9),
             position=position,
             velocity=velocity,
-            yaw=yaw_of_attitude(attitude),
+            yaw=yaws_of(attitude),
             yaw_rate=yaw_rate,
             memory=self._memory,
             **self._mail.ages(now_ns),

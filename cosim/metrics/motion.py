@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.frames import yaws_of
 from vcmvsp.cosim.tables.columns import names_of, numbers
 from vcmvsp.cosim.tables.schema import Placement, Table, blocks_of
 from vcmvsp.cosim.types import Array, Follows
@@ -43,9 +44,9 @@ def motion(states: Table) -> Motion:
         names, code = names_of(block, "vehicle")
         if not values.size:
             values = np.full((4, len(times), len(names)), np.nan)
-        x, y, z, qw, qx, qy, qz = (numbers(block, name) for name in _POSE)
+        x, y, z, *attitude = (numbers(block, name) for name in _POSE)
         instant = times.searchsorted(numbers(block, "time_ns"))
-        for row, each in enumerate((x, y, z, np.arctan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz)))):
+        for row, each in enumerate((x, y, z, yaws_of(np.stack(attitude, axis=-1)))):
             values[row, instant, code] = each
     return Motion(times, names, values[:3], values[3])
 

@@ -19,6 +19,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from vcmvsp.cosim.errors import UsageError
+from vcmvsp.cosim.frames import yaws_of
 from vcmvsp.cosim.tables.columns import column, joined
 from vcmvsp.cosim.tables.radio_frames import CHUNK_ROWS, NAMED, PATHS, UNDER_WAY, Frames, Names, PackedRows, dtype_of
 from vcmvsp.cosim.types import Array, Follows, FrameReport, States
@@ -171,8 +172,7 @@ class StateRows(PackedRows[tuple[int, States]]):
         columns: dict[str, Any] = {}
         for name in names:
             if name == "yaw":
-                qw, qx, qy, qz = (self._spool.read(each, parts, np.float64)[cut] for each in ATTITUDE)
-                values = np.arctan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
+                values = yaws_of(np.stack([self._spool.read(each, parts, np.float64)[cut] for each in ATTITUDE], axis=-1))
             else:
                 values = self._spool.read(name, parts, _STATE_TYPES.get(name, np.float64))[cut]
             columns[name] = self._vehicles.column(values) if name == "vehicle" else column(values)

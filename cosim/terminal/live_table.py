@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.frames import yaws_of
 from vcmvsp.cosim.metrics.formation import formation_errors
 from vcmvsp.cosim.metrics.motion import Motion
 from vcmvsp.cosim.recording.run_state import RunState
@@ -106,8 +107,7 @@ class LiveTable:
         return vehicles
 
     def _motion(self, states: States) -> dict[str, tuple[list[float], float, float]]:
-        w, x, y, z = states.attitude.T
-        yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        yaw = yaws_of(states.attitude)
         moved = Motion(np.zeros(1, np.int64), states.names, states.position.T[:, np.newaxis], yaw[np.newaxis])
         placements = [Placement(0, name, follows) for name, follows in self._run.newest["places"].items()]
         errors = {name: float(error[0]) for name, error in formation_errors(moved, placements).items()}

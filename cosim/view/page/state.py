@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.frames import yaws_of
 from vcmvsp.cosim.recording.run_state import LogLine
 from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.view.messages import PageUpdate, Scenery
@@ -70,8 +71,7 @@ class PageState:
     @property
     def yaw(self) -> Array:
         """Heading of each vehicle, rad, counter-clockwise from east: (n,)."""
-        w, x, y, z = self.attitude.T
-        return np.asarray(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
+        return yaws_of(self.attitude)
 
     @property
     def speed(self) -> Array:
