@@ -185,7 +185,9 @@ class BridgeProcess:
         gateway, sender, to, radio = np.array(ends, np.int32).T
         size_bytes, came_ns = np.array([(each.size_bytes, each.came_ns) for each in datagrams], np.int64).T
         batch = {"number": np.array(numbers, np.int64), "gateway": gateway, "sender": sender, "to": to}
-        payloads = tuple([each.payload for each in datagrams if self._payloads])
+        payloads: tuple[bytes, ...] = ()
+        if self._payloads:
+            payloads = tuple([each.payload for each in datagrams])
         radios = radio if self.radios else None
         self._send(messages.NewDatagrams(**batch, size_bytes=size_bytes, came_ns=came_ns, payloads=payloads, radio=radios))
 

@@ -242,7 +242,9 @@ class Bridge:
         datagrams = []
         for number, name in enumerate(self._radios):
             (own,) = np.nonzero(batch.radio == number)
-            payloads = tuple([batch.payloads[each] for each in own if batch.payloads])
+            payloads: tuple[bytes, ...] = ()
+            if batch.payloads:
+                payloads = tuple([batch.payloads[each] for each in own])
             if len(own):
                 columns = {key: frozen(values[own]) for key, values in fields.items()}
                 datagrams.append(Datagrams(**columns, payloads=payloads, radio=name))
