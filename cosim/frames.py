@@ -4,10 +4,11 @@ Pure functions: no other package of the platform is imported.
 """
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 Quaternion = tuple[float, float, float, float]
 
@@ -53,8 +54,10 @@ def yaw_of(attitude: Quaternion) -> float:
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
-def yaws_of(attitude: NDArray[Any]) -> NDArray[np.float64]:
+def yaws_of(attitude: "NDArray[Any]") -> "NDArray[np.float64]":
     """`yaw_of` many attitudes: (..., 4) to (...,)."""
+    import numpy as np  # here: the command line starts without it
+
     w, x, y, z = attitude[..., 0], attitude[..., 1], attitude[..., 2], attitude[..., 3]
     yaw: NDArray[np.float64] = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     return yaw
