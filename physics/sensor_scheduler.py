@@ -7,38 +7,20 @@ Nothing else changes the draws of a sensor: each has the stream ``<vehicle>/<sen
 reading on demand has a stream of its own.
 """
 
-import copy
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from vcmvsp.cosim.clock import Ticks, seconds_to_ns
+from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.config.binding import show
 from vcmvsp.cosim.errors import FederateError, ScenarioError, VcmvspError, place_of, words_of
 from vcmvsp.cosim.federate import Event, Instants
 from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Later, Reading
-from vcmvsp.physics.sensors.sensor import Sensor
+from vcmvsp.physics.sensors.sensor import FittedSensor, Sensor, Train
 from vcmvsp.physics.world.world import Scene
-
-Train = tuple[Ticks, int]  # ticks, shifted by ns
-
-
-class FittedSensor:
-    """A copy of a sensor on a vehicle; ``key`` of its readings: ``<vehicle>/<sensor>``."""
-
-    def __init__(self, key: str, sensor: Sensor, seed: int) -> None:
-        self.key, self.vehicle, self.sensor = key, key.partition("/")[0], copy.deepcopy(sensor)
-        self.rng = stream(seed, key)  # for readings that are not on demand
-        self.drop_outs = stream(seed, f"{key}/drop_out")
-        self.train: Train = Ticks.rate(sensor.rate_hz), seconds_to_ns(sensor.phase_s)
-        self.latency_ns = seconds_to_ns(sensor.latency_s)
-
-    def drops_out(self) -> bool:
-        """Whether the next reading is not delivered."""
-        return self.sensor.drop_out > 0.0 and self.drop_outs.random() < self.sensor.drop_out
 
 
 class SensorScheduler:

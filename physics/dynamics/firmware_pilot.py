@@ -16,10 +16,9 @@ from vcmvsp.cosim.clock import Ticks
 from vcmvsp.cosim.federate import FlightFirmware, FlightReadings
 from vcmvsp.cosim.types import Imu, Measured, Reading, VehicleState
 from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
-from vcmvsp.physics.sensor_scheduler import FittedSensor
 from vcmvsp.physics.sensors.motion import Altimeter, InertialUnit, Magnetometer
 from vcmvsp.physics.sensors.positioning import Gps
-from vcmvsp.physics.sensors.sensor import Sensor
+from vcmvsp.physics.sensors.sensor import FittedSensor, Sensor
 from vcmvsp.physics.vehicles.models import Quadrotor
 from vcmvsp.physics.vehicles.specification import VehicleSpec
 from vcmvsp.physics.world.world import Scene, World

@@ -13,6 +13,7 @@ Example of a user-defined sensor:
             return Measured(time_ns=scene.now_ns, values={"height_m": height})
 """
 
+import copy
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -22,8 +23,12 @@ from typing import ClassVar, Self
 import msgspec
 import numpy as np
 
+from vcmvsp.cosim.clock import Ticks, seconds_to_ns
+from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.types import Array, NonNegative, Positive, Probability, Rate, Reading, Seconds
 from vcmvsp.physics.world.world import Scene
+
+Train = tuple[Ticks, int]  # ticks, shifted by ns
 
 
 @dataclass(kw_only=True)
@@ -123,3 +128,18 @@ def jump(probability: float, far_m: float, rng: np.random.Generator) -> tuple[fl
     if chance >= probability:
         return 0.0, 0.0
     return far_m * math.cos(math.tau * direction), far_m * math.sin(math.tau * direction)
+
+
+class FittedSensor:
+    """A copy of a sensor on a vehicle; ``key`` of its readings: ``<vehicle>/<sensor>``."""
+
+    def __init__(self, key: str, sensor: Sensor, seed: int) -> None:
+        self.key, self.vehicle, self.sensor = key, key.partition("/")[0], copy.deepcopy(sensor)
+        self.rng = stream(seed, key)  # for readings that are not on demand
+        self.drop_outs = stream(seed, f"{key}/drop_out")
+        self.train: Train = Ticks.rate(sensor.rate_hz), seconds_to_ns(sensor.phase_s)
+        self.latency_ns = seconds_to_ns(sensor.latency_s)
+
+    def drops_out(self) -> bool:
+        """Whether the next reading is not delivered."""
+        return self.sensor.drop_out > 0.0 and self.drop_outs.random() < self.sensor.drop_out
