@@ -5,6 +5,7 @@ import contextlib
 import gc
 import inspect
 import os
+import signal
 from collections.abc import Iterator
 from importlib.util import find_spec
 
@@ -16,6 +17,9 @@ os.environ.setdefault("VCMVSP_COMPILED", "0")
 os.environ["VCMVSP_FIGURES"] = "0"  # drawing takes ten times as long as most runs
 settings.register_profile("here", deadline=None)  # durations depend on the load of the machine
 settings.load_profile("here")
+
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # in the background of a script; programs of tests would inherit it
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 pytest_plugins = ["tests.support.requirements"]
 collect_ignore_glob = []
