@@ -4,11 +4,11 @@ Counts obey ``frames = received + sum of losses + under_way``: a frame in transi
 lost. Levels and ratios are taken over frames that were on the air. Unmeasurable values are None.
 """
 
-import fnmatch
 import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Any
@@ -70,7 +70,8 @@ class Log:
         sender, slash, receiver = link.partition("/")
         if not slash or not sender or not receiver or "/" in receiver:
             raise UsageError(f"--link {link}: must be SENDER/RECEIVER, e.g. car1/car2, or car1/* for all that car1 sends")
-        senders, receivers = fnmatch.filter(self.vehicles, sender), fnmatch.filter(self.vehicles, receiver)
+        senders = [name for name in self.vehicles if fnmatchcase(name, sender)]
+        receivers = [name for name in self.vehicles if fnmatchcase(name, receiver)]
         for name, matches in ((sender, senders), (receiver, receivers)):
             if not matches:
                 raise UsageError(f"--link {link}: {binding.unknown('vehicle', name, self.vehicles)}")

@@ -238,9 +238,9 @@ def _lost_s(radio: pa.Table, receiver: str, sender: str) -> Array:
 
 def _legend(axes: Axes) -> None:
     handles, labels = axes.get_legend_handles_labels()
-    entries = list(zip(handles, labels, strict=True))
-    vehicles = [entry for entry in entries if entry[1] not in EXPLAINED]
-    others = [entry for entry in entries if entry[1] in EXPLAINED]
-    axes.legend(*zip(*vehicles[:LISTED], *others, strict=True), ncols=5, **ABOVE)
+    vehicles = [place for place, label in enumerate(labels) if label not in EXPLAINED]
+    others = [place for place, label in enumerate(labels) if label in EXPLAINED]
+    places = [*vehicles[:LISTED], *others]
+    axes.legend(list(map(handles.__getitem__, places)), list(map(labels.__getitem__, places)), ncols=5, **ABOVE)
     if len(vehicles) > LISTED:
         axes.set_title(f"and {len(vehicles) - LISTED} more", loc="right", fontsize="small")
