@@ -196,11 +196,8 @@ class VehicleProxy:
         self._still = VehicleState(position=place, attitude=quaternion_from_yaw(yaw))
         self._history: deque[StationReport] = deque()  # oldest first
         self._fresh: list[StationReport] = []  # since the last publication
-        self._command: tuple[Velocity | None, int | None, int] = (
-            None,
-            None,
-            0,
-        )  # command, its monotonic time, its logical time
+        # The agent's newest command, its monotonic time, its logical time.
+        self._command: tuple[Velocity | None, int | None, int] = (None, None, 0)
         self._orders, self._published = 0, (0, self._still)
         self._latest = (-1, self._still)
 

@@ -150,13 +150,20 @@ def unicast() -> Iterator[Case]:
         yield Case(phy, n, 0, **FULL, duration_s=3.0, seeds=40 // n + 4)
 
 
-def newer(standard: str, loads: Mapping[str, int], far: Sequence[str], full: Sequence[str]) -> Iterator[Case]:
-    """The same of 802.11n and 802.11ax: rates with their load in Hz, those with hidden nodes, those that are saturated."""
+def of_standard(standard: str, loads: Mapping[str, int], hidden: Sequence[str], saturated: Sequence[str]) -> Iterator[Case]:
+    """One collision domain, hidden nodes and saturated frames with rates of 802.11n or 802.11ax.
+
+    Args:
+        standard: of the names of the rates.
+        loads: frames a second of each node, Hz, by rate.
+        hidden: rates with hidden nodes.
+        saturated: rates of nodes that always have a frame.
+    """
     for (rate, hz), n in product(loads.items(), (10, 50)):
         yield Case(f"{standard}-{rate}", n, hz)
-    for rate in far:
+    for rate in hidden:
         yield Case(f"{standard}-{rate}", 50, 10, **PLANE, duration_s=2.0, seeds=10)
-    for rate, n in product(full, (2, 10)):
+    for rate, n in product(saturated, (2, 10)):
         yield Case(f"{standard}-{rate}", n, 0, unicast=True, **FULL, seeds=5)
 
 
@@ -183,9 +190,9 @@ CASES = (
     *squares(),
     *wide(),
     *unicast(),
-    *newer("n", {"6.5": 50, "65": 100}, ("13", "39", "65"), ("6.5", "26", "65")),
+    *of_standard("n", {"6.5": 50, "65": 100}, ("13", "39", "65"), ("6.5", "26", "65")),
     Case("n-65", 10, 20, unicast=True, size=1000, seeds=20),
     *rts(),
-    *newer("ax", {"8.6": 50, "143.4": 100}, ("17.2", "86", "114.7"), ("8.6", "34.4", "143.4")),
+    *of_standard("ax", {"8.6": 50, "143.4": 100}, ("17.2", "86", "114.7"), ("8.6", "34.4", "143.4")),
     *ideal(),
 )

@@ -215,7 +215,9 @@ def radio_sentences(radio: Mapping[str, Any]) -> Iterator[str]:
     else:
         sentence = f"{radio['frames']} frames were sent, and {100.0 * radio['delivery_ratio']:.1f} % arrived"
         losses = sorted(radio["losses"].items(), key=lambda each: -each[1])
-        causes = [f"{count} {cause}" for cause, count in losses[:3]] + ["..."] * (len(losses) > 3)
+        causes = [f"{count} {cause}" for cause, count in losses[:3]]
+        if len(losses) > 3:
+            causes.append("...")
         if causes:
             sentence += f" (lost: {', '.join(causes)})"
         if under_way := radio.get("under_way"):

@@ -139,8 +139,8 @@ def conduct(
         if out is not None and numbered:
             with writing(out):
                 out = Folder(out, numbered=True).claim()
-        rows_of = Store(out, plan, resume=resume, force=force) if out else contextlib.nullcontext(Answers(plan))
-        with rows_of as answers:
+        opened = Store(out, plan, resume=resume, force=force) if out else contextlib.nullcontext(Answers(plan))
+        with opened as answers:
             before = len(answers.rows)
             try:
                 _run(plan, answers, ask, progress, noted)

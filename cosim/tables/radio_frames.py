@@ -279,7 +279,7 @@ def _selected(spool: Spool, frames: Array, first_of: Array) -> dict[str, Array]:
 
 
 def _filled(parts: Sequence[Any], counts: Sequence[int], missing: object, value: float, dtype: DTypeLike) -> Array:
-    """The parts of a column one after the other, with this value in the place of those that are missing."""
+    """The parts of a column one after the other; this value stands in place of missing parts."""
     if all(part is missing for part in parts):
         return np.full(sum(counts), value, dtype)
 

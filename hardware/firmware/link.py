@@ -186,7 +186,7 @@ class UdpFirmware(FirmwareLink):
 
     def _datagrams(self) -> Iterator[tuple[bytes, tuple[str, int]]]:
         """Datagrams that are there, with their senders."""
-        with contextlib.suppress(OSError):  # none is left, or nobody listens yet
+        with contextlib.suppress(OSError):  # no datagram is left, or no program listens yet
             while True:
                 yield self._open.recvfrom(DATAGRAM)
 
