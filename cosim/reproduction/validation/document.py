@@ -59,7 +59,9 @@ def as_json(outcomes: Sequence[Outcome]) -> str:
 def as_markdown(outcomes: Sequence[Outcome]) -> str:
     """The head figures of all checks, one line each."""
     off = failures(outcomes)
-    only = [f" --only {each.check.name}" for each in outcomes if len(outcomes) < len(CHECKS)]
+    only = ""
+    if len(outcomes) < len(CHECKS):
+        only = "".join(f" --only {each.check.name}" for each in outcomes)
     rows = sum(len(each.rows) for each in outcomes)
     seconds = sum(each.check.seconds for each in outcomes)
     head = HEAD.format(
@@ -69,7 +71,7 @@ def as_markdown(outcomes: Sequence[Outcome]) -> str:
         verdict=f"{len(off)} off" if off else "all hold",
         made_with=", ".join(_versions()),
         minutes=max(1.0, seconds / 60.0),
-        only="".join(only),
+        only=only,
     )
     return head + "".join(map(head_line, outcomes))
 
