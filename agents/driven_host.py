@@ -1,4 +1,4 @@
-"""Hosts of vehicles whose commands come from outside instead of an algorithm: `DrivenHost` from the caller of the run."""
+"""Hosts of vehicles without an algorithm; their commands come from outside. Of `DrivenHost`: from the caller of the run."""
 
 from collections.abc import Mapping, Sequence
 

@@ -62,6 +62,6 @@ class OqpskErrors(ErrorRate):
         return self, 0
 
     def hazard(self, sinr: Floats) -> Floats:
-        """The sum, (n,), whose terms nearly cancel at low SINR but keep 12 digits."""
+        """Hazard of a bit by SINR, (n,). The terms of its sum nearly cancel at low SINR, but 12 digits remain."""
         terms = [(-1) ** k * math.comb(16, k) * np.exp(20.0 * sinr * (1.0 / k - 1.0)) for k in range(2, 17)]
         return hazard_of(8.0 / 15.0 / 16.0 * np.sum(terms, axis=0))

@@ -202,7 +202,7 @@ class Ofdm:
         return OfdmErrors(self.rate_bps, self.band, self.error_model)
 
     def air_time_ns(self, size_bytes: int) -> int:
-        """Preamble, headers, and the symbols of the PSDU, + 6 us at 2.4 GHz; of all frames, with the spaces between."""
+        """Preamble, headers and symbols of the PSDU, + 6 us at 2.4 GHz; of a long message: its frames with SIFS between."""
         sifs_us = 10 if self.band == "2.4GHz" else 16
         head_ns = self.standard.head_us * US
         return over_frames(size_bytes, LARGEST_MSDU_BYTES, lambda size: head_ns + self._payload_ns(size), sifs_us * US)

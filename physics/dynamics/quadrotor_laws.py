@@ -169,7 +169,10 @@ class FleetModel(NamedTuple):
 
 
 def run(s: FleetState, m: FleetModel, steps: int) -> int:
-    """Fly some steps, or push or move all once; returns what is missing, then ``counts[FLOWN]`` steps are done."""
+    """Fly ``steps`` steps; with `PUSH` compute forces alone, with `MOVE` move all by the forces that stand.
+
+    Returns `DONE`, or the input that the step after ``counts[FLOWN]`` steps needs from the caller.
+    """
     s.counts[FLOWN] = 0
     if steps == MOVE:
         move(s, m)

@@ -1,4 +1,4 @@
-"""Bodies in Bullet, the entry is `engine`. Only here is PyBullet imported. No motion without Bullet belongs here."""
+"""Bodies in Bullet; start reading in `engine`. No other package imports PyBullet, and no motion without Bullet belongs here."""
 
 import os
 import sys

@@ -1,1 +1,1 @@
-"""Bodies in MuJoCo, the entry is `engine`. Only here is MuJoCo imported. No motion without MuJoCo belongs here."""
+"""Bodies in MuJoCo; start reading in `engine`. No other package imports MuJoCo, and no motion without MuJoCo belongs here."""
