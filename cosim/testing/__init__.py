@@ -41,7 +41,12 @@ def check_agent(
     The laws: an agent acts before it has received a message; it survives unknown messages (other keys, other types, NaN,
     bytes); its commands and messages are finite and can be encoded; two agents with equal observations give equal outputs; it
     does not modify its observations; the wire encoding of observations makes no difference.
+
+    Args:
+        make: makes a new agent, e.g. ``lambda: KeepGap("car1")``; the laws need several.
     """
+    if not callable(make):
+        raise TypeError(f"needs a function that makes an agent, as in check_agent(lambda: {type(make).__name__}(...))")
     observations = [_observation(vehicle, others, tick) for tick in range(ticks)]
     plain = _play(make(), vehicle, others, observations)
     _require(plain == _play(make(), vehicle, others, observations), "two agents with equal inputs acted differently")

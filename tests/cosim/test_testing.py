@@ -74,6 +74,11 @@ def test_an_agent_that_breaks_a_law_is_refused(make: Callable[[], Agent], law: s
         check_agent(make)
 
 
+def test_an_agent_in_place_of_a_function_is_refused_with_the_right_call() -> None:
+    with pytest.raises(TypeError, match=r"check_agent\(lambda: TextAgent\(\.\.\.\)\)"):
+        check_agent(TextAgent())  # type: ignore[arg-type]
+
+
 LAYERS = (
     *(LogDistance(), NoPathLoss(), ConstantRate(), Dsss(), Ieee802154()),
     *(NoLoss(), Bernoulli(0.3), NoDelay(), FixedDelay(0.1, 0.02)),
