@@ -307,6 +307,9 @@ def _metrics(plan: Plan, base: Base) -> list[str]:
             near = difflib.get_close_matches(name, names, n=1)
             listed = ", ".join(sorted(each for each in names if ".per_" not in each))
             guess = f"; did you mean '{near[0]}'?" if near else ""
+            if name.startswith("note."):
+                note = name.removeprefix("note.")
+                guess = f"; for what agents note: [metrics.own] {note} = {{ note = '{note}' }}, and --metric own.{note}"
             raise UsageError(f"--metric {name}: unknown metric{guess} (allowed: {listed}, and those of each vehicle)")
     return list(dict.fromkeys(plan.metrics))
 

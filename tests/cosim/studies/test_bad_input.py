@@ -43,6 +43,7 @@ def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
         ((*LOSSY, "--seeds", "1000000"), ["more than 1000000 runs"]),
         ((*LOSSY, "--metric", "formation.rms"), ["--metric formation.rms", "did you mean 'formation.rms_m'?"]),
         ((*LOSSY, "--metric", "digest"), ["unknown metric"]),
+        ((*LOSSY, "--metric", "note.age_s"), ["[metrics.own] age_s = { note = 'age_s' }", "--metric own.age_s"]),
         ((*LOSSY, "--jobs", "2", "--cluster", "tcp://127.0.0.1:1"), ["--jobs and --cluster"]),
         ((*LOSSY, "--cluster", "nowhere"), ["--cluster nowhere", "tcp://"]),
         ((*LOSSY, "--resume", "--force", "--out", "o"), ["--resume (continue) and --force"]),
