@@ -69,7 +69,7 @@ def report_command(
 def export_command(
     run_dir: RunDir,
     rosbag2: Annotated[bool, typer.Option("--rosbag2", help="rosbag2/: a ROS 2 bag, MCAP inside.")] = False,
-    csv: Annotated[bool, typer.Option("--csv", help="csv/: tables of states, radio, commands and sensors.")] = False,
+    csv: Annotated[bool, typer.Option("--csv", help="csv/: states, errors, notes, radio, commands and sensors.")] = False,
     mp4: Annotated[bool, typer.Option("--mp4", help="run.mp4: a film of the run from above.")] = False,
     layout: Annotated[
         bool, typer.Option("--layout", help="layout.json: a Foxglove and Lichtblick layout for its run.mcap.")

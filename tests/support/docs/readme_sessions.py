@@ -84,7 +84,7 @@ STORIES = (
         (
             Step("vcmvsp run formation-circle", f"{HERE} --set duration_s=2"),
             Step("vcmvsp report runs/formation-circle-1"),
-            Step("vcmvsp plot runs/formation-circle-1 --svg"),
+            Step("vcmvsp plot runs/formation-circle-1 --pdf --svg"),
             Step("vcmvsp export runs/formation-circle-1 --rosbag2 --csv --mp4 --layout"),
             Step("vcmvsp radio runs/formation-circle-1 --link car1/car2 --frame lost"),
             Step("vcmvsp radio formation-circle --coverage car1 --out map.png"),
