@@ -11,13 +11,15 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import viser
 
+from vcmvsp.cosim.types import Array
 from vcmvsp.cosim.view.messages import Order, PageUpdate, Scenery
+from vcmvsp.cosim.view.page.cameras import Follower, Overview
 from vcmvsp.cosim.view.page.charts import Charts
 from vcmvsp.cosim.view.page.controls import Choice, controls, is_finite, picked
 from vcmvsp.cosim.view.page.drawing import Every
 from vcmvsp.cosim.view.page.panel import SORTED, log_page, run_page, team_page, vehicle_page
 from vcmvsp.cosim.view.page.ray_paths import RayPaths
-from vcmvsp.cosim.view.page.scene import Follower, Scene
+from vcmvsp.cosim.view.page.scene import Scene
 from vcmvsp.cosim.view.page.sensors import GROUNDS, Ground, Pictures, Scans
 from vcmvsp.cosim.view.page.state import PageState
 from vcmvsp.cosim.view.page.vehicles import WHICH, Fixes, Ghosts, Links, Trails, Vehicles, legend
@@ -51,6 +53,7 @@ class Station:
             self._trails, self._links = Trails(server, scenery), Links(server, scenery)
             self._ghosts, self._fixes = Ghosts(server, scenery), Fixes(server, scenery)
             self._scans, self._ground = Scans(server, scenery), Ground(server)
+            self._overview = Overview(server, *self._scene.floor.extent)
             self._follower, self._team = Follower(server), Follower(server, math.inf)
             self._build(server, scenery)
         threading.Thread(target=self._keep, name="station", daemon=True).start()
@@ -64,7 +67,9 @@ class Station:
             self._trails.sample(state)
             self._charts.sample(state, now_s)
             if not self._aimed:
-                self._aimed = self._scene.aim(state)
+                places = self._known_places()
+                self._aimed = len(places) > 0 or not state.names
+                self._overview.aim(places, now_s)
             if self._server.get_clients():
                 self.draw()
 
@@ -90,20 +95,26 @@ class Station:
                 self._write()
 
     def _go_along(self) -> None:
+        places, now_s = self._known_places(), self._clock()
         if self._choice.follows:
-            self._follower.draw(self._state.position[self._choice.row], self._clock())
+            self._follower.draw(self._state.position[self._choice.row], now_s)
         else:
             self._follower.release()
-        places = self._state.position[np.isfinite(self._state.position).all(axis=1)]
         if self._with_team.value and not self._choice.follows and len(places):
-            self._team.draw(places.mean(axis=0), self._clock())
+            self._team.draw(places.mean(axis=0), now_s)
         else:
             self._team.release()
+        if not (self._choice.follows or self._with_team.value):
+            self._overview.draw(places, now_s)
 
     def _fit(self) -> None:
         with self._drawing:
             self._team.release()
-            self._scene.fit(self._state)
+            self._overview.fit(self._known_places(), self._clock())
+
+    def _known_places(self) -> Array:
+        position = self._state.position
+        return position[np.isfinite(position).all(axis=1)]
 
     def _keep(self) -> None:
         """Redraw without updates, too, for new choices and newly opened pages."""

@@ -31,7 +31,7 @@ class DrawnFloor:
     def __init__(self, server: viser.ViserServer, scenery: Scenery) -> None:
         self._server, self._scenery = server, scenery
         west, south, east, north = self.extent = extent_of(scenery)
-        size = max(east - west, north - south)
+        size = self.size_m
         self._cell = 1.0 if size <= WIDE_M else 10.0
         self._vertices = np.asarray(scenery.vertices, float)
         self._tall = tall_of(self._vertices, np.asarray(scenery.triangles).astype(int))
@@ -53,6 +53,12 @@ class DrawnFloor:
             plane_opacity=1.0,
             position=(0.5 * (west + east), 0.5 * (south + north), self._z),
         )
+
+    @property
+    def size_m(self) -> float:
+        """Length of its longer side."""
+        west, south, east, north = self.extent
+        return max(east - west, north - south)
 
     def widen(self, west: float, south: float, east: float, north: float) -> None:
         """Extend the grid to these limits, with a margin so that it need not grow again soon."""

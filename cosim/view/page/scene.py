@@ -1,7 +1,6 @@
-"""The surroundings of the vehicles in the browser, and the camera."""
+"""The surroundings of the vehicles in the browser."""
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,9 +18,6 @@ VEIL, VEIL_S = 0.22, 0.3  # opacity of solids before vehicles, and period of loo
 MOST_VEILED, MOST_RAYS = 20_000, 24  # triangles of a world in which solids are looked for, and vehicles looked at
 AXES_RGB = ((200, 40, 40), (30, 140, 50), (40, 70, 200))
 TARGET_M = 0.4  # radius of a target's marker
-START = np.array([-0.25, -0.6, 0.6]) / math.sqrt(0.25**2 + 2 * 0.6**2)  # direction of the initial camera, from what it shows
-FAR = 4.0  # largest distance drawn, at least, of that of the camera
-FILL, NEAREST_M = 0.75, 4.0  # share of the picture that all vehicles take, and smallest distance of the camera
 
 
 class Scene:
@@ -35,10 +31,9 @@ class Scene:
         server.scene.add_light_ambient("/light/sky", intensity=1.6)
         server.scene.add_light_directional("/light/sun", intensity=2.2, position=SUN, cast_shadow=False)
         self.floor = DrawnFloor(server, scenery)
-        west, south, east, north = self.floor.extent
-        size = max(east - west, north - south)
-        server.initial_camera.far = max(1000.0, 10.0 * size)
-        _add_axes(server, west, south, axis_m(size))
+        server.initial_camera.far = max(1000.0, 10.0 * self.floor.size_m)
+        self._axes_of = self.floor.extent
+        _add_axes(server, self.floor)
         self._solids = Solids(server, scenery)
         self._obstacles = {each.name: _add_obstacle(server, each) for each in scenery.obstacles}
         self._targets = {name: _add_target(server, name, x, y) for name, x, y in scenery.targets}
@@ -48,6 +43,9 @@ class Scene:
         places = state.position[np.isfinite(state.position).all(axis=1), :2]
         if len(places):
             self.floor.widen(*places.min(axis=0).tolist(), *places.max(axis=0).tolist())
+            if self.floor.extent != self._axes_of:
+                self._axes_of = self.floor.extent
+                _add_axes(self._server, self.floor)
         self._solids.draw(state.position, now_s)
         for name, (x, y, z, yaw) in state.now.obstacles.items():
             if handle := self._obstacles.get(name):
@@ -61,64 +59,6 @@ class Scene:
         self.floor.darken(dark)
         sky = SKY_DARK if dark else SKY
         self._server.scene.set_background_image(np.full((1, 1, 3), sky, np.uint8), format="png")
-
-    def aim(self, state: PageState) -> bool:
-        """Set the initial camera to show all vehicles, also on open pages.
-
-        Returns:
-            Whether the positions of the vehicles are known yet.
-        """
-        is_known = self.fit(state)
-        initial = self._server.initial_camera
-        middle, distance = fitted(self._places(state), START, initial.fov, 1.0)
-        initial.far = max(initial.far, FAR * distance)
-        initial.position = middle + distance * START
-        initial.look_at = middle
-        return is_known or not state.names
-
-    def fit(self, state: PageState) -> bool:
-        """Show all vehicles on the open pages, from the direction of the initial camera.
-
-        Returns:
-            Whether the position of any vehicle is known.
-        """
-        for client in self._server.get_clients().values():
-            camera = client.camera
-            known_size = camera.update_timestamp and camera.image_height
-            fov, aspect = (camera.fov, camera.aspect) if known_size else (self._server.initial_camera.fov, 1.0)
-            middle, distance = fitted(self._places(state), START, fov, aspect)
-            with client.atomic():
-                camera.far = max(camera.far, self._server.initial_camera.far, FAR * distance)
-                camera.position = middle + distance * START
-                camera.look_at = middle  # after the position, which moves it
-        return bool(np.isfinite(state.position).all(axis=1).any())
-
-    def _places(self, state: PageState) -> Array:
-        places = state.position[np.isfinite(state.position).all(axis=1)]
-        west, south, east, north = self.floor.extent
-        return places if len(places) else np.array([(west, south, 0.0), (east, north, 0.0)])
-
-
-def fitted(places: Array, back: Array, fov: float, aspect: float) -> tuple[Array, float]:
-    """Point to look at, (3,) m, and distance, m, of a camera that has these places, (n, 3) m, in its picture.
-
-    Args:
-        back: unit vector from the point to the camera.
-        fov: vertical field of view, rad.
-        aspect: width of the picture by its height.
-    """
-    right = np.cross((0.0, 0.0, 1.0), back)
-    right /= np.linalg.norm(right)
-    axes = np.column_stack([right, np.cross(back, right), back])
-    slopes = FILL * math.tan(0.5 * fov) * np.array([aspect, 1.0])
-    middle = 0.5 * (places.min(axis=0) + places.max(axis=0))
-    for _ in range(4):  # from a distance that shows all of them, then centred on their projection
-        seen = (places - middle) @ axes
-        distance = max(float((np.abs(seen[:, :2]) / slopes + seen[:, 2:]).max()), NEAREST_M)
-        ahead = seen[:, :2] / (distance - seen[:, 2:])
-        middle = middle + distance * axes[:, :2] @ (0.5 * (ahead.min(axis=0) + ahead.max(axis=0)))
-    seen = (places - middle) @ axes
-    return middle, max(float((np.abs(seen[:, :2]) / slopes + seen[:, 2:]).max()), NEAREST_M)
 
 
 def by_color(colors: Array) -> tuple[Array, Array]:
@@ -213,8 +153,10 @@ def axis_m(size_m: float) -> float:
     return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= wished)
 
 
-def _add_axes(server: viser.ViserServer, west: float, south: float, length: float) -> None:
+def _add_axes(server: viser.ViserServer, floor: DrawnFloor) -> None:
     """Axes of the world in the south-west corner of the floor, of a length that serves as scale."""
+    west, south, *_ = floor.extent
+    length = axis_m(floor.size_m)
     ends = length * np.eye(3)
     points = np.stack([np.zeros((3, 3)), ends], axis=1)
     colors = np.repeat(np.array(AXES_RGB, np.uint8)[:, None], 2, axis=1)
@@ -249,53 +191,3 @@ def _add_target(server: viser.ViserServer, name: str, x: float, y: float) -> vis
         f"/targets/{name}/name", name, position=(0.0, 0.0, 0.3), font_screen_scale=0.8, anchor="bottom-center"
     )
     return frame
-
-
-PERIOD_S = 0.06
-NEAR_M, FAR_M = 2.0, 12.0  # limits of the initial distance from a vehicle
-HAND_S = 0.4  # time after the user's last camera input before following resumes
-SETTLES_S = 0.5  # time until a page reports its camera
-TURNED = 0.02  # of the distance: a larger change is user input
-LEAST_M = 0.005  # smaller movements of a vehicle do not move a camera
-
-
-@dataclass
-class _Page:
-    """Camera of a page: position relative to the vehicle, m, and earliest times to read and move it, s."""
-
-    offset: Array
-    looked_at_s: float
-    moved_s: float
-
-
-class Follower:
-    """Keeps each page's camera at a constant position relative to what it follows, unless the user turns it."""
-
-    def __init__(self, server: viser.ViserServer, farthest_m: float = FAR_M) -> None:
-        self._server, self._farthest_m = server, farthest_m
-        self._pages: dict[int, _Page] = {}
-        self._often = Every(PERIOD_S)
-
-    def draw(self, place: Array, now_s: float) -> None:
-        """Move the cameras with what is at this position, m."""
-        if not np.isfinite(place).all() or not self._often.due(now_s):
-            return
-        clients = self._server.get_clients()
-        self._pages = {number: page for number, page in self._pages.items() if number in clients}
-        for number, client in clients.items():
-            offset = np.asarray(client.camera.position) - np.asarray(client.camera.look_at)
-            page = self._pages.get(number)
-            if page is None:
-                distance = max(float(np.linalg.norm(offset)), LEAST_M)
-                offset = offset * (min(max(distance, NEAR_M), self._farthest_m) / distance)
-                page = self._pages[number] = _Page(offset, looked_at_s=now_s + SETTLES_S, moved_s=now_s)
-            elif now_s >= page.looked_at_s and np.linalg.norm(offset - page.offset) > TURNED * np.linalg.norm(page.offset):
-                page.offset, page.moved_s = offset, now_s + HAND_S
-            if now_s >= page.moved_s and np.linalg.norm(place - np.asarray(client.camera.look_at)) > LEAST_M:
-                with client.atomic():
-                    client.camera.position = place + page.offset
-                    client.camera.look_at = place
-
-    def release(self) -> None:
-        """Stop following."""
-        self._pages.clear()

@@ -1,6 +1,8 @@
 """Messages of the control station to its pages, without a browser."""
 
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -25,10 +27,11 @@ from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.scenario import loader as scenarios
 from vcmvsp.cosim.types import Mosaic, ProbabilityMap
 from vcmvsp.cosim.view.messages import Craft, Floor, PageUpdate, Sensors, ShapePart
+from vcmvsp.cosim.view.page.cameras import START, fitted, in_picture
 from vcmvsp.cosim.view.page.drawing import FLOOR, FLOOR_DARK, LOST_RGB, TINY, linear, rotated, rssi_colors
 from vcmvsp.cosim.view.page.floor import DARKNESS, shaded, squared, tall_of
 from vcmvsp.cosim.view.page.ray_paths import LEGS
-from vcmvsp.cosim.view.page.scene import MOST_COLORS, START, axis_m, by_color, crossed, fitted, solids_of
+from vcmvsp.cosim.view.page.scene import MOST_COLORS, axis_m, by_color, crossed, solids_of
 from vcmvsp.cosim.view.page.sensors import fan_of, painted, points_of
 from vcmvsp.cosim.view.page.vehicles import fresh_links
 from vcmvsp.cosim.view.scenery import scenery_of
@@ -150,6 +153,18 @@ def test_obstacles_and_targets_move_to_their_positions(live: StationPage) -> Non
 @pytest.mark.parametrize(("size_m", "step_m"), [(3.0, 0.5), (40.0, 5.0), (220.0, 20.0), (1000.0, 200.0)])
 def test_the_axes_have_a_round_length_that_is_a_share_of_the_floor(size_m: float, step_m: float) -> None:
     assert axis_m(size_m) == pytest.approx(step_m)
+
+
+def test_the_axes_stand_in_the_corner_of_a_floor_that_grew() -> None:
+    with open_station(scenery(1)) as page:
+        page.show(0.0)
+        before = page.node("/axes").position
+        page.show(1.0, states=states([(300.0, -300.0, 0.0)], [0.0], ("v1",)))
+        west, south = page.node("/axes").position[:2]
+        assert before[1] > -10.0
+        assert west <= before[0]
+        assert south < -300.0
+        assert page.node("/axes/east").position[0] == pytest.approx(50.0)
 
 
 def test_a_shadow_lies_away_from_the_sun_and_has_a_soft_edge() -> None:
@@ -412,6 +427,9 @@ def test_a_camera_that_is_fitted_has_every_vehicle_in_its_picture(
     assert (depth > 0.0).all()
     assert (np.abs(offset @ right) <= aspect * slope * depth).all()
     assert (np.abs(offset @ np.cross(START, right)) <= slope * depth).all()
+    camera: Any = SimpleNamespace(position=middle + distance * START, look_at=middle, fov=fov, aspect=aspect)
+    assert in_picture(np.array(places), camera)
+    assert not in_picture(middle + 1.2 * distance * START[None], camera)  # behind it
 
 
 def test_a_line_crosses_the_wall_that_it_goes_through_and_no_other() -> None:

@@ -25,6 +25,7 @@ from tests.support.cosim.view_pages import (
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.types import Array, Mosaic, States
 from vcmvsp.cosim.view.messages import Floor, Seek
+from vcmvsp.cosim.view.page.cameras import in_picture
 from vcmvsp.cosim.view.page.drawing import colors_of, rotated
 
 pytestmark = [pytest.mark.processes, pytest.mark.sockets, pytest.mark.browser]
@@ -260,6 +261,29 @@ def test_the_team_stays_in_the_picture(page: Page) -> None:
     for east in (10.0, 30.0):
         page.until(lambda east=east: centred(east))  # type: ignore[misc]
     page.station_page.use("Follow team", False)
+
+
+def test_every_vehicle_stays_in_the_picture_until_the_camera_is_moved(chromium: Any) -> None:
+    with open_station(scenery(2)) as station_page:
+        page = Page(station_page, chromium.new_page(viewport={"width": 1000, "height": 700}))
+
+        def is_shown_at(east: float) -> bool:
+            vehicle_states = states([(0.0, 0.0, 0.0), (east, 0.0, 0.0)], [0.0, 0.0], ("v1", "v2"))
+            page.show(1.0, states=vehicle_states, places={}, links=())
+            return in_picture(vehicle_states.position, page.camera)
+
+        page.until(lambda: is_shown_at(1.0))
+        assert not in_picture(np.array([(30.0, 0.0, 0.0)]), page.camera)
+        page.until(lambda: is_shown_at(30.0))
+        wide = page.camera.position
+        assert is_shown_at(2.0)
+        assert page.camera.position.tolist() == wide.tolist()  # and shows what it showed
+        page.camera.position = moved = wide + 3.0
+        assert not any(is_shown_at(200.0) for _ in range(3))
+        assert page.camera.position.tolist() == moved.tolist()
+        station_page.use("Fit all")
+        page.until(lambda: is_shown_at(400.0))
+        page.page.close()
 
 
 def test_the_picture_of_the_floor_has_north_above_and_hides_the_plain_floor(chromium: Any) -> None:
