@@ -171,7 +171,7 @@ class Station:
         with panel.add_tab("Charts"):
             self._charts = Charts(server, scenery)
         key = gui.add_panel()
-        with key.add_tab("Links"):
+        with key.add_tab("Legend"):
             gui.add_html(legend())
         key.float(x=12.0, y=-12.0, width=LEGEND_PX)
         panel.dock_right()

@@ -393,13 +393,15 @@ def fresh_links(state: PageState, most: int, of: int | None = None) -> tuple[Arr
 
 
 def legend() -> str:
-    """Legend of the links, as HTML."""
+    """Legend of the links, the formation and the chosen vehicle, as HTML."""
     stops = ", ".join(f"rgb({r}, {g}, {b})" for r, g, b in rssi_colors(np.linspace(WEAKEST_DBM, STRONGEST_DBM, 6)).tolist())
-    red = "rgb({}, {}, {})".format(*LOST_RGB)
+    red, orange, grey = ("rgb({}, {}, {})".format(*color) for color in (LOST_RGB, CHOSEN_RGB, LEADER_RGB))
     bar = f"height: 0.5em; margin: 0.2em 0; background: linear-gradient(90deg, {stops})"
     return (
         f'<div style="padding: 0.3em 0.75em; font-size: 0.8em">Frames, sender &rarr; receiver: '
         f'<b style="color: {red}">&rarr; lost</b>, or received at<div style="{bar}"></div>'
         f'<div style="display: flex; justify-content: space-between"><span>{WEAKEST_DBM:.0f} dBm</span>'
-        f"<span>{STRONGEST_DBM:.0f} dBm</span></div></div>"
+        f"<span>{STRONGEST_DBM:.0f} dBm</span></div>"
+        f'<b>&#9711;</b> slot of a follower, <b style="color: {grey}">&#8212;</b> to its leader<br>'
+        f'<b style="color: {orange}">&#9711;</b> chosen vehicle</div>'
     )

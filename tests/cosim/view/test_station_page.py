@@ -326,7 +326,9 @@ def test_the_page_has_all_objects_of_the_scene_and_events_and_charts(page: Page)
         return {name for name in nodes if not page.page.evaluate(f"'{name}' in window.__viserSceneTree.getState()")}
 
     page.until(lambda: not missing())
-    page.page.get_by_text("Frames, sender").wait_for()  # the legend of the links
+    legend = page.page.get_by_text("Frames, sender")
+    legend.wait_for()
+    assert all(words in legend.inner_text() for words in ("slot of a follower", "to its leader", "chosen vehicle"))
     page.page.get_by_role("tab", name="Charts").click()
     page.page.get_by_text("Formation error [m]").first.wait_for(timeout=PATIENCE_S * 1e3)
     page.page.get_by_role("tab", name="All vehicles").click()
