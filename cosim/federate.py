@@ -16,6 +16,7 @@ events in a federate's inbox, which it gets at its next step; ``latest`` the key
 ``wakes`` those of ``reads`` that step the federate at the event's own time, in its ``wake_slot``.
 """
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -309,6 +310,12 @@ class ControllingStack(Protocol):
 
 class ExternalVehicles(Federate, ExternalMotion, Protocol):
     """The federate of vehicles that physics does not move: publishes their estimates and readings, takes their commands."""
+
+
+@functools.cache
+def vehicle_of(key: str) -> str:
+    """Vehicle name in an event's key."""
+    return key.partition("/")[0]
 
 
 def matches(expression: str, key: str) -> bool:

@@ -8,7 +8,6 @@ Values are handled by type (`_takers`). Values that are in neither table enter t
 most types unchanged (`PACKED`), arrays as their bytes.
 """
 
-import functools
 import hashlib
 import math
 import struct
@@ -26,7 +25,7 @@ from vcmvsp.cosim import types
 from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.errors import ScenarioError
-from vcmvsp.cosim.federate import RunInfo
+from vcmvsp.cosim.federate import RunInfo, vehicle_of
 from vcmvsp.cosim.metrics.age import age_metrics
 from vcmvsp.cosim.metrics.agents import agent_metrics, control_metrics, hardware_metrics
 from vcmvsp.cosim.metrics.catalogue import SCHEMA
@@ -269,12 +268,6 @@ class Accumulators:
     def _hash(self) -> None:
         self._others.update(self._packed)
         self._packed.clear()
-
-
-@functools.cache
-def vehicle_of(key: str) -> str:
-    """Vehicle name in a key."""
-    return key.partition("/")[0]
 
 
 def digest(tables: Sequence[Table], rest: bytes = b"") -> str:

@@ -22,11 +22,11 @@ import msgspec
 
 from vcmvsp.cosim.agent import AgentInfo
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
-from vcmvsp.cosim.federate import Event, RunInfo
+from vcmvsp.cosim.federate import Event, RunInfo, vehicle_of
 from vcmvsp.cosim.metrics.agents import limited_by_s
 from vcmvsp.cosim.received import Mailboxes
 from vcmvsp.cosim.recording import event_text
-from vcmvsp.cosim.recording.accumulators import PACKED, Accumulators, Take, vehicle_of
+from vcmvsp.cosim.recording.accumulators import PACKED, Accumulators, Take
 from vcmvsp.cosim.recording.foxglove import to_json
 from vcmvsp.cosim.recording.mcap_writer import MessageSink
 from vcmvsp.cosim.recording.run_mcap import Viewer

@@ -10,10 +10,9 @@ from typing import Any, BinaryIO
 
 from vcmvsp.cosim import types
 from vcmvsp.cosim.clock import SECOND_NS
-from vcmvsp.cosim.federate import RunInfo
+from vcmvsp.cosim.federate import RunInfo, vehicle_of
 from vcmvsp.cosim.frames import quaternion_from_yaw
 from vcmvsp.cosim.recording import foxglove as fg
-from vcmvsp.cosim.recording.accumulators import vehicle_of
 from vcmvsp.cosim.recording.mcap_writer import McapLog, MessageSink
 from vcmvsp.cosim.recording.scene import DrawnWorld, moving_frames, scene, solids
 from vcmvsp.cosim.tables.schema import NOT_LOST

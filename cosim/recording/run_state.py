@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from vcmvsp.cosim import types
-from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim.federate import Event, vehicle_of
 from vcmvsp.cosim.frames import yaw_of
 from vcmvsp.cosim.recording import event_text
 
@@ -71,7 +71,7 @@ class RunState:
         self.halted: set[str] = set()
         self.lines: deque[LogLine] = deque(maxlen=MOST_LINES)
         self._receptions: list[types.Receptions] = []  # not in ``heard_ns`` yet
-        self.handlers: dict[type, Callable[[str, int, Any], None]] = {
+        self.handlers: dict[type, Callable[[str, int, Any], None]] = {  # by the key, time and value of an event
             types.States: lambda _, __, states: self.keep("states", "", states),
             types.FrameReport: self._on_frame,
             types.Receptions: self._on_receptions,
@@ -87,7 +87,7 @@ class RunState:
         """Update from an event; times never decrease."""
         handler = self.handlers.get(type(event.value))
         if handler is not None:
-            handler(event.key.partition("/")[0], event.time_ns, event.value)
+            handler(event.key, event.time_ns, event.value)
 
     def keep(self, collection: str, key: str, value: object) -> None:
         """Store a value as the newest of its key."""
@@ -122,29 +122,32 @@ class RunState:
         if len(self._receptions) > MOST_BATCHES:
             self.settle()
 
-    def _on_note(self, vehicle: str, time_ns: int, note: types.Note) -> None:
-        before = self.newest["notes"].get(vehicle, {})
-        if not LOGGED_NOTES_SET.isdisjoint(note.values):
-            self.lines.extend(changes(vehicle, time_ns, before, note.values))
+    def _on_note(self, key: str, time_ns: int, note: types.Note) -> None:
+        vehicle, values = vehicle_of(key), note.values
+        newest = self.newest["notes"].setdefault(vehicle, {})
+        changed = [name for name in LOGGED_NOTES_SET.intersection(values) if values[name] != newest.get(name)]
+        if changed:  # rarely: agents note their mode at every tick
+            self.lines.extend(changes(vehicle, time_ns, newest, values))
             for name in COMMANDERS:
-                if name in note.values:
-                    self.commanders[vehicle] = str(note.values[name])
-        self.keep("notes", vehicle, before | note.values)
+                if name in values:
+                    self.commanders[vehicle] = str(values[name])
+        newest.update(values)
+        self.fresh["notes", vehicle] = None
 
-    def _on_newest(self, vehicle: str, time_ns: int, value: object) -> None:
-        self.keep(BY_VEHICLE[type(value)], vehicle, value)
+    def _on_newest(self, key: str, time_ns: int, value: object) -> None:
+        self.keep(BY_VEHICLE[type(value)], vehicle_of(key), value)
 
-    def _on_presence(self, vehicle: str, time_ns: int, presence: types.Presence) -> None:
-        self._on_newest(vehicle, time_ns, presence)
-        self._tell(vehicle, time_ns, presence)
+    def _on_presence(self, key: str, time_ns: int, presence: types.Presence) -> None:
+        self._on_newest(key, time_ns, presence)
+        self._tell(key, time_ns, presence)
 
-    def _on_halted(self, _: str, time_ns: int, halted: types.Halted) -> None:
+    def _on_halted(self, key: str, time_ns: int, halted: types.Halted) -> None:
         (self.halted.update if halted.halted else self.halted.difference_update)(halted.vehicles)
-        self._tell(_, time_ns, halted)
+        self._tell(key, time_ns, halted)
 
     def _on_pushed(self, _: str, time_ns: int, pushed: types.Pushed) -> None:
         for name, place, attitude in zip(pushed.names, pushed.position.tolist(), pushed.attitude.tolist(), strict=True):
             self.keep("pushed", name, (*place, yaw_of(attitude)))
 
-    def _tell(self, vehicle: str, time_ns: int, event: event_text.Told) -> None:
-        self.say(time_ns, *event_text.of_event(vehicle, event, time_ns))
+    def _tell(self, key: str, time_ns: int, event: event_text.Told) -> None:
+        self.say(time_ns, *event_text.of_event(vehicle_of(key), event, time_ns))

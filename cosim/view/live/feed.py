@@ -69,10 +69,8 @@ class Feed:
         self._moving, self._targets = moving or {}, targets or {}
         self._rows = {craft.name: row for row, craft in enumerate(scenery.vehicles)}
         self._state = RunState()
-        self._takers: dict[type, Callable[[Event], None]] = {
-            **dict.fromkeys(self._state.handlers, self._state.on),
-            **dict.fromkeys((Later, Scan, Image), self._on_reading),
-        }
+        readings = dict.fromkeys((Later, Scan, Image), self._on_reading)
+        self._takers: dict[type, Callable[[str, int, Any], None]] = self._state.handlers | readings
         self._state.newest |= {name: {} for name in READINGS.values()}  # requested sensors: vehicle/sensor
         self._requests: frozenset[str] = frozenset()
         self._later: dict[str, Later] = {}
@@ -92,7 +90,7 @@ class Feed:
             self._now_ns, self._fresh = event.time_ns, True
         take = self._takers.get(type(event.value))
         if take is not None:  # most events are of other types
-            take(event)
+            take(event.key, event.time_ns, event.value)
 
     def pace(self, pace: Pace) -> None:
         """Set the pace of the run; ``achieved`` is measured here. Also call it during a pause: it reads orders."""
@@ -135,9 +133,9 @@ class Feed:
         self._pipe.offer_within(self._encoded(self._clock()), FAREWELL_S)
         self._forget()
 
-    def _on_reading(self, event: Event) -> None:
-        if event.key in self._requests:
-            self._take_reading(event.key, event.value)
+    def _on_reading(self, key: str, _: int, reading: Any) -> None:
+        if key in self._requests:
+            self._take_reading(key, reading)
 
     def _take_reading(self, key: str, reading: Any) -> None:
         if isinstance(reading, Later):
