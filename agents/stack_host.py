@@ -7,7 +7,7 @@ from vcmvsp.agents.driven_host import OutsideHost
 from vcmvsp.agents.federate import AgentRunner
 from vcmvsp.cosim.agent import Agent, AgentSpec, Observation
 from vcmvsp.cosim.errors import AgentError
-from vcmvsp.cosim.federate import Event, Log, RunInfo, Stack, StackAnswer
+from vcmvsp.cosim.federate import Event, Log, RunInfo, Stack, StackAnswer, vehicle_of
 from vcmvsp.cosim.hosts.remote_host import LinkError
 from vcmvsp.cosim.recording.external_inputs import Input
 from vcmvsp.cosim.types import Message, Presence, Velocity, Waypoint
@@ -96,7 +96,7 @@ class RecordedStack:
         self._lost: dict[tuple[str, int], str] = {}
         self._now_ns = 0
         for key, time_ns, value in inputs:
-            place = key.partition("/")[0], time_ns
+            place = vehicle_of(key), time_ns
             match value:
                 case Velocity() | Waypoint():
                     self._answers[place] = self._answers[place]._replace(command=value)

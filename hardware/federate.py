@@ -30,7 +30,7 @@ from vcmvsp.cosim import types
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, WallClock
 from vcmvsp.cosim.errors import FederateError, Interrupted, ScenarioError, VcmvspError
 from vcmvsp.cosim.estimation.dead_reckoning import LONGEST_NS, ahead, planar
-from vcmvsp.cosim.federate import Event, Log, Needed, RunInfo, Slot, Step
+from vcmvsp.cosim.federate import Event, Log, Needed, RunInfo, Slot, Step, vehicle_of
 from vcmvsp.cosim.frames import arc, quaternion_from_yaw
 from vcmvsp.cosim.scenario.schema import RealVehicle
 from vcmvsp.cosim.types import ORIGIN, Array, Measured, Odometry, RealStatus, States, VehicleState, Velocity
@@ -146,7 +146,7 @@ class Hardware:
                 if name in self._proxies:  # other vehicles are simulated
                     self._proxies[name].halted = event.value.halted
         else:
-            self._proxies[event.key.partition("/")[0]].command(event)
+            self._proxies[vehicle_of(event.key)].command(event)
 
     def _go_on_without(self, vehicle: RealVehicle, now_ns: int) -> list[Event]:
         """Close the station of a lost robot; a removed vehicle loses radio and place."""

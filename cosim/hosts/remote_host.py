@@ -15,7 +15,7 @@ import msgspec
 from vcmvsp.cosim.agent import AgentSpec
 from vcmvsp.cosim.clock import SECOND_NS, Ticks, seconds_to_ns
 from vcmvsp.cosim.errors import AgentError, FederateError, ScenarioError, VcmvspError
-from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
+from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step, vehicle_of
 from vcmvsp.cosim.hosts import protocol
 from vcmvsp.cosim.received import Mailboxes, pruned
 from vcmvsp.cosim.types import RECEPTIONS, Follows, Presence, Receptions, Velocity
@@ -289,7 +289,7 @@ class RemoteHost:
         for crew in self._crews:
             events = list(inbox)
             if not whole:
-                events = [event for event in inbox if _vehicle(event) in crew.vehicles]
+                events = [event for event in inbox if vehicle_of(event.key) in crew.vehicles]
             received = self._mail.take(now_ns, crew.vehicles)
             if received is not None:
                 events.append(Event(RECEPTIONS, now_ns, pruned(received)))
@@ -310,7 +310,7 @@ class RemoteHost:
             else:
                 accepted = answer
                 if self._away:
-                    accepted = [event for event in answer if _vehicle(event) not in self._away]
+                    accepted = [event for event in answer if vehicle_of(event.key) not in self._away]
                 events += accepted
                 if self._may_go_on:
                     self._note(answer, crew)
@@ -384,9 +384,9 @@ class RemoteHost:
     def _note(self, events: Sequence[Event], crew: Crew) -> None:
         for event in events:
             if isinstance(event.value, Follows):
-                (self._following.discard if event.value.leader is None else self._following.add)(_vehicle(event))
+                (self._following.discard if event.value.leader is None else self._following.add)(vehicle_of(event.key))
             elif isinstance(event.value, Presence):
-                self._failed[_vehicle(event)] = crew
+                self._failed[vehicle_of(event.key)] = crew
 
     def _look_around(self, open_step: "_OpenStep", inbox: Sequence[Event]) -> Sequence[Event]:
         """Reinstate vehicles whose agents answer again; returns the events that all present hosts receive."""
@@ -428,7 +428,7 @@ class RemoteHost:
             since_ns, when = info.ticks.after(open_step.now_ns - 1), open_step.now_ns + info.latency_ns
             open_step.events.append(absence.back(since_ns, when, crew.late))
             newest = [event for key, event in self._newest.items() if key.startswith(f"{vehicle}/")]
-            inbox = [*newest, *(event for event in inbox if _vehicle(event) != vehicle)]
+            inbox = [*newest, *(event for event in inbox if vehicle_of(event.key) != vehicle)]
         crew.late = 0
         return inbox
 
@@ -442,7 +442,3 @@ class _OpenStep(msgspec.Struct):
     due: frozenset[str]  # vehicles with a tick in this step
     crews: list[Crew] = []  # hosts that received the step
     events: list[Event] = []  # events of absent vehicles
-
-
-def _vehicle(event: Event) -> str:
-    return event.key.partition("/")[0]

@@ -17,7 +17,7 @@ import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.errors import FederateError
-from vcmvsp.cosim.federate import Event, FlightFirmware
+from vcmvsp.cosim.federate import Event, FlightFirmware, vehicle_of
 from vcmvsp.cosim.types import Array, Contact, Vec3, Velocity, Waypoint
 from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
 from vcmvsp.physics.world.world import Moving
@@ -261,7 +261,7 @@ def _check_command(key: str, command: Command, flying: bool) -> None:
         numbers = [x, y, z, command.yaw_rate] if flying else [x, command.yaw_rate]
     else:
         numbers = [*command.position, command.yaw or 0.0, command.speed or 0.0]
-    vehicle, problem = key.partition("/")[0], ""
+    vehicle, problem = vehicle_of(key), ""
     if isinstance(command, Waypoint) and not flying:
         problem = f"{vehicle} received a Waypoint but cannot fly: send Velocity, or use a quadrotor or a point"
     elif not all(map(isfinite, numbers)):

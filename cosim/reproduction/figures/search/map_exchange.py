@@ -20,7 +20,7 @@ import numpy as np
 
 from vcmvsp.cosim.assembly.parts.recognition import Sensor, decisions
 from vcmvsp.cosim.assembly.run import assemble
-from vcmvsp.cosim.federate import Event
+from vcmvsp.cosim.federate import Event, vehicle_of
 from vcmvsp.cosim.kernel.kernel import Kernel
 from vcmvsp.cosim.reproduction.figures.figure import Curve, Figure, Heat, Panel
 from vcmvsp.cosim.reproduction.figures.scenarios import IDEAL
@@ -140,7 +140,7 @@ class Watcher:
 
     def on(self, event: Event) -> None:
         """Record an event."""
-        value, vehicle = event.value, event.key.partition("/")[0]
+        value, vehicle = event.value, vehicle_of(event.key)
         time_s = event.time_ns / 1e9
         if isinstance(value, States):
             self._keep(time_s, value)
