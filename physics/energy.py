@@ -33,8 +33,8 @@ from vcmvsp.cosim.clock import SECOND_NS, Ticks
 from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
 from vcmvsp.cosim.scenario.schema import BatteryTable
 from vcmvsp.cosim.types import FrameReport, Measured, States, Traffic, Vec3
+from vcmvsp.physics.dynamics.wind import AIR_KG_M3
 
-AIR_KG_M3 = 1.225  # International Standard Atmosphere at sea level
 ROTORS = 4
 NEWTON = 50  # iterations at most; a few are needed
 

@@ -105,7 +105,7 @@ class Routing:
 
 
 def unreached_s(radio: pa.Table, receiver: str, origin: str) -> Array:
-    """Sending times (s) of messages meant for a vehicle that never reached it over any relay."""
+    """Sending times (s) of messages to a vehicle that reached it over no relay."""
     (origins, by), (destinations, to) = names_of(radio, "origin"), names_of(radio, "destination")
     (receivers, at), (fates, fate) = names_of(radio, "receiver"), names_of(radio, "message")
     own, its = by == code_of(origins, origin), (to == code_of(destinations, "")) | (to == code_of(destinations, receiver))

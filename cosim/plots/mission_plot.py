@@ -62,7 +62,7 @@ def mission(log: MissionLog, moved: Motion, targets: Sequence[Target], outlines:
         slenderness = np.clip(rows / max(columns, 1), 0.4, 2.5)  # aspect ratio of the maps: height over width
         heights = 1.1 + 0.3 * len(log.vehicles), 0.9 + 2.35 * slenderness  # inches
         figure = Figure(figsize=(11.0, sum(heights)), layout="constrained")
-        figure.suptitle("Who commanded each vehicle, and the map of the search")
+        figure.suptitle("Commander of each vehicle, and the map of the search")
         above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=heights).flat
         _timeline(above.add_subplot(), log, targets)
         _maps(below, log, moved, targets, outlines)
@@ -73,7 +73,7 @@ def mosaic(log: MissionLog, moved: Motion, targets: Sequence[Target]) -> Figure:
     """The merged mosaic of all vehicles, with tracks, detections and the targets' true positions at the end."""
     with style(MAP):
         figure = Figure(figsize=(7.0, 7.2), layout="constrained")
-        figure.suptitle("The ground as the vehicles saw it")
+        figure.suptitle("Mosaic of the ground, from the pictures of all vehicles")
         axes = figure.add_subplot()
         axes.set_facecolor("0.25")
         for each in log.mosaics.values():
@@ -102,7 +102,7 @@ def detections(log: MissionLog) -> Figure:
         columns = min(len(chosen), 4) or 1
         rows = -(-len(chosen) // columns) or 1
         figure = Figure(figsize=(3.0 * columns, 2.55 * rows + 0.3), layout="constrained")
-        figure.suptitle("Targets that were recognised")
+        figure.suptitle("Recognised targets")
         for axes, (time_ns, name, sightings) in zip(figure.subplots(rows, columns, squeeze=False).flat, chosen, strict=False):
             pixels = decoded(sightings.jpeg, cv2.IMREAD_COLOR)
             if pixels is not None:

@@ -40,22 +40,22 @@ _ENTRY_BYTES = 16  # time and place of a message
 FRAME = {
     "type": "always 'frame'",
     "frame": "number of the frame, unique in the run, in the order in which frames entered the channel",
-    "sender": "name of the vehicle that sent it",
-    "sent_ns": "when its sender handed it to the radio, ns since the start of the run",
+    "sender": "name of the sending vehicle",
+    "sent_ns": "time of its arrival at the sender's radio, ns since the start of the run",
     "size_bytes": "payload, bytes",
-    "receivers": "names of the vehicles that it was meant for; every list below has an entry for each of them, in this order",
-    "distance_m": "how far the receiver was from the sender, m",
+    "receivers": "names of the addressed vehicles; every list below has one entry for each, in this order",
+    "distance_m": "distance between receiver and sender, m",
     "rssi_dbm": "received power, dBm",
-    "received_ns": "when it arrived, ns since the start of the run; -1: it was lost",
+    "received_ns": "time of reception, ns since the start of the run; -1: lost",
     "outcome": "'received', or the cause of the loss",
-    "air_time_ns": "how long one transmission takes, ns; 0: it was never sent",
-    "queue_ns": "how long it waited behind its sender's earlier frames, ns",
-    "access_ns": "how long it waited for the air, earlier attempts included, ns",
-    "copy_ns": "when a second copy arrived, ns since the start of the run; -1: none did; null: the channel makes none",
-    "snr_db": "signal over noise alone, dB; null: the channel has no noise",
-    "sinr_db": "signal over noise and interference, the least while it was on the air, dB; null: not known",
-    "path_loss_db": "loss over the distance, without walls and fading, dB; null: the channel has no such layer",
-    "walls": "how many walls are crossed; null: the channel has no such layer",
+    "air_time_ns": "duration of one transmission, ns; 0: never sent",
+    "queue_ns": "waiting time behind earlier frames of its sender, ns",
+    "access_ns": "time of medium access, earlier attempts included, ns",
+    "copy_ns": "time of reception of a second copy, ns since the start of the run; -1: none; null: the channel makes none",
+    "snr_db": "signal-to-noise ratio, dB; null: the channel has no noise",
+    "sinr_db": "least ratio of signal to noise and interference during the frame, dB; null: not known",
+    "path_loss_db": "path loss without walls and fading, dB; null: the channel has no such layer",
+    "walls": "number of crossed walls; null: the channel has no such layer",
     "wall_materials": "of the walls, e.g. '2 brick, 1 wood'; null: the channel has no such layer",
     "wall_loss_db": "loss in walls, dB; null: the channel has no such layer",
     "shadowing_db": "loss by shadowing, dB; null: the channel has no such layer",
@@ -106,7 +106,7 @@ def schema_of(message_type: type) -> Schema:
     if message_type is Looks:
         schema["properties"] |= {"cells": _listed(_listed({"type": "integer"})), "hits": _listed({"type": "boolean"})}
     if message_type is FrameReport:
-        schema["description"] = "What became of one frame at every receiver that it was meant for."
+        schema["description"] = "Outcome of one frame at each addressed receiver."
         schema["properties"] = {field: {**node, "description": FRAME[field]} for field, node in schema["properties"].items()}
     schema["title"] = title
     return Schema(title, "jsonschema", msgspec.json.encode(schema))

@@ -19,11 +19,11 @@ from vcmvsp.cosim.util.files import write_whole
 FILE = "report.html"
 MACHINE = "Machine"  # title of the only section that differs between equal runs
 FIGURES = {
-    "trajectory": "Seen from above, with the formation at a few instants.",
-    "formation_error": "How far followers were off their places, the age of what they knew of leaders, and what was lost.",
-    "mission": "Who commanded each vehicle when, what was found, and the shared map when something happened.",
-    "mosaic": "The ground as all have seen it together, and where targets were recognised.",
-    "detections": "Pictures in which something was recognised.",
+    "trajectory": "Tracks from above, with the formation at a few instants.",
+    "formation_error": "Formation error, age of the followers' information about their leaders, and frames lost.",
+    "mission": "Commander of each vehicle over time, targets found, and the shared map at four instants.",
+    "mosaic": "Mosaic of the ground, from the pictures of all vehicles, and places of recognised targets.",
+    "detections": "Pictures with recognised targets.",
 }
 HOST = {"name": "host", "system": "system", "python": "python"}
 LATENESS = {
@@ -38,7 +38,7 @@ LATENESS = {
 BRIDGE = {
     **LATENESS,
     "delivered": "deliveries to programs",
-    "lost": "lost on the way: datagrams that did not reach a vehicle, for each that they were meant for",
+    "lost": "datagrams lost on the channel, counted for each receiver",
     "over_1ms": "late by more than 1 ms",
 }
 TOLD = 500  # log lines shown

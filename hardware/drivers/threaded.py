@@ -5,6 +5,7 @@ communication to its subclass; `QueueDriver` is for libraries that call back, `R
 descriptor, and restores a lost link.
 """
 
+import contextlib
 import os
 import queue
 import threading
@@ -294,6 +295,7 @@ class ReconnectingDriver(ThreadedDriver):
     def _prepare(self, start: Vec3) -> None:
         self._leaving = False
         self._woken, self._waker = os.pipe()
+        os.set_blocking(self._waker, False)  # a full pipe wakes, too: the caller never waits for a thread that hangs
 
     def _hangs(self) -> DriverError:
         return LinkLost(self.device, "the port hangs", "unplug the device and plug it in again")
@@ -301,7 +303,8 @@ class ReconnectingDriver(ThreadedDriver):
     def _wake(self) -> None:
         with self._lock:
             if self._thread is not None:
-                os.write(self._waker, b"\0")
+                with contextlib.suppress(BlockingIOError):
+                    os.write(self._waker, b"\0")
 
     def _release(self) -> None:
         os.close(self._waker)

@@ -14,7 +14,8 @@ from tests.support.cosim.command_line import vcmvsp_command
 from vcmvsp.cosim.agent import Agent, Observation, Radio
 from vcmvsp.cosim.scenario.schema import BatteryTable
 from vcmvsp.cosim.types import Measured, Velocity
-from vcmvsp.physics.energy import AIR_KG_M3, flight_power, induced_speed, rolling_power
+from vcmvsp.physics.dynamics.wind import AIR_KG_M3
+from vcmvsp.physics.energy import flight_power, induced_speed, rolling_power
 from vcmvsp.physics.vehicles.models import P2DX, Quadrotor
 
 G = 9.81

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from vcmvsp.cosim.types import Odometry, Vec3
 from vcmvsp.hardware.drivers.base import DriverError, HandshakeError, PortError, Sample
-from vcmvsp.hardware.drivers.threaded import NOT_YET, CommandRepeater, ThreadedDriver
+from vcmvsp.hardware.drivers.threaded import NOT_YET, ClosedByCaller, CommandRepeater, ReconnectingDriver, ThreadedDriver
 
 SAMPLE = Sample(number=1, link=1, arrived_ns=1, measured_ns=1, odometry=Odometry(pose=(0.0, 0.0, 0.0), v=0.0, w=0.0))
 
@@ -97,6 +97,25 @@ def test_a_driver_not_ready_in_time_is_closed() -> None:
     with pytest.raises(HandshakeError, match="the connection hangs; check the network"):
         driver.open()
     assert threading.active_count() == before
+
+
+class Stuck(ReconnectingDriver):
+    """Its thread does not look at what wakes it until the driver closes, as in a call of the system that hangs."""
+
+    def _connect(self, within_s: float) -> None:
+        self._ready.set()
+
+    def _converse(self) -> None:
+        self._closing.wait(600.0)
+        raise ClosedByCaller
+
+
+def test_a_caller_never_waits_for_a_thread_that_hangs() -> None:
+    driver = Stuck("nowhere", connect_s=10.0, silence_s=1.0, reconnect_s=0.0, open_deadline_s=10.0, close_deadline_s=10.0)
+    driver.open()
+    for _ in range(70_000):  # a pipe holds 65,536 bytes
+        driver._wake()
+    driver.close()
 
 
 MS = 10**6

@@ -67,10 +67,10 @@ STATES = {
 ERRORS = {
     **STATES,
     "vehicle": "name of the follower",
-    "leader": "name of the vehicle that it follows",
-    "error_m": "distance of its handle from the place that it keeps, m",
-    "ahead_m": "distance of that place ahead of the handle, m, in the follower's frame",
-    "left_m": "distance of that place to the left of the handle, m, in the follower's frame",
+    "leader": "name of its leader",
+    "error_m": "distance of its handle from its slot, m",
+    "ahead_m": "distance of the slot ahead of the handle, m, in the follower's frame",
+    "left_m": "distance of the slot to the left of the handle, m, in the follower's frame",
 }
 NOTES = {
     **STATES,
@@ -79,8 +79,8 @@ NOTES = {
     "text": "noted text; empty: a number",
 }
 RADIO = {
-    "copy_ns": "when a second copy arrived, ns since the start of the run; null: none did",
-    "receiver": "name of the vehicle that it was meant for",
+    "copy_ns": "time of reception of a second copy, ns since the start of the run; null: none",
+    "receiver": "name of the addressed vehicle",
     "delay_ns": "`received_ns - sent_ns`, ns; null: not received",
 }
 

@@ -86,7 +86,7 @@ def rows_of(case: str, mission: MissionRun, once_s: float, away: dict[str, Array
     yield absolute(f"{case}: last found, in times of one sweep of {once_s:.0f} s", 0.0, last / once_s, SLOW)
     for name, each in away.items():
         off_m = float(each[late].mean(axis=0).min())
-        yield absolute(f"{case}: who tracks {name} is off by, mean at the end, m", 0.0, off_m, ON_IT_M)
+        yield absolute(f"{case}: distance of the tracking vehicle from {name}, mean at the end, m", 0.0, off_m, ON_IT_M)
 
 
 def _map(title: str, world: "worlds.World", mission: MissionRun, targets: dict[str, Array]) -> Panel:
