@@ -74,7 +74,7 @@ class _Tables:
         table["properties"] |= {key.name: _described(key, key.schema) for key in extra_keys(place)}
         if place.path == VEHICLE:
             table["required"].remove("count")
-            table["dependentRequired"] = {name: ["count"] for name in ("columns", "spacing", "turn_rad")}
+            table["dependentRequired"] = {name: ["count"] for name in ("columns", "spacing", "turn_rad", "spread")}
         if place.path == "bridge":
             table["additionalProperties"] = {"type": "object"}  # gateways by any name
         group = "agent" if place.path in AGENTS else place.group

@@ -37,6 +37,7 @@ NOT_SHARED = (
     "columns",
     "spacing",
     "turn_rad",
+    "spread",
 )  # [vehicles] has none
 DOORS = [f"bridge.{kind}" for kind in builtin_kinds.KINDS["door"]]
 STACKS = [f"stack.{kind}" for kind in builtin_kinds.KINDS["stack"]]

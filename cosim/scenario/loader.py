@@ -12,6 +12,7 @@ import msgspec
 from vcmvsp.cosim.config import binding, registry
 from vcmvsp.cosim.config.provenance import Source
 from vcmvsp.cosim.errors import ScenarioError, UsageError
+from vcmvsp.cosim.rng import stream
 from vcmvsp.cosim.scenario.schema import (
     AgentsTable,
     AgentTable,
@@ -20,7 +21,7 @@ from vcmvsp.cosim.scenario.schema import (
     StationTable,
     VehicleTable,
 )
-from vcmvsp.cosim.types import Name, Vec3
+from vcmvsp.cosim.types import Name, NonNegative, Vec3
 from vcmvsp.cosim.util import limits
 from vcmvsp.cosim.util.documents import DEEPEST, check_depth, read_toml
 
@@ -35,19 +36,20 @@ class Repeat(msgspec.Struct, frozen=True, kw_only=True):
     columns: Annotated[int, msgspec.Meta(ge=1)] | None = None  # in each row; None: all in one
     spacing: tuple[float, float] = (1.0, 1.0)  # m, between columns (along x) and between rows (along y)
     turn_rad: float = 0.0  # from each to the next, added to the heading
+    spread: tuple[NonNegative, NonNegative, NonNegative] = (0.0, 0.0, 0.0)  # m, m, rad: largest offset, drawn by the seed
 
 
 KEYS = tuple(binding.parameters(Repeat))
 
 
-def repeated(listed: Sequence[Any], source: Source) -> list[Any]:
+def repeated(listed: Sequence[Any], source: Source, seed: int = 0) -> list[Any]:
     """The vehicles, with one copy per ``count`` of repeated ones."""
     counts = [table.get("count", 1) for table in listed if isinstance(table, dict)]
     if (total := sum(each for each in counts if isinstance(each, int))) > MOST:
         raise source.error(f"{total} vehicles are too many (at most {MOST}): lower the counts", "vehicle")
     vehicles: list[Any] = []
     for table in listed:
-        vehicles += _copies(table, source) if isinstance(table, dict) else [table]
+        vehicles += _copies(table, source, seed) if isinstance(table, dict) else [table]
     return vehicles
 
 
@@ -61,7 +63,7 @@ def names_copy(raw: Mapping[str, Any], key: str) -> bool:
     return any(name.startswith(stem) and name[len(stem) :].isdigit() for stem in stems)
 
 
-def _copies(table: dict[str, Any], source: Source) -> list[dict[str, Any]]:
+def _copies(table: dict[str, Any], source: Source, seed: int) -> list[dict[str, Any]]:
     key = f"vehicle.{table.get('name', '')}"
     own = {name: table[name] for name in KEYS if name in table}
     if not own:
@@ -77,6 +79,10 @@ def _copies(table: dict[str, Any], source: Source) -> list[dict[str, Any]]:
     for i in range(repeat.count):
         name, turn = f"{table.get('name', '')}{i + 1}", i * repeat.turn_rad
         copy = {**rest, "name": name, place: [x + i % columns * dx, y + i // columns * dy, last]}
+        if any(repeat.spread):
+            east, north, further = (stream(seed, f"{name}/start").uniform(-1.0, 1.0, 3) * repeat.spread).tolist()
+            copy[place] = [copy[place][0] + east, copy[place][1] + north, last]
+            turn += further
         if turn and place == "pose":
             copy["pose"][2] += turn
         elif turn:
@@ -114,17 +120,18 @@ def load(
         ScenarioError: a key or value is wrong; names file, key path and allowed values.
     """
     raw, source = _read(scenario)
-    settings = settings or {}
+    settings = {**(settings or {})}
     _check_depth(settings, "--set")
+    if seed is not None:  # before a repeated vehicle is copied
+        settings.pop("seed", None)
+        source.note_set("seed", f"--seed {seed}")
+        raw["seed"] = seed
     for key in sorted(settings, key=lambda key: names_copy(raw, key)):  # settings of one copy override settings of all
         if key.count(".") >= DEEPEST:
             raise ScenarioError(f"the key has more than {DEEPEST} parts", source=f"--set {binding.show(key)}")
         value = settings[key]
         source.note_set(key, f"--set {key}={value if isinstance(value, str) and len(value) < 60 else binding.show(value)}")
         assign(raw, key, value, source)
-    if seed is not None:
-        source.note_set("seed", f"--seed {seed}")
-        raw["seed"] = seed
     return Loaded(parse(raw, source), source)
 
 
@@ -148,7 +155,7 @@ def parse(raw: Mapping[str, Any], source: Source) -> Scenario:
         for index, each in enumerate(tables):
             _check_named(each, f"{group}[{index}]", source)
     source.stations = frozenset(each["name"] for each in placed)
-    listed = repeated(listed, source)
+    listed = repeated(listed, source, raw.get("seed", 0))
     stations = tuple(_station(each, source) for each in placed)
     vehicles = (*(_vehicle(each, defaults, source) for each in listed), *map(_as_vehicle, stations))
     _unique([each.name for each in vehicles], source)
@@ -272,7 +279,7 @@ def assign(raw: dict[str, Any], key: str, value: object, source: Source) -> None
     for depth, part in enumerate(parents):
         if depth == 0 and isinstance(raw.get(part), list):
             if names_copy(raw, key):
-                raw["vehicle"] = repeated(raw["vehicle"], source)  # one copy gets its own value
+                raw["vehicle"] = repeated(raw["vehicle"], source, raw.get("seed", 0))  # one copy gets its own value
             node = {str(each.get("name")): each for each in raw.get(part, []) if isinstance(each, dict)}
         elif depth == 1 and isinstance(raw.get(parents[0]), list) and part not in node:
             raise source.error(binding.unknown(parents[0], part, node), key)

@@ -1,7 +1,10 @@
 """One [[vehicle]] table for many vehicles."""
 
+import math
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -50,6 +53,26 @@ def test_each_copy_is_turned_further(place: str) -> None:
     assert headings == pytest.approx([0.5 + 2.4 * number for number in range(4)])
 
 
+@pytest.mark.parametrize("place", ["pose", "position"])
+def test_a_seed_draws_starts_within_the_spread(place: str) -> None:
+    start = {"pose": [0.0, 0.0, 0.5]} if place == "pose" else {"position": [0.0, 0.0, 1.0], "heading": 0.5}
+    one = {"name": "v", "kind": "kinematic", "count": 50, "spacing": [10.0, 0.0], "spread": [4.0, 0.0, math.pi], **start}
+    scenario = {"name": "x", "duration_s": 1.0, "vehicle": [one]}
+
+    def starts(seed: int, settings: dict[str, Any] | None = None) -> list[Any]:
+        return [each.start for each in load(scenario, seed=seed, settings=settings).scenario.vehicle]
+
+    offsets = [(x - 10.0 * number, y, yaw - 0.5) for number, ((x, y, _), yaw) in enumerate(starts(1))]
+    east, north, turn = (np.array(each) for each in zip(*offsets, strict=True))
+    assert north.tolist() == [0.0] * 50
+    assert (abs(east).max() <= 4.0, abs(turn).max() <= math.pi) == (True, True)
+    assert (abs(east).max() > 3.5, abs(turn).max() > 0.8 * math.pi) == (True, True)
+    assert starts(1) == starts(1)
+    assert all(first != second for first, second in zip(starts(1), starts(2), strict=True))
+    assert starts(2, {"vehicle.v.count": 3}) == starts(2)[:3]  # another vehicle changes no other's start
+    assert starts(2, {"vehicle.v7.kind": "lag", "seed": 1}) == starts(2)
+
+
 @pytest.mark.parametrize(
     ("keys", "key"),
     [
@@ -57,6 +80,8 @@ def test_each_copy_is_turned_further(place: str) -> None:
         ({"count": 2.5}, "vehicle.uav.count"),
         ({"columns": 3}, "vehicle.uav.columns"),
         ({"count": 2, "spacing": [1.0]}, "vehicle.uav.spacing"),
+        ({"spread": [1.0, 1.0, 0.0]}, "vehicle.uav.spread"),
+        ({"count": 2, "spread": [1.0, -1.0, 0.0]}, "vehicle.uav.spread"),
         ({"count": 2, "position": "here"}, "vehicle.uav.position"),
     ],
 )
