@@ -118,6 +118,8 @@ class Chart:
             curves = np.where(curves > 0.0, curves, np.nan)
         finite = curves[np.isfinite(curves)]
         ends = limits_of(finite, log=log) if len(finite) else None
+        if log and ends is not None and (unit := readable_unit(ends[0])) < 1.0:
+            title, curves, ends = in_unit(title, unit), curves / unit, (ends[0] / unit, ends[1] / unit)
         frame = title, ends, log, tuple(names), tuple(strokes)
         data = (time_s, *np.ascontiguousarray(curves.T))
         if frame == self._frame and self._node is not None:
@@ -145,7 +147,7 @@ class Chart:
             series=(uplot.Series(label="time [s]"), *curves),
             title=title,
             scales={"x": {"time": False}, "y": scale},
-            axes=({"label": "time [s]", "labelSize": 18, "size": 32}, {"size": 44}),
+            axes=({"label": "time [s]", "labelSize": 18, "size": 32}, {"size": 54}),
             legend={"show": len(names) > 1},
             height=HEIGHT_PX,
             padding=(8, 24, 0, 0),
@@ -228,6 +230,17 @@ def limits_of(values: Array, *, log: bool) -> tuple[float, float]:
     bottom = -round_above(-low) if low < 0.0 else 0.0
     top = round_above(high) if high > 0.0 or low == 0.0 else 0.0
     return bottom, top
+
+
+def readable_unit(low: float) -> float:
+    """The largest of 1, 0.001, ... in which a page, which writes three decimals, can write this value above 0."""
+    return 1000.0 ** min(0, math.floor((math.log10(low) + 1e-9) / 3.0) + 1)
+
+
+def in_unit(title: str, unit: float) -> str:
+    """The title of a chart with another unit: ``Height [m]`` becomes ``Height [0.001 m]``."""
+    name, bracket, rest = title.partition(" [")
+    return f"{name} [{unit:g} {rest}" if bracket else f"{name} [{unit:g}]"
 
 
 def round_above(number: float) -> float:

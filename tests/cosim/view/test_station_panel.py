@@ -14,7 +14,7 @@ from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.recording.run_state import LogLine
 from vcmvsp.cosim.types import Presence, RealStatus
 from vcmvsp.cosim.view.messages import Craft, Pace, PageUpdate
-from vcmvsp.cosim.view.page.charts import DELIVERY, POINTS, History, limits_of, round_above
+from vcmvsp.cosim.view.page.charts import DELIVERY, POINTS, History, in_unit, limits_of, readable_unit, round_above
 from vcmvsp.cosim.view.page.panel import log_page, run_page, team_page, vehicle_page
 from vcmvsp.cosim.view.page.state import PageState
 from vcmvsp.cosim.view.page.vehicles import places_of
@@ -150,8 +150,14 @@ def test_any_note_and_quantity_has_a_chart_and_a_logarithmic_one_shows_small_num
         assert note.scales is not None
         assert note.scales["y"] == {"range": (pytest.approx(1e-3), pytest.approx(0.1)), "distr": 3}
         assert np.isnan(note.data[2]).all()
+        station_page.show(5.0, notes={"v1": {"gap_m": 0.0001}})
+        *_, note = station_page.parts(viser.GuiUplotHandle)
+        assert note.title == "note gap_m [0.001]"
+        assert note.data[1][-1] == pytest.approx(0.1)
+        assert note.scales is not None
+        assert note.scales["y"]["range"] == pytest.approx((0.1, 100.0))
         station_page.use("Chart 1", "none")
-        station_page.show(5.0, notes={})
+        station_page.show(6.0, notes={})
         assert "East [m]" not in [chart.title for chart in station_page.parts(viser.GuiUplotHandle)]
 
 
@@ -211,6 +217,19 @@ def test_axes_end_little_above_their_values(number: float) -> None:
     top = round_above(number)
     assert number * (1.0 - 1e-6) <= top <= 2.5 * number * (1.0 + 1e-6)
     assert round_above(top) == top
+
+
+@given(st.floats(1e-12, 1e12))
+def test_three_decimals_of_a_unit_show_the_end_of_an_axis(low: float) -> None:
+    unit = readable_unit(low)
+    assert unit <= 1.0
+    assert low / unit >= 0.001 * (1.0 - 1e-8)
+    assert unit == 1.0 or low / unit < 1.0
+
+
+def test_the_title_of_a_chart_names_its_unit() -> None:
+    assert in_unit("East [m], 7 of 9 vehicles", 0.001) == "East [0.001 m], 7 of 9 vehicles"
+    assert in_unit("note a", 1e-6) == "note a [1e-06]"
 
 
 @pytest.mark.parametrize(("count", "suffix"), [(7, ""), (8, ", 7 of 8 vehicles"), (100, ", 7 of 100 vehicles")])
