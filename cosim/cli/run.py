@@ -375,6 +375,7 @@ def study_command(
             progress=progress.on_run,
             checking=progress.on_check,
             noted=progress.on_value,
+            tell=progress.tell,
         )
     failed = [text for text in studied.table["error"].to_pylist() if text is not None]
     _show_study(studied, len(failed), json=json, quiet=quiet)

@@ -28,6 +28,7 @@ from vcmvsp.cosim.studies.rows import flat
 from vcmvsp.cosim.studies.store import Answers, Store, begun
 from vcmvsp.cosim.studies.worker import DIED, Job, Work, WorkersGoneError, run_one, version
 from vcmvsp.cosim.util.files import Folder, to_json, write_whole, writing
+from vcmvsp.cosim.util.text import Tell
 from vcmvsp.cosim.util.versions import versions_of
 
 if TYPE_CHECKING:
@@ -116,6 +117,7 @@ def conduct(
     progress: Progress,
     checking: Checking = lambda *_: None,
     noted: Noted = lambda *_: None,
+    tell: Tell = lambda _: None,
     numbered: bool = False,
 ) -> Studied:
     """Run a study as `study` does, and return its plan and folder too.
@@ -123,6 +125,7 @@ def conduct(
     Args:
         checking: called with (checked, total) points before the first run.
         noted: called with the name of the first metric and its value after each run.
+        tell: receives lines for the user before the first run, each once.
         numbered: if ``out`` exists, use ``out-2``, ``out-3``, ...
     """
     started, begin = datetime.now(UTC), time.monotonic()
@@ -133,7 +136,7 @@ def conduct(
             stored = begun(out, resume=resume, force=force)
     base = plans.base_of(scenario)
     plan = plans.make(base, vary=vary, seeds=seeds, seed=seed, settings=settings, metrics=metrics, stored=stored)
-    plan = examined(plan, base, checking)
+    plan = examined(plan, base, checking, tell)
     work = Work(plan.scenario_toml, str(base.folder), version(), place_of_agents(plan, base), plan.files)
     with _workers(work, jobs, cluster) as ask:
         if out is not None and numbered:
@@ -226,22 +229,26 @@ FORMATION = ("formation.rms_m", "radio.delivery_ratio")
 NO_FORMATION = ("radio.delivery_ratio", "radio.age_s.mean")
 
 
-def examined(plan: Plan, base: Base, checking: Callable[[int, int], None] = lambda *_: None) -> Plan:
+def examined(plan: Plan, base: Base, checking: Checking = lambda *_: None, tell: Tell = lambda _: None) -> Plan:
     """Check that every run can start, and complete the plan with metrics, files and versions.
 
     Args:
         checking: called with (checked, total) before each point.
+        tell: receives remarks on the points, each once.
 
     Raises:
         ScenarioError: a point cannot be run as it is.
         UsageError: a metric is unknown.
     """
     hashes: dict[str, set[str]] = {}
+    lines: list[str] = []
     chosen = list(_chosen(plan))
     for number, point in enumerate(chosen):
         checking(number, len(chosen))
-        for name, content in _check(plan, base, point).items():
+        for name, content in _check(plan, base, point, lines.append).items():
             hashes.setdefault(name, set()).add(hashlib.sha256(content).hexdigest())
+    for line in dict.fromkeys(lines):
+        tell(line)
     files = {name: " ".join(sorted(digests)) for name, digests in hashes.items()}
     versions = versions_of(PACKAGES)
     return msgspec.structs.replace(plan, metrics=_metrics(plan, base), files=files, versions=versions)
@@ -268,7 +275,7 @@ def _chosen(plan: Plan) -> Iterator[tuple[Any, ...]]:
         yield from ((*first[:place], value, *first[place + 1 :]) for value in each[1:])
 
 
-def _check(plan: Plan, base: Base, point: tuple[Any, ...]) -> Mapping[str, bytes]:
+def _check(plan: Plan, base: Base, point: tuple[Any, ...], tell: Tell) -> Mapping[str, bytes]:
     """Build and start a point's federates once; returns the files that it uses."""
     settings = plan.settings(point)
     files: Mapping[str, bytes] = {}
@@ -278,7 +285,7 @@ def _check(plan: Plan, base: Base, point: tuple[Any, ...]) -> Mapping[str, bytes
             raise UsageError("a study cannot run external programs: leave [bridge], [sockets] and [stack] out")
         if parsed.real:
             raise UsageError(f"a study cannot drive real vehicles ({', '.join(parsed.real)}): simulate them with --twin")
-        with assemble(parsed, source, runs="inprocess" if _by_hand(parsed) else "here") as assembled:
+        with assemble(parsed, source, runs="inprocess" if _by_hand(parsed) else "here", tell=tell) as assembled:
             assembled.resolved()  # only now all files are known
             files = assembled.resolution.files
             kernel = Kernel(assembled.info, assembled.federates)

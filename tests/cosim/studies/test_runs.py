@@ -241,9 +241,9 @@ def test_of_many_points_each_value_is_checked_once(monkeypatch: pytest.MonkeyPat
     reports: list[tuple[int, int]] = []
     check = engine._check
 
-    def noted(plan: Plan, base: plans.Base, point: tuple[Any, ...]) -> Any:
+    def noted(plan: Plan, base: plans.Base, point: tuple[Any, ...], *more: Any) -> Any:
         points.append(point)
-        return check(plan, base, point)
+        return check(plan, base, point, *more)
 
     monkeypatch.setattr(engine, "_check", noted)
     for losses, count in ((25, 50), (26, 27)):
@@ -255,6 +255,16 @@ def test_of_many_points_each_value_is_checked_once(monkeypatch: pytest.MonkeyPat
         assert reports == [(number, count) for number in range(count)]
         assert len(set(points)) == count
         assert [{point[key] for point in points} for key in (0, 1)] == [{*values} for values in vary.values()]
+
+
+def test_each_remark_on_a_point_is_told_once() -> None:
+    base = plans.base_of("formation-circle")
+    vary = {LOSS: [0.0, 0.1], "radio.delay.seconds": [0.0, 100.0]}
+    settings = {"duration_s": 5.0}
+    plan = plans.make(base, vary=vary, seeds=1, seed=None, settings=settings, metrics=None, stored=None)
+    lines: list[str] = []
+    engine.examined(plan, base, tell=lines.append)
+    assert [line.partition(":")[0] for line in lines] == ["metrics.from_s = 20", "radio.delay.seconds = 100"]
 
 
 def test_checking_shows_its_progress(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
