@@ -22,10 +22,11 @@ LEASE_MS = 1000  # a machine is lost after so long a silence; the silent side's 
 ACCEPT_MS = 3000  # a connection that stays silent during the handshake is closed after so long
 OPEN_MS = 2000  # timeout of a connection attempt
 
-LIMITS: dict[str, Any] = {"transport": {"link": {"rx": {"max_message_size": MAX_MESSAGE}}}}
-"""Receive limits of any hub; Zenoh's default is 1 GiB."""
+_ACCEPT: dict[str, Any] = {"unicast": {"accept_timeout": ACCEPT_MS}}
+LIMITS: dict[str, Any] = {"transport": {"link": {"rx": {"max_message_size": MAX_MESSAGE}}, **_ACCEPT}}
+"""Limits of any hub; Zenoh's defaults are 1 GiB, and 10 s, for which silent connections would also delay the end."""
 
-ROBOT_LIMITS: dict[str, Any] = {"transport": {"link": {"rx": {"max_message_size": MAX_ROBOT}}}}
+ROBOT_LIMITS: dict[str, Any] = {"transport": {"link": {"rx": {"max_message_size": MAX_ROBOT}}, **_ACCEPT}}
 """Receive limits of a driver that waits for a robot."""
 
 LOG = "error,zenoh_link_tls=warn,zenoh::net::routing::hat::broker::pubsub=off"
@@ -174,9 +175,7 @@ def _transport(ca_pem: str, own: Mapping[str, str]) -> Config:
 
 def _listening(keys: "Keys") -> Config:
     tls = {"listen_private_key_base64": _base64(keys.key_pem), "listen_certificate_base64": _base64(keys.certificate_pem)}
-    config = _transport(keys.ca_pem, tls)
-    config["transport"]["unicast"] = {"accept_timeout": ACCEPT_MS}
-    return config
+    return _transport(keys.ca_pem, tls)
 
 
 def access(machines: Mapping[str, Rules]) -> Config:

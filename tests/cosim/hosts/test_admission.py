@@ -4,7 +4,6 @@ import contextlib
 import os
 import socket
 import subprocess
-import time
 import tomllib
 from pathlib import Path
 
@@ -12,7 +11,7 @@ import pytest
 
 import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.run_processes import Stage, exit_of, output_at_exit, staged, wait_for
+from tests.support.cosim.run_processes import Stage, exit_of, output_at_exit, read_until, staged, wait_for
 from tests.support.cosim.teams import FOLLOWER, team
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.transport.zenoh_session import threads
@@ -92,10 +91,10 @@ def test_unknown_hosts_are_refused(stage: ByHand) -> None:
 def test_a_host_that_leaves_before_the_run_begins_can_be_replaced(stage: ByHand) -> None:
     run = stage.start("run", str(stage.scenario()), "--agents", "zenoh", "--out", str(stage.out), "--quiet")
     early = stage.host()
-    time.sleep(2.0)
+    read_until(early, "joined")
     early.kill()
     leader = stage.host(vehicle="car1")
-    time.sleep(1.0)  # complete but for the host that has left, which the run may not have detected yet
+    read_until(leader, "joined")  # complete but for the host that has left, which the run may not have detected yet
     later = stage.host()
     ends = [exit_of(each) for each in (run, later, leader)]
     assert [code for code, _ in ends] == [0, 0, 0], ends
@@ -109,18 +108,17 @@ def test_a_run_without_hosts_ends(stage: ByHand) -> None:
 
 
 def test_a_host_that_is_killed_ends_the_run(stage: ByHand) -> None:
-    run, host = stage.run("--realtime", duration=3600.0, deadline=2.0), stage.host()
+    run, host = stage.run("--realtime", duration=3600.0, deadline=1.0), stage.host()
     wait_for(stage.out / "run.mcap")
-    time.sleep(0.5)
     host.kill()
     code, output = exit_of(run)  # long before the end of the run, one hour
     assert code == 3
-    assert "agent leader_follower of vehicle car2: did not answer within the deadline of 2 s: it left the run" in output
+    assert "agent leader_follower of vehicle car2: did not answer within the deadline of 1 s: it left the run" in output
     assert (stage.out / "states.parquet").exists()
 
 
 def test_a_run_that_is_killed_ends_the_host(stage: ByHand) -> None:
-    run, host = stage.run("--realtime", duration=3600.0, deadline=2.0), stage.host()
+    run, host = stage.run("--realtime", duration=3600.0, deadline=1.0), stage.host()
     wait_for(stage.out / "run.mcap")
     run.kill()
     output = output_at_exit(3, host)

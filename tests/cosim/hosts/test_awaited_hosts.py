@@ -20,6 +20,7 @@ from vcmvsp.cosim.hosts.hub import Hub
 from vcmvsp.cosim.runs import api
 from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.security import authority, certificates
+from vcmvsp.cosim.transport import access_control
 
 pytestmark = [pytest.mark.processes, pytest.mark.sockets]
 
@@ -140,7 +141,10 @@ def test_a_hub_for_children_needs_no_short_path_and_closes_its_files(
     assert not [link for link in open_files() if link.startswith(str(long))]
 
 
-def test_a_connection_that_does_not_finish_its_greeting_does_not_spoil_the_end(stack: contextlib.ExitStack) -> None:
+def test_a_connection_that_does_not_finish_its_greeting_does_not_spoil_the_end(
+    monkeypatch: pytest.MonkeyPatch, stack: contextlib.ExitStack
+) -> None:
+    monkeypatch.setitem(access_control.LIMITS["transport"], "unicast", {"accept_timeout": 300})  # ms
     hub = Hub()
     host, port = hub.endpoint.removeprefix("tcp/").rsplit(":", 1)
     for _ in range(20):

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 import vcmvsp
-from tests.support.cosim.run_processes import VCMVSP
+from tests.support.cosim.run_processes import Stage, exit_of
 from vcmvsp.cosim.agent import Agent, Observation, Radio, VehicleInfo
 from vcmvsp.cosim.errors import AgentError
 from vcmvsp.cosim.types import Follows, Velocity
@@ -40,9 +40,10 @@ class OneAction(Agent):
 
 def test_runs_at_once_never_share_a_folder(tmp_path: Path) -> None:
     short = ["--set", "duration_s=0.5", "--set", "physics.kind=kinematic", "--quiet"]
-    command = [*VCMVSP, "run", "formation-circle", "--agents", "inprocess", *short]
-    seeds = [subprocess.Popen([*command, "--set", f"radio.loss.probability=0.{n}"], cwd=tmp_path) for n in range(3)]
-    assert [run.wait(60) for run in seeds] == [0, 0, 0]
+    command = ["run", "formation-circle", "--agents", "inprocess", *short]
+    with Stage(tmp_path) as stage:
+        runs = [stage.start(*command, "--set", f"radio.loss.probability=0.{n}") for n in range(3)]
+        assert [exit_of(run)[0] for run in runs] == [0, 0, 0]
     texts = {(path / "scenario.toml").read_text() for path in (tmp_path / "runs").iterdir()}
     assert len(texts) == 3
 
@@ -70,8 +71,8 @@ def test_files_beside_two_agents_do_not_mix_and_are_read_again(tmp_path: Path) -
         vehicle["agent"] = {"kind": f"{folder}/{vehicle['name']}.py:A"}
 
     def moved() -> list[float]:
-        end = vcmvsp.run(scenario).states.to_pandas().groupby("vehicle").x.last()
-        return [round(end["car1"], 9), round(end["car2"] - 3.0, 9)]
+        one, two = vcmvsp.run(scenario).states["x"].to_numpy()[-2:]
+        return [round(float(one), 9), round(float(two) - 3.0, 9)]
 
     assert moved() == [0.1, 0.4]
     (tmp_path / "car2" / "gains.py").write_text("SPEED = -0.25")

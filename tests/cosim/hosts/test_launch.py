@@ -36,7 +36,7 @@ ROCK = """
 name = "rock"
 pose = [9.0, 9.0, 0.0]
 """
-SCENARIO = team("far", LEADER + ', runs = "inprocess"', FOLLOWER, FOLLOWER, duration_s=3.0, loss=0.3) + ROCK
+SCENARIO = team("far", LEADER + ', runs = "inprocess"', FOLLOWER, FOLLOWER, duration_s=3.0, loss=0.3, deadline_s=1.0) + ROCK
 NOTED = """
 import os, pathlib, sys
 from vcmvsp import Agent, Velocity
@@ -69,10 +69,7 @@ class LaunchStage(Stage):
         arguments = ["launch", "far.toml", "--hosts", "hosts.toml", "--out", "out", *more]
         if not {"--listen", "--keys"} & {*more}:  # with keys, the hosts file contains the address at which the run listens
             arguments += ["--listen", self.endpoint]
-        environment = os.environ | self.environment
-        process = subprocess.Popen([*VCMVSP, *arguments], stderr=subprocess.PIPE, text=True, cwd=self.folder, env=environment)
-        self.processes.append(process)
-        return process
+        return self.start(*arguments, more=self.environment)
 
     def log(self, name: str) -> str:
         return (self.out / "hosts" / f"{name}.log").read_text()
@@ -257,7 +254,6 @@ def test_a_host_that_is_killed_later_is_named(stage: LaunchStage) -> None:
     stage.hosts(f'[[host]]\nname = "far"\nvehicles = ["car2", "car3"]\ncommand = {command}\n')
     launch = stage.launch("--realtime", "--set", "duration_s=3600")
     wait_for(stage.out / "run.mcap")
-    time.sleep(0.5)
     os.kill(int((stage.folder / "pid").read_text()), signal.SIGKILL)
     output = output_at_exit(3, launch)
     assert "[far] ended with exit code 137" in output

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.compute as pc
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -77,8 +78,8 @@ def scenario(tmp_path: Path) -> Path:
 
 def travelled(result: vcmvsp.Result, vehicle: str) -> float:
     """Distance along x, m."""
-    rows = result.states.to_pandas().query("vehicle == @vehicle")
-    return float(rows.x.iloc[-1] - rows.x.iloc[0])
+    x = result.states.filter(pc.field("vehicle") == vehicle)["x"].to_numpy()
+    return float(x[-1] - x[0])
 
 
 def presences(folder: Path) -> list[tuple[str, float, dict[str, Any]]]:
@@ -172,7 +173,7 @@ class ByHand(Stage):
         self.open_to: list[str] = []  # --insecure: to all users
 
     def run(self, *settings: str, seconds: float = 3600.0) -> subprocess.Popen[str]:
-        elsewhere = ["vehicle.car2.agent.runs=zenoh", "agents.on_lost=hold", "agents.deadline_s=2.0"]
+        elsewhere = ["vehicle.car2.agent.runs=zenoh", "agents.on_lost=hold", "agents.deadline_s=1.0"]
         more = [f"duration_s={seconds}", *elsewhere, *settings]
         sets = [word for setting in more for word in ("--set", setting)]
         return self.start(
@@ -218,7 +219,7 @@ def test_a_host_that_hangs_continues_with_its_state(stage: ByHand) -> None:
     """The agent keeps its state and continues to count. Its answer after the deadline does not count."""
     run = stage.run("vehicle.car2.agent.how=stop", f"vehicle.car2.agent.once={stage.folder / 'stopped'}")
     host = stage.host()
-    read_until(run, "car2 has lost its agent: did not answer within the deadline of 2 s")
+    read_until(run, "car2 has lost its agent: did not answer within the deadline of 1 s")
     host.send_signal(signal.SIGCONT)
     read_until(run, "car2 has its agent again")
     wait_for(stage.folder / "stopped and on")
@@ -235,20 +236,6 @@ def test_a_host_that_hangs_continues_with_its_state(stage: ByHand) -> None:
     # 10 ticks before; the answer to the eleventh came too late; the next is the twelfth.
     assert counts[9:11] == [10, 12]
     assert counts == sorted(set(counts))
-
-
-def test_a_host_may_come_late(stage: ByHand) -> None:
-    run = stage.run("agents.join_timeout_s=0.1")
-    read_until(run, "the host of car2 did not join within 0.1 s (agents.join_timeout_s); the run starts without")
-    read_until(run, "car2 has lost its agent: it has no host yet")
-    code, output = exit_of(stage.host("--set", "at=7.0"))
-    assert (code, "accepts no other parameters: leave out --set" in output) == (2, True)
-    late = stage.host()
-    read_until(run, "car2 has its agent again")
-    _, metrics, _ = stage.finish(run)
-    assert exit_of(late)[0] == 0
-    assert metrics["reconnects"] == 1
-    assert metrics["missed"] > 0
 
 
 def test_a_removed_agent_does_not_return(stage: ByHand) -> None:
@@ -287,10 +274,10 @@ def test_a_run_refuses_unusable_hosts(stage: ByHand) -> None:
     assert refusal in exit_of(other)[1]
 
 
-tick_times = st.integers(0, 100)
+tick_times = st.integers(0, 30)
 
 
-@given(st.lists(tick_times, unique=True, max_size=8).map(sorted), st.integers(1, 100), st.integers(1, 7))
+@given(st.lists(tick_times, unique=True, max_size=8).map(sorted), st.integers(1, 30), st.integers(1, 7))
 def test_missed_ticks_are_counted_exactly(changes: list[int], end: int, per: int) -> None:
     """Compared with a loop over all ticks."""
     train, second = Ticks(SECOND_NS, per), SECOND_NS
@@ -311,30 +298,32 @@ def test_missed_ticks_are_counted_exactly(changes: list[int], end: int, per: int
 
 
 def test_a_host_that_cannot_start_costs_the_run_only_its_vehicle(stage: ByHand) -> None:
-    """Another host may join later, with the same class from its own folder."""
-    run, bad = stage.run("agents.join_timeout_s=3.0"), stage.host("nobody.py:Nobody")
+    """Another host may come late, with the same class from its own folder, but without other parameters."""
+    run, bad = stage.run("agents.join_timeout_s=2.0"), stage.host("nobody.py:Nobody")
     code, output = exit_of(bad)
     assert (code, "nobody.py" in output) == (2, True)
-    read_until(run, "the run starts without")
-    read_until(run, "car2 has lost its agent")
+    read_until(run, "the host of car2 did not join within 2 s (agents.join_timeout_s); the run starts without")
+    read_until(run, "car2 has lost its agent: it has no host yet")
+    code, output = exit_of(stage.host("--set", "at=7.0"))
+    assert (code, "accepts no other parameters: leave out --set" in output) == (2, True)
     elsewhere = stage.folder / "elsewhere"
     elsewhere.mkdir()
     (elsewhere / "failing.py").write_text(AGENTS)
     stage.folder = elsewhere
-    good = stage.start("agent", "failing.py:Failing", "--vehicle", "car2", "--connect", stage.endpoint)
+    late = stage.start("agent", "failing.py:Failing", "--vehicle", "car2", "--connect", stage.endpoint)
     read_until(run, "car2 has its agent again")
     _, metrics, _ = stage.finish(run)
-    assert exit_of(good)[0] == 0
+    assert exit_of(late)[0] == 0
     assert metrics["reconnects"] == 1
+    assert metrics["missed"] > 0
 
 
 def test_a_host_that_was_stopped_while_its_run_ended_ends_too(stage: ByHand) -> None:
-    run, host = stage.run("agents.join_timeout_s=3.0"), stage.host()
+    run, host = stage.run("agents.join_timeout_s=1.0"), stage.host()
     wait_for(stage.out / "run.mcap")
     read_until(host, "joined")  # maybe after the start of the run
     host.send_signal(signal.SIGSTOP)
     stage.finish(run)
-    time.sleep(1.0)
     host.send_signal(signal.SIGCONT)
     code, output = exit_of(host)
     # It may first read the farewell sent meanwhile, or first detect the closed link.
@@ -343,16 +332,16 @@ def test_a_host_that_was_stopped_while_its_run_ended_ends_too(stage: ByHand) -> 
 
 def test_a_failed_agent_does_not_return_with_its_host(stage: ByHand) -> None:
     """Later its host hangs and returns; the agent does not."""
-    more = ("vehicle.car2.agent.how=raise", "vehicle.car2.agent.at=0.3", "agents.deadline_s=1.5")
-    run = stage.run(*more, seconds=4.0)
+    more = ("vehicle.car2.agent.how=raise", "vehicle.car2.agent.at=0.3")
+    run = stage.run(*more, seconds=3.0)
     host = stage.host()
     read_until(run, "car2 has lost its agent: raised RuntimeError: lost my way")
     host.send_signal(signal.SIGSTOP)
-    time.sleep(2.5)
+    time.sleep(1.5)
     host.send_signal(signal.SIGCONT)
     assert [exit_of(each)[0] for each in (run, host)] == [0, 0]
     metrics = stage.written()["agents"]["car2"]
     assert [each[2]["state"] for each in presences(stage.out)] == ["lost"]
     assert metrics["reconnects"] == 0
     assert metrics["missed"] - round(metrics["lost_s"] / 0.1) in (0, 1)  # the run may end at a tick
-    assert metrics["missed"] > 30
+    assert metrics["missed"] > 20

@@ -269,7 +269,7 @@ def test_a_query_returns_facts_of_the_run(hub: Hub, topics: Topics, stack: conte
     assert about["protocol"] == protocol.PROTOCOL
     topics.on(Event("car1/note", 17, VALUES["note"]))
     assert ask(session, key_names.about_key("anyone"))[0]["time_ns"] == 17
-    for key in (key_names.ABOUT, "vcmvsp/**", "vcmvsp/about/a b", "vcmvsp/about/$*x"):
+    for key in (key_names.ABOUT, "vcmvsp/about/**", "vcmvsp/about/a b", "vcmvsp/about/$*x"):
         assert ask(session, key) == []
     topics.close()
     assert ask(session, key_names.about_key("anyone")) == []

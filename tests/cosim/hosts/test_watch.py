@@ -1,5 +1,6 @@
 """``vcmvsp watch`` at real runs: it shows the recorded values and does not change the run."""
 
+import contextlib
 import json
 import os
 import pty
@@ -7,16 +8,17 @@ import re
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 from mcap.reader import make_reader
 
 import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.run_processes import VCMVSP, Stage, exit_of, output_at_exit, read_until, staged, wait_for
-from tests.support.cosim.teams import FOLLOWER, LEADER, team
+from tests.support.cosim.run_processes import Stage, exit_of, output_at_exit, read_until, staged, wait_for
+from tests.support.cosim.teams import FOLLOWER, LEADER, WAITS, team
 from tests.support.cosim.view_pages import browser
 from tests.support.paths import ROOT
 from vcmvsp.cosim.cli import remote
@@ -41,11 +43,7 @@ class WatchStage(Stage):
 
     def watch(self, name: str, *more: str) -> subprocess.Popen[str]:
         with (self.folder / name).open("wb") as out:
-            process = subprocess.Popen(
-                [*VCMVSP, "watch", self.endpoint, *more], stdout=out, stderr=subprocess.PIPE, text=True, cwd=self.folder
-            )
-        self.processes.append(process)
-        return process
+            return self.start("watch", self.endpoint, *more, stdout=out.fileno())
 
     def waiting(self, *more: str) -> subprocess.Popen[str]:
         """A run that begins when its host joins."""
@@ -56,6 +54,13 @@ class WatchStage(Stage):
 
     def endless(self, *more: str) -> subprocess.Popen[str]:
         return self.run("--set", "duration_s=600", "--realtime", *more)
+
+    def secure(self) -> None:
+        """Certificates: of an observer, anna, and of both vehicles, laptop."""
+        authority.init(self.folder / "keys")
+        authority.issue(self.folder / "keys", "anna")
+        authority.issue(self.folder / "keys", "laptop", ("car1", "car2"))
+        self.endpoint = f"tls/127.0.0.1:{self.port}"
 
     def seen(self, name: str) -> list[dict[str, Any]]:
         return [json.loads(each) for each in (self.folder / name).read_text().splitlines()]
@@ -68,20 +73,48 @@ class WatchStage(Stage):
 stage = staged(WatchStage)
 
 
-def test_two_observers_see_the_recording_and_change_no_bit(stage: WatchStage) -> None:
-    """Both wait for the run, which waits for its host: they receive it from its first event to its last."""
-    everything, one = stage.watch("all", "--json"), stage.watch("one", "--topic", "car2/note", "--topic", "car1/*")
-    read_until(everything, "waiting for a run at")
-    run = stage.waiting()
-    for observer in (everything, one):
-        read_until(observer, "watching")
-    assert [exit_of(each)[0] for each in (run, stage.host(), everything, one)] == [0, 0, 0, 0]
-    assert stage.digest() == stage.alone()
+class Watched(NamedTuple):
+    """A run that observers have watched: two to its end, one that left, one that was stopped, and one on a terminal."""
+
+    stage: WatchStage
+    left: tuple[int, str]  # exit code and output
+    stopped: str
+    shown: str  # on the terminal
+
+
+@pytest.fixture(scope="module")
+def watched(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Watched]:
+    """The first two wait for the run, which waits for its host: they receive it from its first event to its last."""
+    with WatchStage(tmp_path_factory.mktemp("watched")) as stage:
+        stage.secure()
+        keys = ("--keys", "keys/anna.keys")
+        first = stage.watch("all", "--json", *keys), stage.watch("one", "--topic", "car2/note", "--topic", "car1/*", *keys)
+        read_until(first[0], "waiting for a run at")
+        run = stage.waiting("--keys", "keys")
+        stops, leaves = stage.watch("stops", "--json", *keys), stage.watch("leaves", "--json", *keys)
+        controller, terminal = pty.openpty()
+        shows = stage.start("watch", stage.endpoint, "--topic", "car1/command", *keys, stdout=terminal)
+        os.close(terminal)
+        for observer in (*first, stops, leaves, shows):
+            read_until(observer, "watching")
+        stops.send_signal(signal.SIGSTOP)
+        leaves.send_signal(signal.SIGINT)
+        left, host, shown = exit_of(leaves), stage.host("--keys", "keys/laptop.keys"), b""
+        with contextlib.suppress(OSError):  # it has exited
+            while data := os.read(controller, 65536):
+                shown += data
+        os.close(controller)
+        assert [exit_of(each)[0] for each in (run, host, *first, shows)] == [0, 0, 0, 0, 0]
+        stops.send_signal(signal.SIGCONT)
+        yield Watched(stage, left, output_at_exit(0, stops), shown.decode())
+
+
+def test_observers_see_the_recording(watched: Watched) -> None:
     recorded: dict[str, list[Any]] = {topic: [] for topic in SAME}
-    with (stage.out / "run.mcap").open("rb") as stream:
+    with (watched.stage.out / "run.mcap").open("rb") as stream:
         for _, channel, message in make_reader(stream).iter_messages(topics=list(SAME)):
             recorded[channel.topic].append((message.log_time, json.loads(message.data)))
-    events = stage.seen("all")
+    events = watched.stage.seen("all")
     for topic in SAME:
         assert recorded[topic]
         shown = [(each["time_ns"], each["value"]) for each in events if each["topic"] == topic]
@@ -90,10 +123,23 @@ def test_two_observers_see_the_recording_and_change_no_bit(stage: WatchStage) ->
         else:
             assert shown == recorded[topic]
         assert all(each["type"] == each["value"]["type"] for each in events)
-    lines = (stage.folder / "one").read_text().splitlines()
+    assert events[-1]["time_ns"] == 2_000_000_000
+    lines = (watched.stage.folder / "one").read_text().splitlines()
     topics = {re.split(r"\s+", each.strip())[2] for each in lines}
     assert topics == {"car2/note", *(f"car1/{name}" for name in ("state", "estimate", "odometry", "command", "send"))}
     assert any(re.fullmatch(r" +\d\.\d00 s  car1/command      v 0\.\d\d m/s  w -?\d\.\d\d rad/s", each) for each in lines)
+
+
+def test_observers_change_no_bit_also_if_they_hang_or_are_interrupted(watched: Watched) -> None:
+    assert watched.stage.digest() == watched.stage.alone()
+    assert watched.left == (130, "vcmvsp: interrupted\n")
+    assert "the run has ended" in watched.stopped
+
+
+def test_a_terminal_shows_the_newest_twice_a_second(watched: Watched) -> None:
+    times = [float(each.split()[0]) for each in watched.shown.splitlines()]
+    assert times[-1] == 1.9
+    assert len(times) < 15  # of 20 events
 
 
 def test_a_late_observer_sees_the_rest(stage: WatchStage) -> None:
@@ -111,57 +157,14 @@ def test_a_late_observer_sees_the_rest(stage: WatchStage) -> None:
     assert 0 < times[0] <= stage.seen("some")[0]["time_ns"] < stage.seen("some")[-1]["time_ns"] <= times[-1]
 
 
-def test_an_observer_that_hangs_or_is_interrupted_ends_no_run(stage: WatchStage) -> None:
-    run = stage.waiting()
-    hangs, leaves = stage.watch("hangs", "--json"), stage.watch("leaves", "--json")
-    for observer in (hangs, leaves):
-        read_until(observer, "watching")
-    os.kill(hangs.pid, signal.SIGSTOP)
-    leaves.send_signal(signal.SIGINT)
-    assert exit_of(leaves) == (130, "vcmvsp: interrupted\n")
-    assert [exit_of(each)[0] for each in (run, stage.host())] == [0, 0]
-    assert stage.digest() == stage.alone()
-    os.kill(hangs.pid, signal.SIGCONT)
-    output = output_at_exit(0, hangs)
-    assert "the run has ended" in output
-
-
-def test_a_terminal_shows_the_newest_twice_a_second(stage: WatchStage) -> None:
-    run = stage.waiting()
-    controller, terminal = pty.openpty()
-    process = subprocess.Popen(
-        [*VCMVSP, "watch", stage.endpoint, "--topic", "car1/command"], stdout=terminal, stderr=subprocess.PIPE, text=True
-    )
-    stage.processes.append(process)
-    os.close(terminal)
-    read_until(process, "watching")
-    host = stage.host()
-    shown = b""
-    try:
-        while data := os.read(controller, 65536):
-            shown += data
-    except OSError:  # it has exited
-        pass
-    os.close(controller)
-    assert [exit_of(each)[0] for each in (process, run, host)] == [0, 0, 0]
-    times = [float(each.split()[0]) for each in shown.decode().splitlines()]
-    assert times[-1] == 1.9
-    assert len(times) < 15  # of 20 events
-
-
 def test_with_certificates_only_observers_watch(stage: WatchStage) -> None:
-    folder = stage.folder / "keys"
-    authority.init(folder)
-    for name, vehicles in (("anna", ()), ("gone", ()), ("laptop", ("car1", "car2"))):
-        authority.issue(folder, name, vehicles)
-    authority.revoke(folder, "gone")
+    stage.secure()
+    authority.issue(stage.folder / "keys", "gone")
+    authority.revoke(stage.folder / "keys", "gone")
     other = stage.folder / "other"
     authority.init(other)
     authority.issue(other, "anna")
-    stage.endpoint = f"tls/127.0.0.1:{stage.port}"
-    run = stage.waiting("--keys", "keys")
-    anna = stage.watch("anna", "--keys", "keys/anna.keys", "--json")
-    read_until(anna, "watching")
+    read_until(stage.waiting("--keys", "keys"), "vcmvsp agent")
     refusals = {
         "keys/laptop.keys": "is for the host of car1, car2; to watch, use a file made by 'vcmvsp keys observer NAME'",
         "keys/gone.keys": "'gone' is unknown to this run: its certificate was revoked",
@@ -175,29 +178,27 @@ def test_with_certificates_only_observers_watch(stage: WatchStage) -> None:
     code, _, err = vcmvsp_command("watch", stage.endpoint)
     assert code == 2
     assert "add --keys FILE (made on the run's machine with: vcmvsp keys observer NAME" in err
-    assert [exit_of(each)[0] for each in (run, stage.host("--keys", "keys/laptop.keys"), anna)] == [0, 0, 0]
-    assert stage.seen("anna")[-1]["time_ns"] == 2_000_000_000
 
 
 def test_a_page_elsewhere_shows_the_run_without_controls_and_changes_no_bit(stage: WatchStage) -> None:
-    authority.init(stage.folder / "keys")
-    authority.issue(stage.folder / "keys", "anna")
-    authority.issue(stage.folder / "keys", "laptop", ("car1", "car2"))
-    stage.endpoint = f"tls/127.0.0.1:{stage.port}"
+    stage.secure()
+    (stage.folder / "waits.py").write_text(WAITS)
+    text = SCENARIO.replace(LEADER, 'kind = "waits.py:Waits", until = 1.0').replace("deadline_s = 20.0", "deadline_s = 300.0")
+    (stage.folder / "shown.toml").write_text(text)
     with browser() as chromium:
-        run = stage.waiting("--keys", "keys", "--set", "duration_s=10")
+        run = stage.run("--agents", "zenoh", "--keys", "keys")
         observer = stage.watch("page", "--keys", "keys/anna.keys", "--view", "--view-port", "0")
-        host = stage.host("--keys", "keys/laptop.keys")
+        host = stage.host("--keys", "keys/laptop.keys", "--folder", ".")
         url = read_until(observer, "control station: ").split()[-1]
         page = chromium.new_page()
         page.goto(url)
+        page.get_by_text("car1, kinematic").wait_for(timeout=60_000)
+        (stage.folder / "go").touch()
         page.locator("#over").get_by_text("the run is complete").wait_for(timeout=60_000)
-        assert "car1, kinematic" in page.inner_text("body")
         for control in ("Stop all vehicles", "End the run", "Pause", "Inject outage"):
             assert page.get_by_text(control).count() == 0
         assert [exit_of(each)[0] for each in (run, host, observer)] == [0, 0, 0]
-    alone = vcmvsp.run(stage.folder / "shown.toml", set={"duration_s": 10.0}, mcap=False)
-    assert stage.digest() == alone.metrics["digest"]
+    assert stage.digest() == stage.alone()
 
 
 def test_a_page_excludes_options_of_lines() -> None:

@@ -2,17 +2,21 @@
 
 import contextlib
 import json
+import os
 import socket
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, cast
 
 import pytest
 
+from tests.support.cosim.forked_programs import ForkedProgram
+
+NOTHING: Mapping[str, str] = {}
 PROGRAM = ["-P", "-m", "vcmvsp.cosim.cli.app"]
 VCMVSP = [sys.executable, *PROGRAM]
 
@@ -58,11 +62,14 @@ class Stage:
     def digest(self) -> str:
         return self.written()["digest"]
 
-    def start(self, *arguments: str, before: Sequence[str] = ()) -> subprocess.Popen[str]:
-        """Start ``vcmvsp`` with these arguments; ``before`` is a prefix command, such as ``ip netns exec``."""
-        return self.python(*PROGRAM, *arguments, before=before)
+    def start(self, *arguments: str, more: Mapping[str, str] = NOTHING, stdout: int = 1) -> subprocess.Popen[str]:
+        """Start ``vcmvsp`` with these arguments, and more variables in its environment."""
+        program = ForkedProgram(*arguments, folder=self.folder, environment={**os.environ, **more}, stdout=stdout)
+        self.processes.append(cast("subprocess.Popen[str]", program))
+        return self.processes[-1]
 
     def python(self, *arguments: str, before: Sequence[str] = ()) -> subprocess.Popen[str]:
+        """Start Python afresh; ``before`` is a prefix command, such as ``ip netns exec``."""
         command = [*before, sys.executable, *arguments]
         process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=self.folder)
         self.processes.append(process)
@@ -105,11 +112,9 @@ def read_until(process: subprocess.Popen[str], text: str) -> str:
 @contextlib.contextmanager
 def served(folder: Path, label: str, *arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """A ``vcmvsp`` process in a folder, and the address that it prints behind a label; leaving the block ends it."""
-    with subprocess.Popen([*VCMVSP, *arguments], cwd=folder, stderr=subprocess.PIPE, text=True) as process:
-        try:
-            yield process, read_until(process, label).split()[-1]
-        finally:
-            process.kill()
+    with Stage(folder) as stage:
+        process = stage.start(*arguments)
+        yield process, read_until(process, label).split()[-1]
 
 
 def wait_for(path: Path) -> None:

@@ -3,6 +3,22 @@
 from typing import Any
 
 LEADER, FOLLOWER = 'kind = "trajectory"', 'kind = "leader_follower", leader = "car1"'
+WAITS = """
+import pathlib, time
+from vcmvsp.agents.formation.leaders.trajectory import Trajectory
+
+class Waits(Trajectory):
+    '''At ``until`` seconds, waits for a file beside this one.'''
+    def __init__(self, until: float) -> None:
+        super().__init__()
+        self.until = until
+    def act(self, obs, radio):
+        while obs.time_s >= self.until and not pathlib.Path(__file__).with_name("go").exists():
+            time.sleep(0.02)
+        return super().act(obs, radio)
+"""
+"""``waits.py``: an agent that waits for an event of a test."""
+
 HERE, ELSEWHERE = ', runs = "inprocess"', ', runs = "zenoh"'
 
 
