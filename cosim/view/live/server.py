@@ -66,7 +66,8 @@ def _serve(pipe: protocol.Pipe) -> None:
     order(protocol.Up(port=server.get_port()))
     pump(pipe, station.show)
     station.draw(texts=True)
-    time.sleep(LAST_S)
+    if server.get_clients():
+        time.sleep(LAST_S)
 
 
 def _start(pipe: protocol.Pipe) -> protocol.Start | None:

@@ -9,7 +9,6 @@ import threading
 import time
 import urllib.parse
 from collections.abc import Iterator
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +17,7 @@ import pytest
 from websockets.sync.connection import Connection
 
 from tests.support.cosim import view_pages
-from tests.support.cosim.run_processes import reserve_port
 from tests.support.cosim.view_pages import PATIENCE_S
-from tests.support.paths import ROOT
 from tests.support.waiting import wait_for
 from vcmvsp.cosim.clock import SECOND_NS
 from vcmvsp.cosim.federate import Event
@@ -90,8 +87,9 @@ def test_events_reach_the_page_and_buttons_give_orders(viewer: Viewing) -> None:
         wait_for(lambda: "the bridge is up" in str(messages_to(page)))
 
 
-def test_a_browser_shows_the_page_without_errors(viewer: Viewing) -> None:
-    with view_pages.browser() as browser:
+def test_a_browser_shows_the_page_without_errors_and_after_the_run_the_cause_and_the_last_state() -> None:
+    end = "the run is complete; `vcmvsp view runs/a <b>` opens the recording"
+    with view_pages.browser() as browser, Viewing(port=0).open(SCENERY) as viewer:
         page, errors = browser.new_page(), list[str]()
         page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
         page.on("pageerror", lambda error: errors.append(str(error)))
@@ -100,31 +98,14 @@ def test_a_browser_shows_the_page_without_errors(viewer: Viewing) -> None:
         page.get_by_role("button", name="Stop all vehicles").wait_for(timeout=1e3 * PATIENCE_S)
         assert "token" not in page.url
         assert errors == []
-
-
-def test_after_the_run_the_page_shows_the_cause_and_the_last_state() -> None:
-    end = "the run is complete; `vcmvsp view runs/a <b>` opens the recording"
-    with view_pages.browser() as browser, Viewing(port=0).open(SCENERY) as viewer:
-        page = browser.new_page()
-        page.goto(viewer.url)
-        page.get_by_role("button", name="Stop all vehicles").wait_for(timeout=1e3 * PATIENCE_S)
         viewer.feed.close(end)
         page.locator("#over").get_by_text(end).wait_for(timeout=1e3 * PATIENCE_S)
         viewer.close()
         page.locator("#disconnected").get_by_text(end).wait_for(timeout=1e3 * PATIENCE_S)
         assert page.get_by_role("button", name="Stop all vehicles").is_visible()
-
-
-def test_closing_ends_it() -> None:
-    with reserve_port() as port:
-        viewer = Viewing(port=port).open(SCENERY)
-        with closing(http.client.HTTPConnection("127.0.0.1", port)) as before:
-            before.connect()
-        viewer.feed.close("the run is complete")
-        viewer.close()
         viewer.close()
         with pytest.raises(ConnectionRefusedError):
-            http.client.HTTPConnection("127.0.0.1", port).connect()
+            http.client.HTTPConnection(host_and_token(viewer)[0]).connect()
 
 
 def test_a_run_outlives_its_page() -> None:
@@ -140,10 +121,12 @@ def test_a_run_outlives_its_page() -> None:
 
 
 PARENT = """
-import contextlib
+import contextlib, sys
+from vcmvsp.cosim.util import codec
 from vcmvsp.cosim.view.live.session import Viewing
-from tests.support.cosim import view_pages
-with Viewing(port=0).open(view_pages.scenery()) as viewer, contextlib.suppress(KeyboardInterrupt):  # before it can stay, too
+from vcmvsp.cosim.view.messages import Scenery
+scenery = codec.Decoder(Scenery).decode(open(sys.argv[1], "rb").read())
+with Viewing(port=0).open(scenery) as viewer, contextlib.suppress(KeyboardInterrupt):  # before it can stay, too
     print(viewer._process.pid, flush=True)
     viewer.stay()
 print("done", flush=True)
@@ -153,8 +136,10 @@ print("done", flush=True)
 @pytest.mark.parametrize(
     ("number", "last", "code"), [(signal.SIGKILL, "", -9), (signal.SIGINT, "done\n", 0)], ids=["killed", "Ctrl-C"]
 )
-def test_the_process_ends_with_its_parent(number: signal.Signals, last: str, code: int) -> None:
-    parent = subprocess.Popen([sys.executable, "-c", PARENT], stdout=subprocess.PIPE, cwd=ROOT, text=True)
+def test_the_process_ends_with_its_parent(number: signal.Signals, last: str, code: int, tmp_path: Path) -> None:
+    (tmp_path / "scenery").write_bytes(codec.encode(SCENERY))
+    command = [sys.executable, "-c", PARENT, str(tmp_path / "scenery")]
+    parent = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert parent.stdout is not None
     with parent, parent.stdout:
         child = int(parent.stdout.readline())

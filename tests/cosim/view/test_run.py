@@ -2,10 +2,11 @@
 
 import json
 import re
+import signal
 import subprocess
 import time
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from typing import Any
 import pytest
 
 import vcmvsp
-from tests.support.cosim.run_processes import served
+from tests.support.cosim.run_processes import read_until, served
 from tests.support.cosim.view_pages import browser, positions
 from vcmvsp.cosim.tables.schema import load
 
@@ -68,10 +69,16 @@ def watched_run(folder: Path, *options: str) -> AbstractContextManager[tuple["su
     return served(folder, "control station: ", "run", "looked-at.toml", *page_and_files, *options)
 
 
-def test_a_click_in_the_browser_loses_frames_of_the_run_and_the_run_can_be_repeated(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    with browser() as started:
+        yield started
+
+
+def test_a_click_in_the_browser_loses_frames_of_the_run_and_the_run_can_be_repeated(chromium: Any, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    with browser() as chromium, watched_run(tmp_path) as (process, url):
-        page = chromium.new_page(viewport={"width": 1200, "height": 1000})
+    with watched_run(tmp_path) as (process, url):
+        page = chromium.new_page(viewport={"width": 1000, "height": 600})
         problems: list[str] = []
         page.on("console", lambda message: problems.append(message.text) if is_trouble(message) else None)
         page.goto(url)
@@ -88,6 +95,7 @@ def test_a_click_in_the_browser_loses_frames_of_the_run_and_the_run_can_be_repea
         page.get_by_role("button", name="Yes, end it now").click()
         assert process.wait(WAIT_MS / 1e3) == 130
         assert problems == []
+        page.close()
     assert set(load(out).radio["outcome"].to_pylist()) - {"under way"} == {"received", "outage"}
     resolved = tomllib.loads((out / "scenario.toml").read_text())
     assert [each["kind"] for each in resolved["intervention"]] == ["outage"]
@@ -96,12 +104,15 @@ def test_a_click_in_the_browser_loses_frames_of_the_run_and_the_run_can_be_repea
     assert _lost(again.radio) == [each for each in _lost(load(out).radio) if each["sent_ns"] <= end_ns]
 
 
-def test_the_page_opens_before_the_agents_join_and_shows_a_failed_start(tmp_path: Path) -> None:
-    hosts = ("--agents", "zenoh", "--listen", "tcp/127.0.0.1:0", "--set", "agents.join_timeout_s=8")
-    with browser() as chromium, watched_run(tmp_path, *hosts) as (_, url):
+def test_the_page_opens_before_the_agents_join_and_shows_a_failed_start(chromium: Any, tmp_path: Path) -> None:
+    hosts = ("--agents", "zenoh", "--listen", "tcp/127.0.0.1:0", "--set", "agents.join_timeout_s=3")
+    with watched_run(tmp_path, *hosts) as (process, url):
+        read_until(process, "vcmvsp agent")
+        process.send_signal(signal.SIGSTOP)
         page = chromium.new_page()
         page.goto(url)
         page.get_by_text("waiting for its agents").wait_for(timeout=WAIT_MS)
+        process.send_signal(signal.SIGCONT)
         page.locator("#over").wait_for(timeout=WAIT_MS)
         assert "car1" in page.inner_text("#over")  # name of an agent that did not join
 

@@ -180,16 +180,6 @@ def test_a_choice_is_shown_during_a_pause(page: Page) -> None:
     page.station_page.use("Vehicle", "v1")
 
 
-def test_a_page_opened_during_a_pause_shows_the_present_state(chromium: Any) -> None:
-    with open_station(scenery(2)) as station_page:
-        station_page.show(0.0)
-        station_page.now_s += 1.0
-        station_page.station.show(moving_state(station_page.scene, 20.0))  # no client: nothing is sent
-        late = Page(station_page, chromium.new_page())
-        late.until(lambda: late.shows_positions_at(20.0))
-        late.page.close()
-
-
 def test_the_camera_follows(page: Page) -> None:
     page.station_page.use("Camera follows")
     for time_s in (9.0, 12.0):
@@ -299,19 +289,37 @@ def test_the_picture_of_the_floor_has_north_above_and_hides_the_plain_floor(chro
         page.page.close()
 
 
-def test_a_shadow_is_darker_than_the_floor_on_the_sunny_side_of_its_wall(chromium: Any) -> None:
-    with open_station(scenery(1)) as station_page:  # a wall 1 m high at y = 6 m; the sun is in the south-east
+@pytest.fixture(scope="class")
+def recording(chromium: Any) -> Iterator[Page]:
+    """A page that was opened during a pause at 20 s, of a vehicle and two events."""
+    with open_station(scenery(1, may=RECORDED, events_ns=(4 * SECOND_NS, 40 * SECOND_NS))) as station_page:
         station_page.show(0.0)
-        page = Page(station_page, chromium.new_page(viewport={"width": 1000, "height": 700}))
-        (client,) = station_page.server.get_clients().values()
-        look_down(page, 0.3, 6.1, 4.0)
+        station_page.now_s += 1.0
+        station_page.station.show(moving_state(station_page.scene, 20.0))  # no client: nothing is sent
+        opened = chromium.new_page(viewport={"width": 1000, "height": 700})
+        yield Page(station_page, opened)
+        opened.close()
+
+
+class TestRecording:
+    """Tests of one page, which closes after them: a page that is open takes time of all others."""
+
+    def test_a_page_opened_during_a_pause_shows_the_present_state(self, recording: Page) -> None:
+        recording.until(lambda: recording.shows_positions_at(20.0))
+
+    def test_a_shadow_is_darker_than_the_floor_on_the_sunny_side_of_its_wall(self, recording: Page) -> None:
+        look_down(recording, 0.3, 6.1, 4.0)  # at a wall 1 m high at y = 6 m; the sun is in the south-east
 
         def light(y: float) -> int:
-            right, down = pixel_of(np.array((0.3, y, 0.0)), client.camera, (700, 1000))
-            return sum(page.pixel(right / 1000, down / 700))
+            right, down = pixel_of(np.array((0.3, y, 0.0)), recording.camera, (700, 1000))
+            return sum(recording.pixel(right / 1000, down / 700))
 
-        page.until(lambda: light(6.55) < 0.8 * light(5.3))
-        page.page.close()
+        recording.until(lambda: light(6.55) < 0.8 * light(5.3))
+
+    def test_the_slider_of_a_recording_has_marks_and_goes_to_the_next_event(self, recording: Page) -> None:
+        recording.until(lambda: recording.page.locator(".mantine-Slider-mark").count() == 2)
+        recording.page.get_by_role("button", name="next").click()
+        recording.until(lambda: Seek(time_ns=40 * SECOND_NS) in recording.station_page.orders)
 
 
 def test_the_page_has_all_objects_of_the_scene_and_events_and_charts(page: Page) -> None:
@@ -334,16 +342,6 @@ def test_the_page_has_all_objects_of_the_scene_and_events_and_charts(page: Page)
     page.page.get_by_role("tab", name="All vehicles").click()
     page.page.get_by_text("message [s ago]").wait_for(timeout=PATIENCE_S * 1e3)
     page.page.get_by_role("tab", name="Vehicle", exact=True).click()
-
-
-def test_the_slider_of_a_recording_has_marks_and_goes_to_the_next_event(chromium: Any) -> None:
-    with open_station(scenery(1, may=RECORDED, events_ns=(4 * SECOND_NS, 40 * SECOND_NS))) as station_page:
-        station_page.show(0.0)
-        page = Page(station_page, chromium.new_page(viewport={"width": 1000, "height": 700}))
-        page.until(lambda: page.page.locator(".mantine-Slider-mark").count() == 2)
-        page.page.get_by_role("button", name="next").click()
-        page.until(lambda: Seek(time_ns=4 * SECOND_NS) in station_page.orders)
-        page.page.close()
 
 
 def test_the_token_stays_in_its_tab_and_with_its_port(page: Page, chromium: Any) -> None:
