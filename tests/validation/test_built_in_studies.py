@@ -21,6 +21,7 @@ pytestmark = pytest.mark.slow
 STUDIES = [name for name in loader.names() if name.startswith("study-")]
 T = 0.1  # s, between messages
 LOSS, DELAY, BURST, WHO = "radio.loss.probability", "radio.delay.seconds", "radio.loss.mean_burst_s", "agents.estimator"
+TWO_PERIODS = {"duration_s": 52.0}
 
 
 @cache
@@ -54,11 +55,13 @@ def test_every_corner_of_a_study_is_a_valid_scenario(name: str) -> None:
     ],
 )
 def test_the_error_over_delay_agrees_with_the_reference(estimator: str, delay_s: float, expected: float) -> None:
-    assert rms("study-delay", {WHO: estimator, DELAY: delay_s}) == pytest.approx(expected, rel=0.1)
+    """Over two periods of the slalom, after the start."""
+    assert rms("study-delay", {WHO: estimator, DELAY: delay_s, **TWO_PERIODS}) == pytest.approx(expected, rel=0.1)
 
 
 def test_nothing_is_random_in_the_study_of_delay() -> None:
-    first, second = (metrics("study-delay", seed, (WHO, "dr"), (DELAY, 0.5))["formation"] for seed in (1, 2))
+    point = {WHO: "dr", DELAY: 0.5, **TWO_PERIODS}
+    first, second = (metrics("study-delay", seed, *point.items())["formation"] for seed in (1, 2))
     assert first == second
 
 
@@ -104,13 +107,13 @@ def test_the_age_over_bursts_is_the_closed_form(mean_burst_s: float, tolerance: 
     # A frame is lost with probability 1/2; between frames a link stays bad with 1 - (1 - exp(-2 T/b))/2. Each frame of the
     # present run of losses adds a period to the age: T (1 + P(bad) / P(end)).
     expected = T * (1.0 + 0.5 / (0.5 * (1.0 - math.exp(-2.0 * T / mean_burst_s))))
-    found = [metrics("study-bursts", seed, (WHO, "hold"), (BURST, mean_burst_s))["radio"] for seed in (1, 2, 3)]
-    assert sum(each["age_s"]["mean"] for each in found) / 3 == pytest.approx(expected, rel=tolerance)
-    assert sum(each["delivery_ratio"] for each in found) / 3 == pytest.approx(0.5, abs=0.05)
+    found = [metrics("study-bursts", seed, (WHO, "hold"), (BURST, mean_burst_s))["radio"] for seed in (1, 2)]
+    assert sum(each["age_s"]["mean"] for each in found) / 2 == pytest.approx(expected, rel=tolerance)
+    assert sum(each["delivery_ratio"] for each in found) / 2 == pytest.approx(0.5, abs=0.05)
 
 
 def test_longer_bursts_of_the_same_share_are_worse() -> None:
-    short, middle, long = (rms("study-bursts", {WHO: "hold", BURST: each}, seeds=3) for each in (0.05, 0.4, 0.9))
+    short, middle, long = (rms("study-bursts", {WHO: "hold", BURST: each}, seeds=2) for each in (0.05, 0.4, 0.9))
     assert 1.5 * short < middle
     assert 1.5 * middle < long
 
@@ -120,7 +123,7 @@ def test_longer_bursts_of_the_same_share_are_worse() -> None:
 
 def test_a_large_formation_degrades_only_on_a_shared_channel() -> None:
     def error(count: int, mac: str) -> float:
-        point = (("vehicle.car.count", count), ("radio.mac.kind", mac), ("duration_s", 20.0))
+        point = (("vehicle.car.count", count), ("radio.mac.kind", mac), ("duration_s", 14.0))
         return float(metrics("study-size", 1, *point)["formation"]["rms_m"])
 
     assert error(24, "ideal") == pytest.approx(error(2, "ideal"), rel=1e-9)  # star: slots along a line are equivalent

@@ -31,24 +31,24 @@ def test_loss_on_a_straight_line(p: float) -> None:
     mean age at ticks = d + T p/(1-p),  over continuous time d' + T (1+p)/(2 (1-p)) with the delay d' of a message.
     """
     agents = {"estimator": "hold", **UNLIMITED}
-    scenario = fleet(300.0, [RIGHT_BEHIND, LEFT_BEHIND] * (FOLLOWERS // 2), path="straight", radio=lossy(p), agents=agents)
+    scenario = fleet(160.0, [RIGHT_BEHIND, LEFT_BEHIND] * (FOLLOWERS // 2), path="straight", radio=lossy(p), agents=agents)
     result = vcmvsp.run(scenario, set={"record.period_s": 0.5, "metrics.from_s": FROM_S}, mcap=False)
     alpha, d = 1 - K1 * T, T
     mean = V * (d + T * p / (1 - p))
     var = (V * K1 * T) ** 2 / (1 - alpha**2) * T**2 * p / (1 - p) ** 2 * (1 + alpha * p) / (1 - alpha * p)
 
     formation, radio = result.metrics["formation"], result.metrics["radio"]
-    assert formation["mean_m"] == pytest.approx(mean, rel=0.03)
-    assert formation["rms_m"] == pytest.approx(math.sqrt(mean**2 + var), rel=0.03)
+    assert formation["mean_m"] == pytest.approx(mean, rel=0.04)
+    assert formation["rms_m"] == pytest.approx(math.sqrt(mean**2 + var), rel=0.04)
     times, z = errors(result)
     z = z[times >= FROM_S]
     assert np.hypot(z[..., 0], z[..., 1]).mean() == pytest.approx(formation["mean_m"], rel=1e-9)  # computed twice
-    assert z[..., 0].var() == pytest.approx(var, rel=0.12)  # separately, as the mean dominates the RMS
-    assert radio["age_s"]["mean"] == pytest.approx(d + T * p / (1 - p), rel=0.015)
+    assert z[..., 0].var() == pytest.approx(var, rel=0.17)  # separately, as the mean dominates the RMS
+    assert radio["age_s"]["mean"] == pytest.approx(d + T * p / (1 - p), rel=0.02)
     frames = radio["frames"] * FOLLOWERS
     assert radio["delivery_ratio"] == pytest.approx(1 - p, abs=5 * math.sqrt(p * (1 - p) / frames))
     continuous = np.mean([mean_age_s(result, "car1", f"car{number}") for number in range(2, FOLLOWERS + 2)])
-    assert continuous == pytest.approx(radio["delay_s"]["mean"] + T * (1 + p) / (2 * (1 - p)), rel=0.015)
+    assert continuous == pytest.approx(radio["delay_s"]["mean"] + T * (1 + p) / (2 * (1 - p)), rel=0.02)
 
 
 def test_a_link_keeps_its_draws_when_vehicles_are_added() -> None:

@@ -101,7 +101,7 @@ def test_at_the_bound_it_oscillates_with_omega_kappa_lambda_max() -> None:
     """Path of five at 100 Hz, kappa 1, the delay nearest to tau*: 3.618 rad/s."""
     values, modes = modes_of("path", 5)
     age = round(math.pi / (2.0 * values[-1]) / 0.01 - 0.5)  # a command held for a tick: half a tick of delay
-    way = points(team(SMALL * modes[:, [-1, -1]], 12.0, period_s=0.01, delay_s=0.01 * age, graph="path", own="delayed"))
+    way = points(team(SMALL * modes[:, [-1, -1]], 8.0, period_s=0.01, delay_s=0.01 * age, graph="path", own="delayed"))
     y = way[400:, :, 0] @ modes[:, -1]
     crossings = np.flatnonzero(np.diff(np.sign(y)))
     between = (crossings[-1] - crossings[0]) * 0.01 / (len(crossings) - 1)
@@ -125,7 +125,7 @@ def test_without_delay_disagreement_decays_with_lambda_2(graph: Graph, count: in
 def test_with_the_own_point_fresh_they_meet_at_any_delay(graph: Graph, count: int) -> None:
     """2 s, T degree < 1: stable, and within the hull of the start; the delayed form is far beyond its bound."""
     start = np.random.default_rng(2).uniform(-1.0, 1.0, (count, 2)).tolist()
-    way = points(team(start, 150.0, delay_s=2.0, graph=graph))
+    way = points(team(start, 100.0, delay_s=2.0, graph=graph))
     assert np.ptp(way[-1], axis=0).max() < 1e-3
     assert np.all(np.abs(way).max(axis=(0, 1)) <= np.abs(way[0]).max(axis=0) + 1e-12)
 

@@ -12,10 +12,10 @@ from tests.support.validation.teams import COLUMN, link_errors, parents_of, team
 
 pytestmark = pytest.mark.slow
 
-DIES_S = 40.0
+DIES_S = 30.0
 
 
-def loss_of(car: str, duration_s: float = 60.0, period_s: float = 0.1) -> vcmvsp.Result:
+def loss_of(car: str, duration_s: float = 50.0, period_s: float = 0.1) -> vcmvsp.Result:
     """A column of six on the circle, heartbeat 1 s; one member fails."""
     agents = {"heartbeat_s": 1.0, "handle": 0.5, "period_s": period_s}
     scenario = team(6, duration_s, COLUMN, agents=agents, record={"period_s": 0.1})
@@ -23,12 +23,12 @@ def loss_of(car: str, duration_s: float = 60.0, period_s: float = 0.1) -> vcmvsp
 
 
 def test_the_follower_of_a_failed_member_follows_its_predecessor() -> None:
-    """Re-parented at 41.0 s; its error peaks at 0.32 m and is below 5 cm 4.4 s after the loss (simulated)."""
+    """Re-parented after a second; its error peaks at 0.32 m and is below 5 cm 4.4 s after the loss (simulated)."""
     result = loss_of("car3")
     times, errors = link_errors(result)
     parents = parents_of(result)
     assert parents["car3"] == [(0.0, "car2"), (DIES_S, None)]  # a failed member has no parent
-    assert parents["car4"] == [(0.0, "car3"), (41.0, "car2")]
+    assert parents["car4"] == [(0.0, "car3"), (DIES_S + 1.0, "car2")]
     assert all(len(parents[car]) == 1 for car in ("car2", "car5", "car6"))
     after = times >= DIES_S
     assert errors["car4"][after].max() == pytest.approx(0.32, rel=0.05)
@@ -46,7 +46,7 @@ def test_errors_further_behind_are_small(period_s: float, most_m: float) -> None
     follower a period later and the second after two; meanwhile the errors grow by the difference. Hence < 2 cm at 20 Hz and,
     with ticks twice as long, < 4 cm at 10 Hz.
     """
-    times, errors = link_errors(loss_of("car3", period_s=period_s, duration_s=50.0))
+    times, errors = link_errors(loss_of("car3", period_s=period_s, duration_s=40.0))
     after = times >= DIES_S
     assert max(errors[car][after].max() for car in ("car5", "car6")) < most_m
 
@@ -55,11 +55,13 @@ def test_errors_further_behind_are_small(period_s: float, most_m: float) -> None
 def test_after_a_leaders_failure_the_lowest_member_leads_and_the_shape_is_kept(topology: str) -> None:
     """The new leader stops, as it has no parent; the others end in their slots around it."""
     formation = {"shape": "wedge", "topology": topology, "spacing": 1.0}
-    scenario = team(6, 60.0, formation, leader={"path": "straight"}, agents={"heartbeat_s": 1.0})
+    scenario = team(6, 50.0, formation, leader={"path": "straight"}, agents={"heartbeat_s": 1.0})
     result = vcmvsp.run(scenario, set={"vehicle.car1.agent.fails_s": DIES_S}, mcap=False)
     parents = parents_of(result)
-    assert parents["car2"] == [(0.0, "car1"), (41.0, None)]
-    assert all(since == 41.0 and parent == "car2" for car in parents if car != "car2" for since, parent in parents[car][1:])
+    assert parents["car2"] == [(0.0, "car1"), (DIES_S + 1.0, None)]
+    assert all(
+        since == DIES_S + 1.0 and parent == "car2" for car in parents if car != "car2" for since, parent in parents[car][1:]
+    )
     _, errors = link_errors(result)
     assert all(error[-1] < 2e-3 for car, error in errors.items() if car != "car2")
     _, moved = poses(result)
@@ -69,7 +71,7 @@ def test_after_a_leaders_failure_the_lowest_member_leads_and_the_shape_is_kept(t
 
 def test_losses_raise_false_alarms_at_the_computed_rate() -> None:
     """(1 - p) / T p^(t / T) per second and link, here p = 0.7 and t = 1 s (p = 0.5: 18 an hour). Each alarm is withdrawn."""
-    p, duration_s, links = 0.7, 200.0, 5
+    p, duration_s, links = 0.7, 140.0, 5
     agents = {"heartbeat_s": 1.0, "timeout_s": 1e9}
     scenario = team(links + 1, duration_s, COLUMN, agents=agents, radio=lossy(p), record={"period_s": 10.0})
     followed = parents_of(vcmvsp.run(scenario, mcap=False))
@@ -78,4 +80,4 @@ def test_losses_raise_false_alarms_at_the_computed_rate() -> None:
     )
     expected = (1 - p) / 0.1 * p**10 * duration_s * links
     assert alarms == pytest.approx(expected, abs=3 * math.sqrt(expected))
-    assert expected > 80
+    assert expected > 55

@@ -51,7 +51,7 @@ def test_a_late_loop_overshoots_for_k_d_above_one_over_e() -> None:
     limit = ticks**ticks / (ticks + 1) ** (ticks + 1) * ticks
     assert limit == pytest.approx(1.0 / math.e, rel=0.02)
     for k_d, overshoots in ((0.34, False), (0.97 * limit, False), (1.04 * limit, True), (0.40, True)):
-        _, z = follower_of_a_leader_at_rest(k_d / LATE, LATE, 12.0)
+        _, z = follower_of_a_leader_at_rest(k_d / LATE, LATE, 6.0)
         assert (z.min() < 0.0) == overshoots
 
 

@@ -22,13 +22,13 @@ SHAPES = ("column", "line", "echelon", "wedge", "box", "diamond")
 @pytest.mark.parametrize("topology", ["star", "chain"])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_five_robots_keep_every_shape_on_a_circle(shape: str, topology: str) -> None:
-    """R = 2 m, handle 0.5 m: every |z| < 1e-6."""
-    scenario = team(5, 60.0, {"shape": shape, "topology": topology, "spacing": 0.8}, agents={"handle": 0.5})
+    """R = 2 m, handle 0.5 m: every |z| < 1e-5."""
+    scenario = team(5, 45.0, {"shape": shape, "topology": topology, "spacing": 0.8}, agents={"handle": 0.5})
     result = vcmvsp.run(scenario, mcap=False)
     _, errors = link_errors(result)
     assert len(errors) == 4
-    assert max(error[-1] for error in errors.values()) < 1e-6
-    assert result.metrics["formation"]["final_m"] < 1e-6
+    assert max(error[-1] for error in errors.values()) < 1e-5
+    assert result.metrics["formation"]["final_m"] < 1e-5
 
 
 def test_trees_and_graphs_keep_their_shape_too() -> None:
@@ -36,7 +36,7 @@ def test_trees_and_graphs_keep_their_shape_too() -> None:
     graph = {"shape": "diamond", "topology": "graph", "spacing": 0.8}
     graph["parents"] = {"car2": "car1", "car5": "car2", "car3": "car5", "car4": "car3"}
     for formation in (tree, graph):
-        assert vcmvsp.run(team(5, 60.0, formation), mcap=False).metrics["formation"]["final_m"] < 1e-6
+        assert vcmvsp.run(team(5, 45.0, formation), mcap=False).metrics["formation"]["final_m"] < 1e-6
 
 
 def test_errors_grow_with_the_lever_arm_in_a_star_only() -> None:
@@ -60,8 +60,8 @@ def test_a_chain_suits_a_column() -> None:
     """The law of the previous test through the platform: a chain suits a column."""
     formation = {**COLUMN, "topology": "star"}
     rest: dict[str, Any] = {"leader": {"path": "random"}, "agents": {"handle": 0.5}, "metrics": {"from_s": 20.0}}
-    star = rms_of_links(vcmvsp.run(team(7, 120.0, formation, **rest), mcap=False))
-    chain = rms_of_links(vcmvsp.run(team(7, 120.0, COLUMN, **rest), mcap=False))
+    star = rms_of_links(vcmvsp.run(team(7, 70.0, formation, **rest), mcap=False))
+    chain = rms_of_links(vcmvsp.run(team(7, 70.0, COLUMN, **rest), mcap=False))
     assert star[0] == chain[0]
     assert np.diff(star).min() > 0.005
     assert star[-1] > 4 * chain[-1]
@@ -94,7 +94,7 @@ def test_a_team_changes_its_shape_without_crossing_ways(topology: str, probabili
 def test_a_new_shape_propagates_along_a_lossy_chain() -> None:
     """Each receives its neighbours only, with half of the messages lost: all adopt the shape, one after the other."""
     formation = {**COLUMN, "changes": ((10.0, "echelon"),)}
-    result = vcmvsp.run(team(6, 60.0, formation, leader={"path": "straight"}, radio=neighbours_only(6, 0.5)), mcap=False)
+    result = vcmvsp.run(team(6, 40.0, formation, leader={"path": "straight"}, radio=neighbours_only(6, 0.5)), mcap=False)
     side = 0.8 * np.sqrt(0.5)
     adopted: dict[str, float] = {}
     for placed in result.follows:

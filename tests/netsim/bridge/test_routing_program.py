@@ -11,7 +11,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
+from functools import partial, reduce
 from itertools import pairwise
 from pathlib import Path
 
@@ -29,9 +29,15 @@ pytestmark = [
 ]
 
 PAGE = "netsim/bridge/README.md"
+SOONER = (  # hellos, and so routes, in half the time; car3 and relief begin half as far from the ends of their links
+    ("-h 1", "-h 0.5"),
+    ("hello interval 1 s", "hello interval 500 ms"),
+    ("120.0, -15.0", "120.0, -38.0"),
+    ("120.0, 98.0", "120.0, 79.0"),
+)
 PROGRAMS = {"babel": "babeld -w", "bird": "bird -f"}  # parts of their command lines
 CARS = ("car1", "car2", "car3", "car4", "car5", "car6", "relief")
-ASK_EVERY_S, READY_S, ROUTES_S, REPAIR_S, DELIVERY_S = 2.0, 40.0, 60.0, 120.0, 240.0
+ASK_EVERY_S, READY_S, ROUTES_S, REPAIR_S, DELIVERY_S = 1.0, 40.0, 60.0, 120.0, 240.0
 LOSS, HOPS = 0.02, 5
 DATAGRAM_BYTES = 228  # with the headers of UDP and IPv4
 
@@ -48,9 +54,13 @@ class Chain:
     def __init__(self, folder: Path, program: str) -> None:
         self.folder, self.name = folder, f"{program}{os.getpid()}"
         self.began_s = 0.0
-        (folder / "chain.toml").write_text(block(PAGE, 'name = "chain"').replace('"chain"', f'"{self.name}"'))
-        (folder / "route.sh").write_text(block(PAGE, PROGRAMS[program]).replace("vcmvsp-chain", f"vcmvsp-{self.name}"))
-        (folder / "bird.conf").write_text(block(PAGE, "protocol babel"))
+        texts = {
+            "chain.toml": block(PAGE, 'name = "chain"').replace('"chain"', f'"{self.name}"'),
+            "route.sh": block(PAGE, PROGRAMS[program]).replace("vcmvsp-chain", f"vcmvsp-{self.name}"),
+            "bird.conf": block(PAGE, "protocol babel"),
+        }
+        for name, text in texts.items():
+            (folder / name).write_text(reduce(lambda read, change: read.replace(*change), SOONER, text))
 
     def call(self, command: str, *, check: bool = True) -> str:
         """Output of a command of the page."""
@@ -113,7 +123,7 @@ def check_routes(chain: Chain) -> None:
     hops = list(pairwise(("car1", "car2", "relief", "car4", "car5", "car6")))  # after car3 is out of range
     chain.until(lambda: all(next_hop(chain, car, "10.77.0.6") == to for car, to in hops), REPAIR_S)
     chain.until(lambda: answers(chain) >= 8, REPAIR_S)  # of 20, with 0.98^10 = 0.82
-    for _ in range(2):  # a busy machine delivers fewer than 2000 receptions of the first thousand datagrams
+    for _ in range(2):  # for 2000 receptions on a busy machine, too
         chain.until(lambda: share_delivered(chain) > 0.5, DELIVERY_S)  # with 0.98^5 = 0.90
 
 
@@ -125,11 +135,11 @@ def answers(chain: Chain) -> int:
 
 
 def share_delivered(chain: Chain) -> float:
-    """Share of 1000 datagrams that arrive over all hops; 0: the programs did not meet."""
+    """Share of 500 datagrams that arrive over all hops; 0: the programs did not meet."""
     chain.call(command("iperf3 -s"), check=False)
-    output = chain.call(f"{command('iperf3 -4')} -t 10 --json", check=False)
+    output = chain.call(f"{command('iperf3 -4')} -t 5 --json", check=False)
     totals = json.loads(output)["end"].get("sum") if output else None
-    if not totals or totals["packets"] < 950:
+    if not totals or totals["packets"] < 475:
         return 0.0
     return 1.0 - float(totals["lost_packets"]) / float(totals["packets"])
 

@@ -47,7 +47,7 @@ def test_a_scenario_that_is_only_checked_opens_nothing() -> None:
 
 
 def test_arrivals_equal_the_radios_reports_datagram_by_datagram() -> None:
-    count = 2000
+    count = 1000
     run = BridgeRun("a", "b", "c", loss={"probability": 0.3}, delay={"seconds": 0.002, "jitter_s": 0.004})
     with run.program(1) as b, run.program(2) as c, background_run(run):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as a:

@@ -28,14 +28,14 @@ from vcmvsp.physics.world.solids import Box
 
 pytestmark = pytest.mark.slow
 
-SEEDS = range(4)
+SEEDS = range(3)
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.3])
 def test_known_truth_comes_back_within_its_standard_errors(lost: float) -> None:
     """Shadowing from the channel's own layer, fading, links all over a place: every estimate, over several worlds.
 
-    Each score is nearly standard normal: none is beyond 4, and the means of 4 stay within 4 / sqrt(4).
+    Each score is nearly standard normal: none is beyond 4, and the means of 3 stay within 4 / sqrt(3).
     """
     scores = []
     for seed in SEEDS:
@@ -119,7 +119,7 @@ def test_repeated_measurements_tell_fading_from_shadowing() -> None:
     assert found.fading_db.standard_error == pytest.approx(2.0 / math.sqrt(2.0 * 280), rel=0.3)  # 280 = 40 places x (8 - 1)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_losses_of_walls_come_back(seed: int) -> None:
     rng = np.random.default_rng(seed)
     a, b = points(rng, 250), points(rng, 250)
@@ -211,14 +211,14 @@ def test_without_losses_the_likelihood_is_the_normal_density() -> None:
 
 
 def test_covariance_is_that_of_the_shadowing_layer() -> None:
-    """Over 1500 worlds, 4 links that share ends or are one link both ways."""
+    """Over 800 worlds, 4 links that share ends or are one link both ways."""
     a = np.array([(0.0, 0.0, 0.0), (3.0, 0.0, 0.0), (8.0, 1.0, 0.0), (40.0, 0.0, 0.0)]) + 1000.0
     b = np.array([(8.0, 0.0, 0.0), (8.0, 0.0, 2.0), (0.0, 0.0, 0.0), (45.0, 0.0, 0.0)]) + 1000.0
     layer = Shadowing(1.0, 10.0, 32)
-    worlds = np.array([shadows(a, b, seed, layer) for seed in range(1500)])
+    worlds = np.array([shadows(a, b, seed, layer) for seed in range(800)])
     survey = Survey.between(a, b, level_dbm=np.zeros(4), lost=np.zeros(4, bool), sensitivity_dbm=0.0, design=np.ones((4, 1)))
     expected, _ = covariance(survey, np.array([0.0, math.log(10.0)]))
-    np.testing.assert_allclose(np.cov(worlds.T), expected, atol=4.0 * math.sqrt(2.0 / 1500))
+    np.testing.assert_allclose(np.cov(worlds.T), expected, atol=4.0 * math.sqrt(2.0 / 800))
 
 
 def test_a_long_log_is_sampled_evenly_and_in_neighbours() -> None:

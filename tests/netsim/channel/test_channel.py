@@ -79,7 +79,7 @@ def test_unicast_concerns_the_addressed_vehicle_alone_and_draws_as_a_broadcast()
         assert one_row.received_ns.item() == all_rows.received_ns[1]
 
 
-def outcomes(channel: Channel, order: tuple[str, ...], frames: int = 150) -> dict[tuple[str, str], list[int]]:
+def outcomes(channel: Channel, order: tuple[str, ...], frames: int = 40) -> dict[tuple[str, str], list[int]]:
     """Reception times of every link when the vehicles of ``order`` send in turn every second."""
     places = {name: (float(ord(name)), 0.0, 0.0) for name in order}
     found: dict[tuple[str, str], list[int]] = {}

@@ -61,7 +61,7 @@ STEADY: dict[str, Any] = {"jammer": JAMMER, "fading": {"kind": "none"}}
 
 
 @pytest.mark.parametrize(("preset", "mac"), MACS)
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(offers=OFFERS, cuts=st.lists(st.integers(0, 200_000), max_size=10), changes=st.sampled_from([{}, STEADY]))
 def test_every_frame_is_reported_once_however_the_channel_is_advanced(
     preset: str, mac: str, offers: list[Offer], cuts: list[int], changes: dict[str, Any]

@@ -111,7 +111,7 @@ def bare(report: FrameReport, at: int) -> Any:
 
 
 @MACS
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(
     offers=OFFERS,
     begin=st.integers(0, 60_000),
@@ -165,7 +165,7 @@ def test_after_a_change_a_run_equals_one_that_always_had_the_value(
 
 
 @MACS
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(offers=OFFERS, cuts=st.lists(st.integers(0, 90_000_000), max_size=8))
 def test_changes_apply_at_their_time_whenever_the_radio_hears_of_them(
     preset: str, mac: str, offers: list[tuple[int, str, str | None]], cuts: list[int]

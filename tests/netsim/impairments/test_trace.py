@@ -133,7 +133,7 @@ def test_a_trace_in_parquet_is_that_in_csv(tmp_path: Path) -> None:
 rows = st.lists(st.tuples(st.integers(0, 12), st.sampled_from("abc"), st.sampled_from("abc"), st.integers(-50, 50)), min_size=1)
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(rows, st.lists(st.integers(-1, 14), min_size=1), st.booleans())
 def test_a_trace_of_many_links_is_that_of_each_link_alone(
     tmp_path: Path, found: list[Any], ask_ms: list[int], interpolate: bool

@@ -65,7 +65,7 @@ def whole_slots(wait_ns: int, slot_ns: int = 20 * US, largest: int = 31) -> int:
 def saturated_receptions(levels: Floats, phy: Dsss | Ofdm, mac: Dcf, to: Sequence[int], size: int, duration_s: int) -> int:
     """Received frames of saturated radios with destinations ``to``; -1: a silent radio."""
     senders = [i for i, other in enumerate(to) if other >= 0]
-    medium, offered = open_air(len(levels), phy, mac), itertools.count()
+    medium, offered = open_air(len(levels), phy, mac, compiled=True), itertools.count()
     medium.levels[:] = levels
     sent: dict[int, int] = {}
 

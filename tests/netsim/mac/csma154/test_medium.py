@@ -35,7 +35,7 @@ pytestmark = pytest.mark.slow
 
 
 def test_lone_sender_waits_for_backoff_assessment_and_turnaround() -> None:
-    world, count = World(levels(2)), 4000
+    world, count = World(levels(2)), 1000
     for index in range(count):
         world.offer(index * 10 * MS, 0)
     decided = world.finish()
@@ -203,7 +203,7 @@ def test_without_an_answer_an_acknowledged_frame_is_sent_four_times(acknowledge:
 
 def test_retries_at_the_edge_of_range_follow_the_error_rate() -> None:
     """Frame and acknowledgement succeed with p and q: attempts are geometric, cut at four."""
-    snr_db, count = -0.8, 4000
+    snr_db, count = -0.8, 1500
     world = World(levels(2, NOISE_DBM + snr_db))
     for index in range(count):
         world.offer(index * 100 * MS, 0, to=1, size=100)
@@ -300,7 +300,7 @@ SCRIPTS: st.SearchStrategy[Script] = st.lists(FRAME, max_size=25).map(sorted)
 FIELD = np.array([[0, -60, -84, -90], [-60, 0, -78, -86], [-84, -78, 0, -60], [-90, -86, -60, 0]], float)
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(script=SCRIPTS, cuts=st.lists(st.integers(0, 80_000), max_size=12).map(sorted))
 def test_decisions_do_not_depend_on_steps_and_come_at_predicted_times(script: Script, cuts: list[int]) -> None:
     """No decision comes before `next_ns`, which is never in the past; it is None when nothing waits."""
@@ -329,7 +329,7 @@ def test_decisions_do_not_depend_on_steps_and_come_at_predicted_times(script: Sc
 
 @given(script=SCRIPTS)
 @example(script=[(0, 1, 0, 100), (0, 3, 0, 20), (128, 0, 0, 100)])  # its frame begins while another is disturbed
-@settings(max_examples=30)
+@settings(max_examples=15)
 def test_a_radio_out_of_reach_changes_nothing(script: Script) -> None:
     """Neither draws nor frames change, whatever the position of its row."""
     apart = np.full((5, 5), SILENT)

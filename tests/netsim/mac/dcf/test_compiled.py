@@ -30,10 +30,10 @@ def bits(state: DcfState) -> dict[str, bytes]:
 
 @pytest.mark.parametrize("seed", range(len(CASES)))
 def test_compiled_is_the_same_to_the_last_bit(seed: int) -> None:
-    frames, (phy, mac) = mixed_traffic(seed, frames=300), CASES[seed]
+    frames, (phy, mac) = mixed_traffic(seed, frames=200), CASES[seed]
     interpreted, machine = open_air(6, phy, mac, seed=seed), open_air(6, phy, mac, seed=seed, compiled=True)
     decided = run(interpreted, frames, UNTIL)
-    assert sorted(each.number for each in decided) == list(range(300))
+    assert sorted(each.number for each in decided) == list(range(200))
     assert bytes_of(run(machine, frames, UNTIL)) == bytes_of(decided)
     assert bits(machine._state) == bits(interpreted._state)
 

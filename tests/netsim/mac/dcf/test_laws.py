@@ -76,7 +76,7 @@ def test_time_never_goes_back(monkeypatch: pytest.MonkeyPatch, seed: int) -> Non
     assert times == sorted(times)
 
 
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(
     phy=st.sampled_from(PHYS), cuts=st.lists(st.integers(0, 80 * MS), max_size=40), seed=st.integers(0, 9), peek=st.booleans()
 )
@@ -136,7 +136,7 @@ def test_for_broadcasts_in_one_domain_the_predicted_time_is_exact() -> None:
     assert len(decided) > 90
 
 
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(cuts=st.lists(st.integers(0, 300 * MS), max_size=6), seed=st.integers(0, 9))
 def test_frames_offered_as_arrays_fare_as_one_by_one(cuts: list[int], seed: int) -> None:
     """With levels that change after every cut, and queues that overflow."""
@@ -162,7 +162,7 @@ def test_frames_offered_as_arrays_fare_as_one_by_one(cuts: list[int], seed: int)
 
 def saturated(count: int, phy: Dsss | Ofdm, until_ns: int, *, unicast: bool, size: int = 100) -> list[Decided]:
     """Decisions of frames that all wait from the start, at equal levels: none survives a collision."""
-    medium = open_air(count, phy, Dcf(lifetime_s=1e6, queue_frames=10**6))
+    medium = open_air(count, phy, Dcf(lifetime_s=1e6, queue_frames=10**6), compiled=True)
     to = [(k + 1) % count if unicast else -1 for k in range(count)]
     frames = [frame(k, 0, k % count, all_equal(count), to=to[k % count], size=size, patience=1.0) for k in range(9000)]
     decided = run(medium, frames, until_ns)
@@ -227,7 +227,7 @@ def test_delivery_and_delays_agree_with_ns_3(name: str) -> None:
     sent, got = np.zeros(len(EDGES_M)), np.zeros(len(EDGES_M))
     for seed in range(judged.runs):
         frames = traffic(n, judged.hz, judged.seconds, levels, seed)
-        for each in run(open_air(n, BY_PRESET[judged.preset], seed=seed), frames, 60_000 * MS):
+        for each in run(open_air(n, BY_PRESET[judged.preset], seed=seed, compiled=True), frames, 60_000 * MS):
             i, ok = frames[each.number].sender, each.fate == Fate.RECEIVED
             sent += np.bincount(np.delete(bins[i], i), minlength=len(EDGES_M))
             got += np.bincount(bins[i][ok], minlength=len(EDGES_M))
