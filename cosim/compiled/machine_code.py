@@ -17,7 +17,7 @@ import importlib.util
 import inspect
 import os
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property, partial
 from pathlib import Path
 from types import BuiltinFunctionType, FunctionType, ModuleType
@@ -215,15 +215,32 @@ def _code(program: Program) -> bytes:
     path = _path(program)
     code = _read_code(path)
     if code is None:
-        import llvmlite.binding as llvm
-
-        from vcmvsp.cosim.compiled.compiler import EXTERNAL, assembly, compiled
-
-        make = partial(compiled, inline=getattr(program[0][-1], "INLINE", False))
-        text = assembly(linked(program[0], make, EXTERNAL), *program[1:], ENTRY)
-        code = host().emit_object(llvm.parse_assembly(text))
-        _write_code(path, code)
+        with _locked(path.with_suffix(".lock")):
+            code = _read_code(path) or _compile(program)  # another process may have made it in the meantime
+            _write_code(path, code)
     return code
+
+
+@contextlib.contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Wait for other processes with this lock, if files can be locked here."""
+    with contextlib.ExitStack() as stack:
+        with contextlib.suppress(ImportError, OSError):
+            import fcntl
+
+            path.parent.mkdir(parents=True, exist_ok=True)
+            fcntl.flock(stack.enter_context(path.open("w")), fcntl.LOCK_EX)
+        yield
+
+
+def _compile(program: Program) -> bytes:
+    import llvmlite.binding as llvm
+
+    from vcmvsp.cosim.compiled.compiler import EXTERNAL, assembly, compiled
+
+    make = partial(compiled, inline=getattr(program[0][-1], "INLINE", False))
+    text = assembly(linked(program[0], make, EXTERNAL), *program[1:], ENTRY)
+    return host().emit_object(llvm.parse_assembly(text))
 
 
 def _path(program: Program) -> Path:

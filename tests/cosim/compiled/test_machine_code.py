@@ -1,6 +1,8 @@
 """The cache of machine code, and the choice between interpreted and compiled code."""
 
+import threading
 import types
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -57,6 +59,29 @@ def test_code_is_kept_whole_or_not_at_all(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-1])
     assert machine_code._read_code(path) is None
     machine_code._write_code(path / "not a folder", code)  # no error: runs without cache
+
+
+def test_processes_that_need_the_same_code_at_once_compile_it_once(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, module: types.ModuleType
+) -> None:
+    made, program = [], ((module,), Block(numbers()).layout, Block(numbers()).layout)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    missed = threading.Barrier(4)  # locks of files are between threads, too
+    locked = machine_code._locked
+
+    def all_at_once(path: Path) -> Any:
+        missed.wait()
+        return locked(path)
+
+    def make(program: Any) -> bytes:
+        made.append(program)
+        return b"code"
+
+    monkeypatch.setattr(machine_code, "_locked", all_at_once)
+    monkeypatch.setattr(machine_code, "_compile", make)
+    with ThreadPoolExecutor(4) as pool:
+        assert [*pool.map(machine_code._code, [program] * 4)] == [b"code"] * 4
+    assert made == [program]
 
 
 def test_arrays_must_be_contiguous() -> None:
