@@ -43,7 +43,7 @@ class Runner:
         if workers <= 1:
             return [self._tell(done, len(jobs), _do(job)) for done, job in enumerate(jobs, 1)]
         died = VcmvspError("a process that ran a part of the figure died twice; --jobs 1 runs all in this one")
-        with Pool(_do, workers, died=died) as pool:
+        with Pool(_do, workers, died=died, imports=(__name__,)) as pool:
             answers_by_place = pool.answers(enumerate(jobs), len(jobs))
             answers = dict(self._tell(done, len(jobs), answer) for done, answer in enumerate(answers_by_place, 1))
         return [answers[place] for place in range(len(jobs))]

@@ -179,7 +179,7 @@ def _run(plan: Plan, answers: Answers, ask: Ask, progress: Progress, noted: Note
 @contextlib.contextmanager
 def _workers(work: Work, jobs: int | None, cluster: object) -> Iterator[Ask]:
     if cluster is None:
-        with Pool(functools.partial(run_one, work), jobs or cores(), died=DIED) as pool:
+        with Pool(functools.partial(run_one, work), jobs or cores(), died=DIED, imports=(run_one.__module__,)) as pool:
             yield pool.answers
     else:
         from vcmvsp.cosim.studies.worker import Cluster

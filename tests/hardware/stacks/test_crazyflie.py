@@ -7,6 +7,7 @@ import socket
 import struct
 import subprocess
 import sys
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -14,7 +15,8 @@ import pytest
 import vcmvsp
 from tests.support.netsim.gateway_context import free_ports
 from tests.support.paths import ROOT
-from vcmvsp.cosim.errors import FederateError, ScenarioError
+from vcmvsp.cosim.errors import FederateError, Interrupted, ScenarioError
+from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.hosts.remote_host import LinkError
 from vcmvsp.cosim.runs import api
 from vcmvsp.cosim.types import VehicleState
@@ -24,7 +26,7 @@ from vcmvsp.hardware.stacks.trajectories import HEADER, PIECE, START
 
 UPLOAD = PIECE.pack(*range(32), 2.0) + START.pack(0, 0, 500, 0) + HEADER.pack(1, 1500) + b"\x64\0"
 MOTION_M_PER_S = 0.2  # speed of cflib's MotionCommander, which times distance / speed by the wall clock
-NAMES = ("cf1", "cf2", "cf3", "cf4")
+NAMES = ("cf1", "cf2", "cf3")
 
 
 def scenario(first: int, duration_s: float, **more: Any) -> dict[str, Any]:
@@ -45,38 +47,39 @@ def program(name: str, *ports: int) -> "subprocess.Popen[str]":
     return subprocess.Popen(words, cwd=ROOT, stdout=subprocess.PIPE, text=True)
 
 
-@pytest.mark.processes
-@pytest.mark.sockets
-@pytest.mark.slow
-def test_programs_of_cflib_fly_a_square_and_a_swarm() -> None:
-    first, started = free_ports(len(NAMES)), list[subprocess.Popen[str]]()
+def flown(first: int, speed: float, *programs: tuple[str, *tuple[int, ...]], tell: Callable[[str], None]) -> list[Any]:
+    """Output of each program, given its aircraft; the last one to end ends the run.
+
+    Args:
+        first: port of the first aircraft.
+        speed: simulated seconds per wall second; programs that wait by the clock of the aircraft fly faster, too.
+        programs: name and aircraft of each.
+        tell: receives the lines of the run.
+    """
+    started: list[subprocess.Popen[str]] = []
 
     def start(line: str) -> None:
         if "reach" in line:
-            started.extend((program("square", first), program("go_to", first + 1, first + 2, first + 3)))
+            started.extend(program(name, *(first + number for number in numbers)) for name, *numbers in programs)
+        tell(line)
 
-    vcmvsp.run(scenario(first, 28.0), tell=start)
-    results = [json.loads(each.communicate(timeout=20.0)[0]) for each in started]
-    (corners,), x, y = results[0].values(), 0.0, 0.0
-    for (flown_s, corner), (ahead, left) in zip(corners, [(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)], strict=True):
-        x, y = x + MOTION_M_PER_S * flown_s * ahead, y + MOTION_M_PER_S * flown_s * left
-        assert corner == pytest.approx([x, y, 0.5], abs=0.05)
-    assert len(results[1]) == 3
-    for uri, places in results[1].items():
-        x = float(int(uri.rpartition(":")[2]) - first)
-        for place, expected in zip(places, [(x, 0.0, 0.6), (x + 0.4, 0.6, 1.0), (x + 0.4, 0.6, 0.02)], strict=True):
-            assert place == pytest.approx(expected, abs=0.05)
+    def end(event: Event) -> None:
+        if all(each.poll() is not None for each in started):
+            raise KeyboardInterrupt
+
+    with pytest.raises(Interrupted):
+        vcmvsp.run(scenario(first, 200.0), realtime=speed, tell=start, observe=end)
+    return [json.loads(each.communicate(timeout=20.0)[0]) for each in started]
 
 
 @pytest.mark.processes
 @pytest.mark.sockets
-def test_a_connection_brings_tables_and_flies_trajectories_and_a_second_program_is_refused() -> None:
-    first, started, lines = free_ports(len(NAMES)), list[subprocess.Popen[str]](), list[str]()
+def test_a_connection_brings_tables_and_flies_a_square_and_a_second_program_is_refused() -> None:
+    first, lines = free_ports(len(NAMES)), list[str]()
 
-    def start(line: str) -> None:
+    def tell(line: str) -> None:
         lines.append(line)
         if "reach" in line:
-            started.extend((program("tables", first), program("trajectories", first + 2)))
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
                 for _ in range(2):  # the first one claims the aircraft, until a program connects
                     other.sendto(b"\x80\x03\x00", ("127.0.0.1", first + 1))
@@ -84,14 +87,29 @@ def test_a_connection_brings_tables_and_flies_trajectories_and_a_second_program_
                 third.bind(("127.0.0.1", 0))
                 third.sendto(b"\x80\x03\x00", ("127.0.0.1", first + 1))
 
-    vcmvsp.run(scenario(first, 15.0), tell=start)
-    tables, flown = (next(iter(json.loads(each.communicate(timeout=20.0)[0]).values())) for each in started)
+    square, (tables,) = (each.values() for each in flown(first, 1.0, ("square", 0), ("tables", 2), tell=tell))
+    (corners,), x, y = square, 0.0, 0.0
+    for (flown_s, corner), (ahead, left) in zip(corners, [(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)], strict=True):
+        x, y = x + MOTION_M_PER_S * flown_s * ahead, y + MOTION_M_PER_S * flown_s * left
+        assert corner == pytest.approx([x, y, 0.3], abs=0.05)
     assert tables["log"] == sorted(LOG)
     assert {*tables["param"]} == {*PARAMETERS}
     assert float(tables["param"]["kalman.initialX"]) == 1.5
-    for place, expected in zip(flown, [(2.0, 0.0, 0.5), (2.0, 0.4, 0.5), (1.6, 0.4, 0.8)], strict=True):
-        assert place == pytest.approx(expected, abs=0.05)
     assert any(line == "stack.crazyflie: cf2: refused packets: 1 second program" for line in lines)
+
+
+@pytest.mark.processes
+@pytest.mark.sockets
+def test_programs_of_cflib_fly_a_swarm_and_trajectories() -> None:
+    first = free_ports(len(NAMES))
+    swarm, flight = flown(first, 3.0, ("go_to", 0, 1), ("trajectories", 2), tell=lambda _: None)
+    assert len(swarm) == 2
+    for uri, places in swarm.items():
+        x = float(int(uri.rpartition(":")[2]) - first)
+        for place, expected in zip(places, [(x, 0.0, 0.4), (x + 0.2, 0.3, 0.6), (x + 0.2, 0.3, 0.02)], strict=True):
+            assert place == pytest.approx(expected, abs=0.05)
+    for place, expected in zip(*flight.values(), [(2.0, 0.0, 0.5), (2.0, 0.4, 0.5), (1.6, 0.4, 0.8)], strict=True):
+        assert place == pytest.approx(expected, abs=0.05)
 
 
 @pytest.mark.sockets
@@ -154,7 +172,7 @@ def test_mutated_packets_are_answered_or_refused() -> None:
     orders: list[Order] = []
     aircraft, rng = Crazyflie(orders.append), random.Random(1)
     packets, state = valid_packets(), VehicleState(position=(0.0, 0.0, 1.0))
-    for number in range(100_000):
+    for number in range(50_000):
         packet = bytearray(rng.choice(packets))
         for _ in range(rng.randrange(4)):
             packet[rng.randrange(len(packet))] = rng.randrange(256)

@@ -19,7 +19,7 @@ from cflib.crazyflie.swarm import CachedCfFactory, Swarm
 from cflib.crazyflie.syncCrazyflie import SyncCrazyflie
 from cflib.positioning.motion_commander import MotionCommander
 
-SIDE_M, POLY4D_BYTES = 0.5, 132
+SIDE_M, POLY4D_BYTES = 0.2, 132
 
 
 class Log:
@@ -53,7 +53,7 @@ class Log:
 def square(scf: SyncCrazyflie) -> list[tuple[float, list[float]]]:
     """Positions at the corners of a square, flown by velocities, and the duration of each side, s."""
     log = Log(scf)
-    with MotionCommander(scf, default_height=0.5) as motion:
+    with MotionCommander(scf, default_height=0.3) as motion:
         corners = [(0.0, log.place_after(1.0))]
         for side in (motion.forward, motion.left, motion.back, motion.right):
             begin_s = log.time_s
@@ -68,12 +68,12 @@ def go_to(scf: SyncCrazyflie) -> list[list[float]]:
     log = Log(scf)
     x, y, _ = log.place
     commander, places = scf.cf.high_level_commander, []
-    commander.takeoff(0.6, 1.5)
-    places.append(log.place_after(2.5))
-    commander.go_to(x + 0.4, y + 0.6, 1.0, 0.0, 2.0)
-    places.append(log.place_after(3.0))
-    commander.land(0.02, 2.0)
-    places.append(log.place_after(2.5))
+    commander.takeoff(0.4, 1.0)
+    places.append(log.place_after(2.0))
+    commander.go_to(x + 0.2, y + 0.3, 0.6, 0.0, 1.0)
+    places.append(log.place_after(2.0))
+    commander.land(0.02, 1.5)
+    places.append(log.place_after(2.0))
     commander.stop()
     return places
 

@@ -30,7 +30,7 @@ G = 9.81
 MOTORS = np.array([(1, 1, 1), (-1, -1, 1), (1, -1, -1), (-1, 1, -1)], float)
 MIX = np.linalg.inv(np.array([np.ones(4), -ARM * MOTORS[:, 1], ARM * MOTORS[:, 0], YAW_M * MOTORS[:, 2]]))
 EARTH_M = 6378137.0
-MISSION = ((1.0, 0.0, 0.0, 0.0), (4.0, 0.0, 0.0, 3.0), (8.0, 4.0, 0.0, 3.0), (12.0, 4.0, 4.0, 3.0), (16.0, 0.0, 0.0, 3.0))
+MISSION = ((0.5, 0.0, 0.0, 0.0), (3.0, 0.0, 0.0, 1.0), (5.5, 1.5, 0.0, 1.0), (8.0, 1.5, 1.0, 1.0))
 """Until when, s: north, east, height of the target, m."""
 
 
@@ -98,7 +98,7 @@ class Pilot:
 
     def mission(self, now: State) -> Any:
         until = [row for row in MISSION if now.time_s < row[0]]
-        self.armed = now.time_s > 0.5 and (bool(until) or now.position[2] < self.start[2] - 0.03)
+        self.armed = now.time_s > 0.2 and (bool(until) or now.position[2] < self.start[2] - 0.03)
         if not until:
             return np.array([0.0, 0.0, 0.8])
         _, north, east, height = until[0]

@@ -34,6 +34,7 @@ from vcmvsp.cosim.tables.columns import names_of, numbers
 from vcmvsp.cosim.types import Array
 
 PROBABILITIES = (0.0, 0.1, 0.3, 0.5, 0.7, 0.8, 0.9)
+TEAM_S = 120.0  # s, of a run of `team`
 FOLLOWERS = 40  # per estimator, half of them on either side; they share the leader and lose messages independently
 MANY = 500  # followers behind each point of the lines in the figure
 RARE = 0.7  # from this loss on, the closed form takes twice as many: errors last longer and scatter more
@@ -122,11 +123,11 @@ class TeamRun:
 
 
 def team(path: str, air: dict[str, Any], count: int, estimators: tuple[str, ...]) -> Job:
-    """A run of 120 s with ``count`` followers per estimator; gives a `TeamRun`."""
+    """A run with ``count`` followers per estimator; gives a `TeamRun`."""
     places = (RIGHT_BEHIND, LEFT_BEHIND)
     followers = [{**places[i % 2], "estimator": each} for each in estimators for i in range(count)]
     needs = [need for need, user in (("a", "acc"), ("plan", "plan")) if user in estimators]
-    scenario = fleet(120.0, followers, path=path, leader={"tell": needs}, radio=air)
+    scenario = fleet(TEAM_S, followers, path=path, leader={"tell": needs}, radio=air)
     return Job(scenario, partial(_read, scenario=scenario, estimators=estimators), seed=1)
 
 
@@ -250,8 +251,8 @@ def loss_delay(runner: Runner, followers: int = CELL_FOLLOWERS) -> Figure:
 
 def _curved(errors: list[dict[str, float]], names: tuple[str, ...], *, log_y: bool = False) -> tuple[list[Panel], list[Row]]:
     panels, rows = [], []
-    parts = [errors[: len(DELAYS_S)], errors[len(DELAYS_S) :]]
-    for path, part in zip(loss_integration.PATHS, parts, strict=True):
+    for place, path in enumerate(loss_integration.PATHS):
+        part = errors[place * len(DELAYS_S) :][: len(DELAYS_S)]
         curves = []
         for color, name in enumerate(names, 1):
             measured = np.array([each[name] for each in part])
