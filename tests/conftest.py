@@ -15,7 +15,8 @@ from hypothesis import settings
 # Compilation takes longer than it saves in most tests: only comparisons of both ways and one long flight use it.
 os.environ.setdefault("VCMVSP_COMPILED", "0")
 os.environ["VCMVSP_FIGURES"] = "0"  # drawing takes ten times as long as most runs
-settings.register_profile("here", deadline=None)  # durations depend on the load of the machine
+# Durations depend on the load of the machine; each session draws new examples.
+settings.register_profile("here", deadline=None, max_examples=50)
 settings.load_profile("here")
 
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # in the background of a script; programs of tests would inherit it

@@ -53,8 +53,7 @@ RING: Any = {"beams": 32, "fov": math.tau, "first": 0.0}
 
 
 @pytest.mark.parametrize("method", METHODS, ids=NAMES)
-@pytest.mark.parametrize("scanner", ALONG)
-@pytest.mark.parametrize("every", [1, 4])
+@pytest.mark.parametrize(("scanner", "every"), [("half a turn", 4), ("from 0", 1), ("turned", 4)])
 def test_it_touches_nothing_and_mostly_gets_there(method: Settings, scanner: str, every: int) -> None:
     rng = np.random.default_rng(5)
     ways = [
@@ -237,8 +236,9 @@ def task_and_mirrored(rng: np.random.Generator, body: Body) -> list[Task]:
 @pytest.mark.parametrize(("method", "body", "fov"), BOTH_SIDES)
 def test_a_mirrored_scan_gives_the_mirrored_decision(method: Settings, body: Body, fov: float) -> None:
     rng, modes = np.random.default_rng(3), set()
-    for _ in range(200):
-        ranges = np.repeat(rng.uniform(0.3, 2.0, int(rng.integers(5, 40))), 4)
+    for number in range(60):
+        nearest = 2.5 if number % 10 == 0 else 0.3  # m; few random scans are free
+        ranges = np.repeat(rng.uniform(nearest, nearest + 1.7, int(rng.integers(5, 40))), 4)
         other = ranges[::-1] if fov == math.pi else np.roll(ranges[::-1], 1)  # a whole turn begins straight behind
         task, mirrored = task_and_mirrored(rng, body)
         here, there = method.method(body, 0.1), method.method(body, 0.1)

@@ -37,7 +37,7 @@ def stopping_m(v: float) -> float:
     return v * PERIOD_S + v * v / (2.0 * BRAKING)
 
 
-@settings(max_examples=150)
+@settings(max_examples=75)
 @given(st.integers(0, 2**32), st.sampled_from((0.0, 1e-12, -1e-6, 0.01)) | st.floats(-8.0, 8.0), st.floats(0.05, 0.6))
 def test_free_arc_lengths_agree_with_small_steps(seed: int, curvature: float, keep: float) -> None:
     rng = np.random.default_rng(seed)
@@ -54,7 +54,7 @@ def test_free_arc_lengths_agree_with_small_steps(seed: int, curvature: float, ke
         assert found > length - 1e-3
 
 
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(st.integers(0, 2**32), st.floats(-3.0, 3.0))
 def test_many_arcs_at_once_equal_single_arcs(seed: int, turned: float) -> None:
     points = np.random.default_rng(seed).uniform(-1.5, 1.5, (30, 2))
@@ -71,7 +71,7 @@ def test_a_touched_obstacle_stops_approach_and_not_departure() -> None:
     assert clearances(np.empty((0, 2)), np.array([0.0, 1.0]), KEEP).tolist() == [math.inf, math.inf]
 
 
-@settings(max_examples=150)
+@settings(max_examples=75)
 @given(
     st.integers(0, 2**32), st.floats(0.0, 0.6), st.floats(-1.0, 1.0), st.floats(-1.5, 1.5), st.sampled_from((math.pi, math.tau))
 )

@@ -232,7 +232,7 @@ angles = st.floats(-4.0, 4.0) | st.floats(1e-5, 0.3) | st.floats()
 methods = st.sampled_from([PotentialField, Gap, Vfh, DynamicWindow])
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(
     near, methods, st.sampled_from([*BAD, "all maximum", "no return"]), st.floats(0.0, 3.0), st.booleans(), st.integers(1, 2)
 )
@@ -248,7 +248,7 @@ def test_a_bad_scan_never_makes_it_faster(
     assert math.hypot(*made.steer(obs(readings[bad], 100), task).velocity) <= before + 1e-9
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(methods, st.lists(st.floats(width=32), max_size=40), angles, angles, st.floats())
 def test_no_scan_raises_an_exception(kind: type[Any], values: list[float], first: float, step: float, furthest: float) -> None:
     made = steering(kind(), WHEELS)

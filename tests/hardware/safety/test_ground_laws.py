@@ -131,7 +131,7 @@ situations = {
 }
 
 
-@settings(max_examples=350)
+@settings(max_examples=150)
 @given(**situations, which=st.sampled_from(["speed", "accel", "margin", "separation", "reaction"]), by=st.floats(0.0, 1.0))
 def test_a_stricter_limit_never_gives_a_faster_command(
     name: str, keep: Limits, pose: Pose, last: Any, command: Any, places: Any, which: str, by: float
@@ -149,7 +149,7 @@ def test_a_stricter_limit_never_gives_a_faster_command(
     assert abs(strict[0]) <= abs(loose[0]) + 1e-9
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(**situations, by=st.floats(0.0, 0.9))
 def test_a_stricter_yaw_rate_never_gives_a_faster_turn(
     name: str, keep: Limits, pose: Pose, last: Any, command: Any, places: Any, by: float

@@ -33,17 +33,17 @@ def without_ramps(robot: DifferentialDrive) -> DifferentialDrive:
 
 @ROBOTS
 def test_straight_ahead_is_tracked(kind: type[Physics], robot: DifferentialDrive, drive: Drive) -> None:
-    moved = drive(kind, robot, [(0.0, 0.3, 0.0)], 9.0)
+    moved = drive(kind, robot, [(0.0, 0.3, 0.0)], 5.0)
     steady = moved.t >= 2.0
     assert moved.speed[steady] == pytest.approx(0.3, rel=0.01)
-    assert moved.position[-1, 0] == pytest.approx(0.3 * 9.0 - 0.3**2 / (2.0 * 0.3), abs=0.005)  # minus the ramp
-    assert abs(moved.position[-1, 1]) < 0.002  # drift over 2.5 m
+    assert moved.position[-1, 0] == pytest.approx(0.3 * 5.0 - 0.3**2 / (2.0 * 0.3), abs=0.005)  # minus the ramp
+    assert abs(moved.position[-1, 1]) < 0.001  # drift over 1.4 m
     assert np.abs(moved.position[:, 2]).max() < 1e-3
 
 
 @ROBOTS
 def test_a_circle_is_tracked(kind: type[Physics], robot: DifferentialDrive, drive: Drive) -> None:
-    moved = drive(kind, robot, [(0.0, 0.3, 0.5)], 15.0)
+    moved = drive(kind, robot, [(0.0, 0.3, 0.5)], 9.0)
     steady = moved.t >= 2.0
     assert moved.speed[steady] == pytest.approx(0.3, rel=0.01)
     assert moved.yaw_rate[steady] == pytest.approx(0.5, rel=0.01)
@@ -53,8 +53,8 @@ def test_a_circle_is_tracked(kind: type[Physics], robot: DifferentialDrive, driv
 
 @ROBOTS
 def test_turning_on_the_spot_stays_on_the_spot(kind: type[Physics], robot: DifferentialDrive, drive: Drive) -> None:
-    moved = drive(kind, robot, [(0.0, 0.0, 1.0)], 11.0)
-    assert moved.yaw[-1] - moved.yaw[10] == pytest.approx(10.0, rel=0.005)
+    moved = drive(kind, robot, [(0.0, 0.0, 1.0)], 7.0)
+    assert moved.yaw[-1] - moved.yaw[10] == pytest.approx(6.0, rel=0.005)
     assert np.hypot(*moved.position[:, :2].T).max() < 0.005
 
 
@@ -97,14 +97,14 @@ def test_no_wheelie_even_without_ramps(kind: type[Physics], robot: DifferentialD
 
 @ROBOTS
 def test_slip_on_a_slippery_floor_is_not_in_the_odometry(kind: type[Physics], robot: DifferentialDrive, drive: Drive) -> None:
-    def slip(friction: float, model: DifferentialDrive) -> float:
+    def slip_m(friction: float, model: DifferentialDrive) -> float:
         world = World(floor_friction=friction / robot.wheel_friction)
-        moved = drive(kind, model, [(0.0, 1.0, 0.0)], 6.5, hz=60.0, world=world)
-        return 1.0 - float(moved.position[-1, 0] / moved.odometry[-1, 0])
+        moved = drive(kind, model, [(0.0, 1.0, 0.0)], 4.0, hz=60.0, world=world)
+        return float(moved.odometry[-1, 0] - moved.position[-1, 0])
 
-    assert 0.10 < slip(0.05, without_ramps(robot)) < 0.25
-    assert 0.005 < slip(0.2, without_ramps(robot)) < 0.06
-    assert abs(slip(0.2, robot)) < 1e-3  # the firmware's ramp stays below the friction limit
+    assert 0.65 < slip_m(0.05, without_ramps(robot)) < 1.6
+    assert 0.03 < slip_m(0.2, without_ramps(robot)) < 0.4
+    assert abs(slip_m(0.2, robot)) < 3e-3  # the firmware's ramp stays below the friction limit
 
 
 @ROBOTS
@@ -119,7 +119,7 @@ def test_odometry_agrees_with_the_truth_where_wheels_roll(kind: type[Physics], r
 @ROBOTS
 @pytest.mark.parametrize("speed", [0.3, 1.6])
 def test_walls_stop_a_robot(kind: type[Physics], robot: DifferentialDrive, speed: float, drive: Drive) -> None:
-    moved = drive(kind, robot, [(0.0, speed, 0.0)], 9.0, world=WALL)
+    moved = drive(kind, robot, [(0.0, speed, 0.0)], 8.0, world=WALL)
     front = moved.position[:, 0] + 0.5 * robot.length_m - robot.axle_ahead_m
     assert front.max() < 1.9 + 0.02
     assert front[-1] == pytest.approx(1.9, abs=0.01)

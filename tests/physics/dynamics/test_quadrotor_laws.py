@@ -1,11 +1,13 @@
-"""Quadrotor laws: equal bits interpreted and compiled, in few calls and in many."""
+"""Quadrotor laws: equal bits interpreted and compiled, in few calls and in many; one long flight, compiled."""
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 
+from tests.physics.dynamics.test_quadrotor_fleet import MODEL, both_rates, fly
 from vcmvsp.physics.dynamics.quadrotor_fleet import QuadrotorFleet
 from vcmvsp.physics.vehicles.models import Quadrotor
 
@@ -80,6 +82,30 @@ def test_bits_are_the_same_interpreted_and_compiled(seed: int) -> None:
     assert type(compiled._run) is not type(interpreted._run)
     for states in flights(seed, [compiled, interpreted], (1 / 120, 1 / 240, 1 / 500)[seed % 3], tumbling=seed % 2 == 0):
         assert states[0] == states[1]
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("may_compile")
+@both_rates
+def test_it_recovers_from_any_attitude_and_comes_home(hz: float) -> None:
+    rng = np.random.default_rng(5)
+    n = 100
+    fleet = QuadrotorFleet([MODEL] * n, np.tile((0.0, 0.0, 100.0), (n, 1)), np.zeros(n))
+    fleet.expect(25.0 * hz)
+    attitude = rng.normal(size=(n, 4))
+    attitude[:3] = (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.6, 0.8, 0.0)  # exactly upside down
+    fleet.attitude[:] = attitude / np.linalg.norm(attitude, axis=1, keepdims=True)
+    fleet.rate[3:] = rng.normal(0.0, 6.0, (n - 3, 3))
+    fleet.velocity[3:] = rng.normal(0.0, 3.0, (n - 3, 3))
+    for row in range(n):
+        fleet.set_waypoint(row, (0.0, 0.0, 100.0), yaw=1.0)
+    flight = fly(fleet, 25.0, hz)
+    late = np.max(np.where(flight.tilt > math.radians(45.0), flight.t[:, None], 0.0), axis=0)
+    assert late[:3].max() <= 1.0
+    assert late.max() <= 3.0
+    assert flight.position[:, :3, 2].min() >= 98.0
+    assert flight.position[-1] == pytest.approx(np.tile((0.0, 0.0, 100.0), (n, 1)), abs=0.05)
+    assert np.cos(flight.yaw[-1] - 1.0) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_several_steps_per_call_equal_single_steps() -> None:

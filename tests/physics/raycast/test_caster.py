@@ -87,9 +87,9 @@ def one_by_one(caster: Caster, origins: Floats, directions: Floats, reach: float
 def test_the_index_changes_no_range(reach: float) -> None:
     rng = np.random.default_rng(3)
     shapes = shapes_of(solids(rng))
-    origins, directions = random_beams(rng, 400)
+    origins, directions = random_beams(rng, 200)
     expected = one_by_one(Caster(shapes, 1000.0), origins, directions, reach)
-    assert np.isfinite(expected).sum() > 30
+    assert np.isfinite(expected).sum() > 10
     for cell_m in (0.7, 3.0, None):
         assert np.array_equal(one_by_one(Caster(shapes, cell_m), origins, directions, reach), expected)
 
@@ -125,12 +125,12 @@ def triangle_ranges(shapes: Shapes, origins: Floats, directions: Floats) -> Floa
 def test_prisms_against_their_own_triangles() -> None:
     rng = np.random.default_rng(8)
     shapes = shapes_of(solids(rng, count=24))
-    origins, directions = random_beams(rng, 1500)
+    origins, directions = random_beams(rng, 900)
     caster = Caster(shapes)
     outside = np.array([not caster.inside((x, y, z)) for x, y, z in origins.tolist()])
     origins, directions = origins[outside], directions[outside]
     found, expected = one_by_one(caster, origins, directions), triangle_ranges(shapes, origins, directions)
-    assert 300 < np.isfinite(expected).sum() < len(expected) - 300
+    assert 150 < np.isfinite(expected).sum() < len(expected) - 150
     assert found == pytest.approx(expected, abs=1e-9)
 
 
@@ -166,7 +166,7 @@ def test_ranges_as_in_bullet(tilt: float, pitch: float) -> None:
     """Fewer than one beam in a thousand deviates by more than 1 cm: beams that graze an edge."""
     sensor = RangeScanner(beams=BEAMS, field_of_view=5.0, range_max=REACH, pitch=pitch)
     off = total = met = 0
-    for seed in range(5):
+    for seed in range(3):
         rng = np.random.default_rng(100 + seed)
         world = World(solids=solids(rng))
         place = np.column_stack([rng.uniform(-14.0, 14.0, (BODIES + 1, 2)), rng.uniform(0.05, 4.0, BODIES + 1)])

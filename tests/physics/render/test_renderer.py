@@ -129,7 +129,7 @@ def test_large_and_small_faces_agree(make: Callable[[Rng], list[AnySolid]], monk
 def test_any_lens_in_any_place_agrees_with_single_rays() -> None:
     """From one pixel to a large picture, from telephoto to almost 180 degrees, close to walls and inside them."""
     colors = depths = 0
-    for seed in range(80):
+    for seed in range(40):
         rng = np.random.default_rng(seed)
         world = World(solids=tuple((scattered, stacked, woven, mixed)[seed % 4](rng)))
         eye = np.append(rng.uniform(-6, 6, 2), rng.uniform(0.005, 5))
@@ -138,8 +138,8 @@ def test_any_lens_in_any_place_agrees_with_single_rays() -> None:
         focal = 0.5 * width / math.tan(0.5 * float(rng.uniform(0.05, 3.1)))
         c, d = mismatches(world, View(eye, rotation, width, height, focal, 100.0), rng, 40)
         colors, depths = colors + c, depths + d
-    assert colors <= 3  # of 3200: 99.9 %
-    assert depths <= 3
+    assert colors <= 2  # of 1600: 99.9 %
+    assert depths <= 2
 
 
 def crowd(rng: Rng, count: int = 30) -> Scene:
@@ -157,15 +157,15 @@ def crowd(rng: Rng, count: int = 30) -> Scene:
 
 def test_bodies_in_any_attitude_agree_with_single_rays_without_the_own_one() -> None:
     colors = depths = 0
-    for seed in range(10):
+    for seed in range(5):
         rng = np.random.default_rng(seed)
         scene = crowd(rng)
         eye = scene.position[3] + [0.0, 0.0, 0.3]
         view = View(eye, towards(eye, np.zeros(3)), 160, 120, 90.0)
         c, d = mismatches(scene.world, view, rng, 250, scene, 3)
         colors, depths = colors + c, depths + d
-    assert colors <= 2
-    assert depths <= 12  # cylinder sides are flat in the picture: a few mm
+    assert colors <= 1
+    assert depths <= 6  # cylinder sides are flat in the picture: a few mm
 
 
 def city(rng: Rng, pitch: float) -> World:
@@ -187,7 +187,7 @@ def city(rng: Rng, pitch: float) -> World:
 @pytest.mark.parametrize("pitch", [10.0, 16.0])
 def test_hidden_solids_change_no_picture(pitch: float, monkeypatch: pytest.MonkeyPatch) -> None:
     left_out = 0
-    for seed in range(25):
+    for seed in range(12):
         rng = np.random.default_rng(seed)
         world = city(rng, pitch)
         eye = np.append(pitch * rng.integers(-4, 5, 2) + rng.uniform(-0.2, 0.2, 2), rng.choice([0.3, 1.7, 6.0, 12.0]))

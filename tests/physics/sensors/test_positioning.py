@@ -85,11 +85,11 @@ def test_many_receivers_have_the_spread_of_sigma() -> None:
 
 def test_one_receiver_drifts_slowly_plus_white_noise() -> None:
     """Correlation after t: the slow share of the variance times exp(-t / T)."""
-    runs = np.array([gps_errors(Gps(drift_time_s=10.0), 60, f"car{n}/gps", hz=1.0) for n in range(700)])
+    runs = np.array([gps_errors(Gps(drift_time_s=10.0), 60, f"car{n}/gps", hz=1.0) for n in range(350)])
     slow = 2.1**2 / (2.1**2 + 0.3**2)
     for lag in (1, 5, 10, 30):
         flat = runs[:, lag:, :2].ravel(), runs[:, :-lag, :2].ravel()
-        assert np.corrcoef(*flat)[0, 1] == pytest.approx(slow * np.exp(-lag / 10.0), abs=0.03)
+        assert np.corrcoef(*flat)[0, 1] == pytest.approx(slow * np.exp(-lag / 10.0), abs=0.045)
 
 
 def test_outliers_and_mount_of_an_antenna() -> None:

@@ -127,7 +127,7 @@ def test_without_delay_the_mean_stays_and_disagreement_decays_with_lambda_2(
     assert np.all(off[1:] <= off[:-1] * (1.0 - 0.04 * values[1]) + 1e-9)
 
 
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(sides=connected(), age=st.integers(0, 5), seed=st.integers(0, 99))
 def test_both_points_delayed_any_connected_graph_is_stable_up_to_the_sampled_bound(sides: Sides, age: int, seed: int) -> None:
     """kappa lambda_max T < 2 sin(pi / (2 (2 d + 1))): 5 % below it any start decays, 5 % above it the last mode grows."""
@@ -143,7 +143,7 @@ def test_both_points_delayed_any_connected_graph_is_stable_up_to_the_sampled_bou
     assert size[1.05][1] > size[1.05][0]
 
 
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(sides=connected(), age=st.integers(0, 40), loss=st.sampled_from([0.0, 0.5, 0.9]), seed=st.integers(0, 99))
 def test_with_the_own_point_fresh_all_stay_in_the_hull_and_meet(sides: Sides, age: int, loss: float, seed: int) -> None:
     """For kappa T degree < 1 each point moves to a weighted mean of received points, for any age and losses."""

@@ -61,7 +61,7 @@ def distances_to_line(done: Tour, way: Sequence[Point]) -> Floats:
 POINTS = st.tuples(st.floats(-3, 3), st.floats(-3, 3))
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(
     way=st.lists(POINTS, min_size=1, max_size=4),
     yaw=st.floats(-math.pi, math.pi),

@@ -38,7 +38,7 @@ def contacts(events: list[Event]) -> list[tuple[str, str | None]]:
 
 @pytest.mark.parametrize("v", [0.3, 1.0, 1.6])
 def test_a_robot_stops_at_one_without_penetration(v: float, kind: type[Physics]) -> None:
-    at = 6.0  # long enough to reach v at 0.3 m/s2
+    at = 1.2 + v * v / 0.6  # long enough to reach v at 0.3 m/s2
     physics = kind(world=World(), vehicles=[spec("car"), spec("real", at)], outside=Courses(real=straight(at)))
     events = run(physics, [(0.0, "car", v, 0.0)], round(2.0 + at / v + v / 0.6, 1))
     assert max(states.velocity[0, 0] for states in values(events, "world/states")) == pytest.approx(v, rel=0.02)

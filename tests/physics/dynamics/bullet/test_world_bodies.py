@@ -27,12 +27,12 @@ def test_rebuilding_a_world_takes_no_further_memory() -> None:
     x_m = 7.0625  # of corners
     world = World(solids=(Box(center=(x_m + 0.5, 0.0, 0.5), size=(1.0, 1.0, 1.0)),))
     corners = []
-    for _ in range(3):
+    for _ in range(2):
         engine((P2DX(), (0.0, 0.0, 0.0)), world=world).close()
         places = [each for each in gc.get_objects() if type(each) is list and len(each) == 3]
         corners.append(sum(type(each[0]) is float and each[0] == x_m for each in places))
     assert corners[0] > 0
-    assert corners == corners[:1] * 3
+    assert corners[0] == corners[1]
 
 
 def test_a_movable_falls_asleep_and_wakes_when_it_is_pushed(either: Make) -> None:
@@ -99,12 +99,12 @@ def test_a_moving_obstacle_keeps_its_timetable_and_pushes() -> None:
     world = World(moving=(gate(0.5),), movables=(crate(-1.0, 5.0),))
     moved = engine((P2DX(), (0.5, 0.0, 0.0)), (Quadrotor(), (0.0, 0.9, 0.04)), world=world)
     touches = set()
-    for tick in range(1, 121):
+    for tick in range(1, 91):
         moved.advance(tick * SECOND_NS // 10)
         place, _ = p.getBasePositionAndOrientation(moved._things.moving[0], moved._client)
         assert place == pytest.approx(world.moving[0].pose(0.1 * tick)[:3], abs=2e-3)
         touches |= {(touch.row, touch.other) for touch in moved.touching(passing=True)}
-    face = world.moving[0].pose(12.0)[0] + 0.1
+    face = world.moving[0].pose(9.0)[0] + 0.1
     assert moved.movables().position[0, 0] - 0.2 > face - 0.02  # pushed ahead, though asleep before
     assert moved.read().position[0, 0] - 0.04 - 0.5 * 0.511 > face - 0.05  # the robot too, with motors braking
     assert (1, 3) in touches  # the quadrotor in the obstacle's path; row 2 is the crate
@@ -145,12 +145,11 @@ def test_grip_is_lost_on_ice_and_found_again_behind_it(either: Make) -> None:
             moved.advance(tick * SECOND_NS // 60)
         x = moved.read().position[0, 0]
         moved.command(0, (0.0, 0.0, 0.0), 0.0)
-        moved.advance(tick * SECOND_NS // 60 + 8 * SECOND_NS)
+        moved.advance(tick * SECOND_NS // 60 + 5 * SECOND_NS)
         return float(moved.read().position[0, 0] - x)
 
     dry = stop_m()
     assert dry < 0.2
     assert stop_m(Zone(center=(50.0, 0.0), size=(1.0, 1.0), friction=0.0)) == pytest.approx(dry, abs=0.01)
-    assert stop_m(ice) > 1.2  # across the ice, and stopped behind it
-    assert stop_m(ice) < 1.8
+    assert 1.2 < stop_m(ice) < 1.8  # across the ice, and stopped behind it
     assert stop_m(ice, Zone(center=(2.0, 0.0), size=(9.0, 9.0), yaw_rad=0.3, friction=1.0)) == pytest.approx(dry, abs=0.01)
