@@ -51,19 +51,19 @@ def lossy(**more: Any) -> dict[str, Any]:
 
 def test_95_percent_of_runs_are_inside() -> None:
     inside: Counter[str] = Counter()
-    for seed in range(1, 31):
+    for seed in range(1, 21):
         for name, each in laws(measured_run(lossy(seed=seed))).items():
             if each.spread is not None:
                 assert each.measured is not None
                 inside[name] += abs(each.measured - each.expected) <= each.spread
     assert set(inside) == {LOSS, DELAY, AGE, PEAK}
-    assert min(inside.values()) >= 25, inside  # 28.5 on average, 24 or less once in 200
+    assert min(inside.values()) >= 16, inside  # 19 on average, 15 or less once in 400
 
 
 def test_bursts_scatter_more_than_independent_losses() -> None:
     burst = {"kind": "gilbert_elliott", "to_bad_per_s": 1.0, "to_good_per_s": 1.0, "bad_loss": 0.9, "good_loss": 0.1}
     inside = 0
-    for seed in range(1, 21):
+    for seed in range(1, 13):
         radio = {"preset": "ideal", "loss": burst}
         (found,) = (
             each for name, each in laws(measured_run(two(duration_s=10.0, radio=radio, seed=seed))).items() if name == BURSTS
@@ -73,7 +73,7 @@ def test_bursts_scatter_more_than_independent_losses() -> None:
         assert found.spread is not None
         assert found.spread > 2.0 * 1.96 * math.sqrt(0.25 / 100)
         inside += abs(found.measured - found.expected) <= found.spread
-    assert inside >= 17
+    assert inside >= 10
 
 
 def test_followers_without_prediction_lag_by_speed_times_age() -> None:

@@ -15,6 +15,7 @@ import pytest
 from tests.support.cosim.command_line import vcmvsp_command
 from vcmvsp.cosim.analysis import closed_forms
 from vcmvsp.cosim.errors import ScenarioError, UsageError, VcmvspError
+from vcmvsp.cosim.plots.style import save
 from vcmvsp.cosim.reproduction import figures
 from vcmvsp.cosim.reproduction.figures import drawing
 from vcmvsp.cosim.reproduction.figures.drawing import write
@@ -270,7 +271,7 @@ def fewer(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(circle, "STARTS", 25)
     monkeypatch.setattr(steps, "FINE_GAINS", (2.0,))
     monkeypatch.setattr(steps, "BEFORE_S", 40.0)
-    monkeypatch.setattr(drawing, "save", partial(drawing.save, kinds=("svg",)))
+    monkeypatch.setattr(drawing, "save", partial(save, kinds=("svg",)))
 
 
 @pytest.mark.usefixtures("fewer")

@@ -71,7 +71,7 @@ def test_stages(name: str, panels: int, tmp_path: Path, monkeypatch: pytest.Monk
     """Scores above and below the thresholds of the stages, and angles within a degree."""
     monkeypatch.setattr(recognition_stages, "TURNS_DEG", (0, 15, 20, 90))
     monkeypatch.setattr(recognition_stages, "SHIFTS_PX", (0, 4, 7))
-    figure = draw_figure(name, tmp_path, panels, frames=2)
+    figure = draw_figure(name, tmp_path, panels, frames=1)
     assert missed(figure) == []
     if name == "47":
         assert all(any(kind in row.case for row in figure.rows) for kind in KINDS)

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from vcmvsp.cosim.plots.style import save
 from vcmvsp.cosim.reproduction import figures
 from vcmvsp.cosim.reproduction.figures import drawing
 from vcmvsp.cosim.reproduction.figures.figure import Figure
@@ -23,7 +24,7 @@ ENDS = ".csv", "-expected.csv", ".json", ".svg"
 
 def write(name: str, figure: Figure, folder: Path) -> list[Path]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(drawing, "save", partial(drawing.save, kinds=("svg",)))
+        patch.setattr(drawing, "save", partial(save, kinds=("svg",)))
         return drawing.write(name, figure, folder)
 
 
