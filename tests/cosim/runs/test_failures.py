@@ -1,9 +1,9 @@
 """However a run ends: one error, the right exit code, in time, nothing left behind, a readable recording."""
 
+import contextlib
 import json
 import os
 import signal
-import subprocess
 from pathlib import Path
 
 import psutil
@@ -12,7 +12,7 @@ import pytest
 from mcap.reader import make_reader
 
 from tests.support.cosim.command_line import vcmvsp_command
-from tests.support.cosim.run_processes import VCMVSP, wait_for
+from tests.support.cosim.run_processes import Stage, output_at_exit, staged, wait_for
 from tests.support.cosim.secure_hub import until
 
 pytestmark = pytest.mark.processes
@@ -59,13 +59,14 @@ kind = "kinematic"
 pose = [3.0, 0.0, 0.0]
 agent = {{ kind = "failing.py:Failing", how = "{how}" }}
 """
-COMMAND = [*VCMVSP, "run"]
+MARK = "VCMVSP_TEST_FOLDER"  # a variable in the environment of all processes of a run
+stage = staged(Stage)
 
 
 def write(folder: Path, how: str, duration: float = 5.0) -> Path:
     (folder / "failing.py").write_text(AGENTS)
     scenario = folder / "failing.toml"
-    deadline = 2.0 if how in ("hang", "stop") else 30.0
+    deadline = 1.0 if how in ("hang", "stop") else 30.0
     scenario.write_text(SCENARIO.format(how=how, duration=duration, deadline=deadline))
     return scenario
 
@@ -89,54 +90,48 @@ CAUSES = {
     "junk": "returned 'forward' from act(); it must return a Velocity",
     "exit": "ended with exit code 7",
     "kill": "was killed by SIGKILL",
-    "hang": "did not answer within the deadline of 2 s",
-    "stop": "did not answer within the deadline of 2 s",
+    "hang": "did not answer within the deadline of 1 s",
+    "stop": "did not answer within the deadline of 1 s",
 }
 
 
 @pytest.mark.parametrize(
     ("how", "where"), [(how, "process") for how in CAUSES] + [(how, "inprocess") for how in ("raise", "nan", "junk")]
 )
-def test_a_failing_agent_ends_the_run_with_one_error(how: str, where: str, tmp_path: Path) -> None:
-    scenario, out = write(tmp_path, how), tmp_path / "out"
-    command = [*COMMAND, str(scenario), "--agents", where, "--out", str(out)]
-    run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
-    _, errors_said = run.communicate(timeout=500)
-    assert run.returncode == 3, errors_said
+def test_a_failing_agent_ends_the_run_with_one_error(how: str, where: str, stage: Stage) -> None:
+    scenario = write(stage.folder, how)
+    mark = f"{MARK}={stage.folder}"
+    run = stage.start("run", scenario.name, "--agents", where, "--out", "out", more={MARK: str(stage.folder)})
+    errors_said = output_at_exit(3, run)
     errors = [line for line in errors_said.splitlines() if line.startswith("vcmvsp: ")]
     assert "vehicle car2" in errors[0]
     assert "failing.py:Failing" in errors[0]
     assert CAUSES[how] in errors[0]
-    assert "Traceback" not in errors_said
-    about = assert_readable(out, 1.0)
+    about = assert_readable(stage.out, 1.0)
     assert CAUSES[how] in str(about["error"])
-    until(lambda: not [pid for pid in psutil.pids() if session_of(pid) == run.pid])
+    until(lambda: not [pid for pid in psutil.pids() if mark.encode() in environment_of(pid)])
 
 
 @pytest.mark.parametrize("where", ["inprocess", "process"])
-def test_ctrl_c_keeps_the_recording_and_leaves_no_process(where: str, tmp_path: Path) -> None:
-    scenario, out = write(tmp_path, "fine", duration=3600.0), tmp_path / "out"
-    command = [*COMMAND, str(scenario), "--agents", where, "--out", str(out), "--realtime"]
-    run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, process_group=0)
-    wait_for(tmp_path / "got there")
+def test_ctrl_c_keeps_the_recording_and_leaves_no_process(where: str, stage: Stage) -> None:
+    scenario = write(stage.folder, "fine", duration=3600.0)
+    run = stage.start("run", scenario.name, "--agents", where, "--out", "out", "--realtime")
+    wait_for(stage.folder / "got there")
     children = psutil.Process(run.pid).children(recursive=True)
     assert sum(not each.children() for each in children) == (2 if where == "process" else 0)
     os.killpg(run.pid, signal.SIGINT)
-    _, errors = run.communicate(timeout=500)
-    assert run.returncode == 130
+    errors = output_at_exit(130, run)
     assert "interrupted at" in errors
-    assert "Traceback" not in errors
     assert not psutil.wait_procs(children, timeout=500)[1]
-    about = json.loads((out / "about.json").read_text())
-    assert_readable(out, about["simulated_s"], 0.1)
+    about = json.loads((stage.out / "about.json").read_text())
+    assert_readable(stage.out, about["simulated_s"], 0.1)
     assert about["lateness"]["instants"] > 0
 
 
-def test_hosts_end_with_a_run_that_is_killed(tmp_path: Path) -> None:
-    scenario, out = write(tmp_path, "fine", duration=3600.0), tmp_path / "out"
-    command = [*COMMAND, str(scenario), "--agents", "process", "--out", str(out), "--realtime"]
-    run = subprocess.Popen(command, stderr=subprocess.DEVNULL)
-    wait_for(out / "run.mcap")
+def test_hosts_end_with_a_run_that_is_killed(stage: Stage) -> None:
+    scenario = write(stage.folder, "fine", duration=3600.0)
+    run = stage.start("run", scenario.name, "--agents", "process", "--out", "out", "--realtime")
+    wait_for(stage.out / "run.mcap")
     children = psutil.Process(run.pid).children(recursive=True)
     assert sum(not each.children() for each in children) == 2
     run.kill()
@@ -154,8 +149,8 @@ def test_a_host_that_cannot_build_its_agent_is_bad_input(tmp_path: Path) -> None
     assert not (tmp_path / "out").exists()
 
 
-def session_of(pid: int) -> int:
-    try:
-        return os.getsid(pid)
-    except ProcessLookupError:
-        return -1
+def environment_of(pid: int) -> bytes:
+    """The environment with which a process was started; empty: it has ended, or is another user's."""
+    with contextlib.suppress(OSError):
+        return Path(f"/proc/{pid}/environ").read_bytes()
+    return b""

@@ -1,7 +1,5 @@
 """Replay of a run with a real vehicle (a robot in software, on the wall clock, in its own process), without the vehicle."""
 
-import os
-import subprocess
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -10,9 +8,8 @@ import numpy as np
 import pytest
 
 import vcmvsp
-from tests.support.cosim.run_processes import VCMVSP, wait_for
+from tests.support.cosim.run_processes import Stage, wait_for
 from tests.support.cosim.secure_hub import until
-from tests.support.paths import ROOT
 from vcmvsp.cosim.federate import Event
 from vcmvsp.cosim.recording.external_inputs import read_inputs
 from vcmvsp.cosim.runs.replay import replay
@@ -133,15 +130,11 @@ def test_its_twin_can_take_its_place(recorded: Path) -> None:
 
 
 def test_a_killed_run_is_replayed_as_far_as_written(tmp_path: Path) -> None:
-    command = [*VCMVSP, "run", str(scenario(tmp_path, 60.0)), "--out", str(tmp_path / "run"), "-q"]
     path, lines = tmp_path / "run" / "hardware.mcap", list[str]()
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    with subprocess.Popen(command, env=environment, cwd=tmp_path) as process:
-        try:
-            wait_for(path)
-            until(lambda: path.stat().st_size > 4000)
-        finally:
-            process.kill()
+    with Stage(tmp_path) as stage:
+        stage.start("run", str(scenario(tmp_path, 60.0)), "--out", "run", "-q")
+        wait_for(path)
+        until(lambda: path.stat().st_size > 4000)
     end_ns = read_inputs(path)[-1][1]
     assert end_ns > 0
     again = replay(tmp_path / "run", set={"duration_s": 20.0}, tell=lines.append)

@@ -136,7 +136,9 @@ def test_a_run_with_expired_certificate_is_refused(
     assert "has expired; on its machine: vcmvsp keys hub" in refused(late.endpoint, machine)
 
 
-def test_tls_to_a_run_without_is_refused(keys: Keys, stack: contextlib.ExitStack) -> None:
+def test_tls_to_a_run_without_is_refused(keys: Keys, stack: contextlib.ExitStack, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(access_control, "OPEN_MS", 300)
+    monkeypatch.setattr(zenoh_session, "PROBE_S", 0.3)
     plain = stack.enter_context(Hub({}, ("tcp/127.0.0.1:0",)))
     endpoint = plain.endpoint.replace("tcp/", "tls/")
     with pytest.raises(zenoh.ZError, match="Unable to connect"):
@@ -211,7 +213,7 @@ def test_the_run_logs_refusals_with_reasons(
 
 
 def test_a_link_ends_with_its_certificate(hub: Hub, keys: Keys, monkeypatch: pytest.MonkeyPatch) -> None:
-    ending = expiring_certificate(keys.folder, "ending", 4.0, monkeypatch)
+    ending = expiring_certificate(keys.folder, "ending", 3.0, monkeypatch)
     with dial(hub.endpoint, ending):
         until(lambda: hub.links("ending") == [True, False])
 

@@ -72,7 +72,7 @@ class Stage:
         """Which functions of a run work; waits for the expected ones."""
         checks: dict[str, Callable[[], object]] = {
             "greeted": lambda: greet(self.host, "car2") == [b"welcome"],
-            "answered": lambda: self.hub.ask("car2", self.host) == [b"answer"],
+            "answered": lambda: self.hub.ask("car2", self.host, within_s=0.2) == [b"answer"],
             "alive": lambda: self.hub.counts[f"token {self.keys[1]}"],
             "hub seen": lambda: self.counts[f"car2 sees hub {zenoh.SampleKind.PUT}"],
             "told": lambda: inquire(self.host, "car2") == [b"welcome"],
