@@ -119,7 +119,7 @@ def test_invalid_data_count_as_leaving(tmp_path: Path, nonsense: bytes) -> None:
     assert lines[-1].isprintable()
 
 
-@settings(max_examples=20)
+@settings(max_examples=10)
 @given(
     st.lists(
         st.binary(max_size=30) | st.builds(lambda n: framed(Wait(n, hears=True, held=0)), st.integers(1, 10**9)), max_size=5
