@@ -16,7 +16,7 @@ from tests.support.validation.fleets import LEFT_BEHIND, RIGHT_BEHIND, Floats, e
 
 pytestmark = pytest.mark.slow
 
-SEEDS = range(1, 5)
+SEEDS = range(1, 3)
 
 
 @functools.cache
