@@ -10,6 +10,7 @@ import pyarrow.compute as pc
 
 from vcmvsp.cosim.report.page import Code, Facts, Figure, Part, Rows, Section, Words, cell, counted, page
 from vcmvsp.cosim.report.run_page import FILE
+from vcmvsp.cosim.runs.figures import are_enabled
 from vcmvsp.cosim.scenario import loader
 from vcmvsp.cosim.studies.plan import Plan
 from vcmvsp.cosim.studies.store import PLAN, so_far
@@ -26,6 +27,8 @@ LISTED_FAILURES = 100
 def write(folder: Path, table: pa.Table, plan: Plan, *, repeatable: bool = True) -> list[Path]:
     """Write ``summary.csv``, ``study.png``, ``study-map.png``, both as ``.svg`` and ``.pdf`` too, and ``report.html``.
 
+    ``VCMVSP_FIGURES=0`` in the environment leaves the figures out.
+
     Args:
         table: a row for each run: the varied keys, ``seed``, metrics, ``error`` and ``digest``.
         plan: of the study. The map is drawn if two numeric keys were varied.
@@ -34,12 +37,10 @@ def write(folder: Path, table: pa.Table, plan: Plan, *, repeatable: bool = True)
     Returns:
         The files.
     """
-    from vcmvsp.cosim.plots import style
-
     summary = summarise(table, list(plan.vary), plan.metrics)
     written = [folder / "summary.csv"]
     write_whole(written[0], to_csv(summary))
-    paths = [path for name, figure in _figures(summary, plan).items() for path in style.save(figure, folder / name)]
+    paths = _drawn(folder, summary, plan) if are_enabled() else []
     drawings = {path.stem: path.read_text("utf-8") for path in paths if path.suffix == ".svg"}
     report = folder / FILE
     write_whole(report, _page(table, summary, plan, drawings, repeatable=repeatable))
@@ -61,6 +62,12 @@ def report_again(folder: Path, out: Path | None = None) -> Path:
     path = out or folder / FILE
     write_whole(path, _page(table, summary, plan, drawings, repeatable=_is_file(plan)))
     return path
+
+
+def _drawn(folder: Path, summary: pa.Table, plan: Plan) -> list[Path]:
+    from vcmvsp.cosim.plots import style
+
+    return [path for name, figure in _figures(summary, plan).items() for path in style.save(figure, folder / name)]
 
 
 def _figures(summary: pa.Table, plan: Plan) -> "dict[str, FigureOfPlots]":

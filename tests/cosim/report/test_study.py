@@ -14,7 +14,7 @@ from vcmvsp.cosim.studies.plan import Plan, Run
 from vcmvsp.cosim.studies.rows import Row, encode
 from vcmvsp.cosim.studies.store import JOURNAL, PLAN, JournalLine
 
-pytestmark = pytest.mark.processes
+pytestmark = [pytest.mark.processes, pytest.mark.usefixtures("figures")]
 
 METRIC = "formation.rms_m"
 

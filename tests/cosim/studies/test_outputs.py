@@ -24,7 +24,7 @@ from vcmvsp.cosim.studies.outputs import command_of, toml_of, write
 from vcmvsp.cosim.studies.plan import Plan, vary_of
 from vcmvsp.cosim.studies.summary import summarise
 
-pytestmark = pytest.mark.processes
+pytestmark = [pytest.mark.processes, pytest.mark.usefixtures("figures")]
 
 LOSS, DELAY, WHO, METRIC = "radio.loss.probability", "radio.delay.seconds", "agents.estimator", "formation.rms_m"
 

@@ -344,6 +344,7 @@ def test_a_killed_study_resumes_to_equal_bytes_and_leaves_no_process(tmp_path: P
     assert (tmp_path / "killed" / "study.lock").exists()
 
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("VCMVSP_FIGURES", "1")
     code, out, err = vcmvsp_command("study", *ARGUMENTS, "--out", "killed", "--resume")
     assert code == 0, err
     about = json.loads((tmp_path / "killed" / "about.json").read_text())
