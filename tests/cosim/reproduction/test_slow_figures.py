@@ -80,6 +80,7 @@ def test_41(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gaps, "DOORS", 80)
     monkeypatch.setattr(gaps, "PARTS", 1)
     monkeypatch.setattr(gaps, "DISTANCES", 10)
+    monkeypatch.setattr(gaps, "RUN_S", 16.0)  # through the door, 2.5 m away, at 0.3 m/s
     figure = checked_figure("41", tmp_path, 5, ["left door", "narrow door", "behind the robot", "40 doors", "80 random doors"])
     assert len(figure.rows) == 2 * (3 + 2 + 2) + 4
 

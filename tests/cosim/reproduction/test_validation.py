@@ -21,7 +21,7 @@ pytestmark = pytest.mark.processes
 
 QUICK = (
     *("ticks", "draws", "path-loss", "walls", "shadowing", "success", "received", "air-time", "age", "dcf-b-50", "late-loop"),
-    *("scanner", "inertial", "positions", "wheels", "figure-25"),
+    *("scanner", "inertial", "positions", "figure-25"),
 )
 
 

@@ -106,7 +106,7 @@ def test_programs_of_cflib_fly_a_swarm_and_trajectories() -> None:
     assert len(swarm) == 2
     for uri, places in swarm.items():
         x = float(int(uri.rpartition(":")[2]) - first)
-        for place, expected in zip(places, [(x, 0.0, 0.4), (x + 0.2, 0.3, 0.6), (x + 0.2, 0.3, 0.02)], strict=True):
+        for place, expected in zip(places, [(x, 0.0, 0.4), (x + 0.4, 0.6, 0.8), (x + 0.4, 0.6, 0.02)], strict=True):
             assert place == pytest.approx(expected, abs=0.05)
     for place, expected in zip(*flight.values(), [(2.0, 0.0, 0.5), (2.0, 0.4, 0.5), (1.6, 0.4, 0.8)], strict=True):
         assert place == pytest.approx(expected, abs=0.05)

@@ -70,8 +70,8 @@ def go_to(scf: SyncCrazyflie) -> list[list[float]]:
     commander, places = scf.cf.high_level_commander, []
     commander.takeoff(0.4, 1.0)
     places.append(log.place_after(2.0))
-    commander.go_to(x + 0.2, y + 0.3, 0.6, 0.0, 1.0)
-    places.append(log.place_after(2.0))
+    commander.go_to(x + 0.4, y + 0.6, 0.8, 0.0, 1.5)
+    places.append(log.place_after(2.5))
     commander.land(0.02, 1.5)
     places.append(log.place_after(2.0))
     commander.stop()

@@ -42,6 +42,7 @@ ALIKE = ((1.2, 0.7), (0.0, 0.7), (-1.2, 0.7))  # centre and width of three doors
 UNLIKE = ((0.75, NARROW_M), (0.0, ENOUGH_M), (-0.75, NARROW_M), (-1.5, 0.7))
 BEYOND_M, SLOT_M = 1.6, (-0.7, 0.0)  # from the wall to the leader; slot behind the leader, m
 BEHIND, ROUND = ((-1.5, 1.0), (-1.5, -1.0)), (4.9, 0.4)  # leaders behind the robot; from them to the slot beyond the wall, m
+RUN_S = 30.0  # of a follower
 TURNED_DEG = 60.0  # direction of the border; doors are within 45
 Doors = Sequence[tuple[float, float]]  # centre and width, m
 Case = tuple[Doors, tuple[float, float], tuple[float, float]]  # of `team`
@@ -253,7 +254,7 @@ def team(doors: Doors, leader: tuple[float, float], slot: tuple[float, float]) -
     stands = {"kind": "trajectory", "path": "straight", "speed": 0.0}
     return scene(
         "doors",
-        30.0,
+        RUN_S,
         [
             {"name": "leader", "pose": (*leader, 0.0), "agent": stands},
             {"name": "follower", "pose": (0.0, 0.0, 0.0), "agent": {"kind": "leader_follower", **law}},

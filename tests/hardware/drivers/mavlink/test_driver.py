@@ -18,6 +18,7 @@ from vcmvsp.cosim.config.binding import call
 from vcmvsp.cosim.errors import ScenarioError
 from vcmvsp.cosim.types import ORIGIN, Vec3, Velocity
 from vcmvsp.hardware.drivers.base import Driver, HandshakeError, LinkLost, PortError
+from vcmvsp.hardware.drivers.mavlink import link as mavlink_link
 from vcmvsp.hardware.drivers.mavlink.driver import MavlinkDriver
 from vcmvsp.hardware.drivers.mavlink.link import SOURCES, open_link
 from vcmvsp.hardware.drivers.mavlink.protocol import mavlink
@@ -205,8 +206,9 @@ def test_a_returning_vehicle_gets_zero_first() -> None:
         eventually(lambda: fly(driver, 0.1, 1.0, 0.0, 0.0)[-1].stopped == "")
 
 
-def test_only_the_lost_vehicle_is_found_again_neither_switched_nor_armed() -> None:
+def test_only_the_lost_vehicle_is_found_again_neither_switched_nor_armed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Although no system_id was given, another vehicle sends, and the caller requests stops all the time."""
+    monkeypatch.setattr(mavlink_link, "LISTEN_S", 0.5)  # five heartbeats
     port = free_ports(1)
     where = ("127.0.0.1", port)
     options: dict[str, Any] = {"system_id": 0, "switch_mode": True, "arm": True, "silence_s": 0.5, "reconnect_s": 60.0}
