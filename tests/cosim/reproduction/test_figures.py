@@ -266,9 +266,10 @@ def test_the_integration_gives_the_published_errors(path: str, estimator: str, r
 
 @pytest.fixture
 def fewer(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fewer starts in figure 24's proof, one gain of 30 at its fine period, less time before the steps of 33; SVG only."""
+    """Fewer starts in figure 24's proof and followers in 26, one fine gain in 30, earlier steps in 33; SVG only."""
     monkeypatch.setattr(circle, "PARTS", 1)
     monkeypatch.setattr(circle, "STARTS", 25)
+    monkeypatch.setattr(circle, "PAIRS", 3)
     monkeypatch.setattr(steps, "FINE_GAINS", (2.0,))
     monkeypatch.setattr(steps, "BEFORE_S", 40.0)
     monkeypatch.setattr(drawing, "save", partial(save, kinds=("svg",)))

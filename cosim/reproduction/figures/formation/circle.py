@@ -32,6 +32,7 @@ NAMES = ("leader", "follower 1", "follower 2")
 SIDES = (ASIDE, -ASIDE)
 AWAY = ({**RIGHT_BEHIND, "pose": (-1.6, -0.9, 0.4)}, {**LEFT_BEHIND, "pose": (-1.3, 0.9, -0.4)})  # from their slots
 GAIN, SPAN_S = 1.0, 0.5  # of the proof: k1 = k2, 1/s; duration of its runs
+PAIRS = 10  # of followers in figure 26
 STARTS, PARTS = 200, 4  # number of its starts, and of runs that share them
 
 
@@ -82,14 +83,14 @@ def fig_26(runner: Runner) -> Figure:
     for sigma_m, sigma_rad, _, _ in noises:
         sensor = {"rate_hz": 10.0, "sigma_m": sigma_m, "sigma_rad": sigma_rad}
         vehicles = {"pose_source": "positioning", "positioning": sensor}
-        jobs.append(track(fleet(120.0, [RIGHT_BEHIND, LEFT_BEHIND] * 10, vehicles=vehicles), seed=1))
+        jobs.append(track(fleet(120.0, [RIGHT_BEHIND, LEFT_BEHIND] * PAIRS, vehicles=vehicles), seed=1))
     runs = runner(jobs)
     for (sigma_m, sigma_rad, rms, spread), each in zip(noises, runs, strict=True):
         late = each.time_s >= 20.0
         case = f"sigma {sigma_m:g} m, {sigma_rad:g} rad"
         radial = _radius(each)[late]
         rows += [
-            absolute(f"{case}: RMS |z| of 20 followers, m", rms[0], np.sqrt((each.error[late] ** 2).mean()), rms[1]),
+            absolute(f"{case}: RMS |z| of {2 * PAIRS} followers, m", rms[0], np.sqrt((each.error[late] ** 2).mean()), rms[1]),
             absolute(f"{case}: radial deviation of followers, m", spread[0], radial[:, 1:].std(axis=0).mean(), spread[1]),
             absolute(f"{case}: leader off its circle, m", 0.0, np.abs(radial[:, 0] - R).max(), 1e-9),
         ]
