@@ -115,7 +115,7 @@ SHOWN = {
     ],
     "observer": ["cosim/hosts/test_watch.py::test_with_certificates_only_observers_watch"],
     "Foxglove stream": [
-        "cosim/view/test_foxglove.py::test_messages_of_a_client_change_nothing",
+        "cosim/view/test_foxglove.py::test_a_client_gets_the_recorded_messages_and_changes_nothing",
         "cosim/view/test_foxglove.py::test_an_address_beyond_loopback_gives_a_caution",
     ],
     "page": [
