@@ -10,7 +10,8 @@ import numpy as np
 import vcmvsp
 
 FOLDER = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
-SPEED, DURATION_S, SLOT = 0.5, 300.0, [-1.0, 0.0]
+DURATION_S = float(sys.argv[2]) if len(sys.argv) > 2 else 300.0
+SPEED, SLOT = 0.5, [-1.0, 0.0]
 CLOCKS: dict[str, dict[str, float]] = {
     "one clock": {},
     "50 ms ahead": {"offset_s": 0.05},
@@ -41,11 +42,10 @@ def main() -> None:
     """The formation error over time, with what ``speed (offset + drift t)`` gives."""
     figure, axes = plt.subplots(figsize=(8.0, 4.0), layout="constrained")
     for color, (name, clock) in zip(("tab:green", "tab:blue", "tab:red"), CLOCKS.items(), strict=True):
-        for synchronised, look in ((False, "-"), (True, ":")):
+        for synchronised, look in ((False, "-"), (True, ":"))[: 2 if clock else 1]:
             errors = vcmvsp.run(scenario(clock, synchronised=synchronised), mcap=False).errors.to_pandas()
             words = f"{name}, time_sync" if synchronised else name
-            if clock or not synchronised:
-                axes.plot(errors["time_ns"] * 1e-9, errors["error_m"], look, color=color, label=words, linewidth=1.2)
+            axes.plot(errors["time_ns"] * 1e-9, errors["error_m"], look, color=color, label=words, linewidth=1.2)
         time_s = np.array([0.0, DURATION_S])
         ahead_s = clock.get("offset_s", 0.0) + 1e-6 * clock.get("drift_ppm", 0.0) * time_s
         axes.plot(time_s, SPEED * ahead_s, "k--", linewidth=0.8, label="" if clock else "speed (offset + drift t)")

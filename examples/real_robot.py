@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import vcmvsp
 
 FOLDER = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
-SECONDS = 12.0
+SECONDS = float(sys.argv[2]) if len(sys.argv) > 2 else 12.0
 
 
 def main() -> None:

@@ -12,7 +12,8 @@ from pyarrow import parquet
 
 FOLDER = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 VCMVSP = [sys.executable, "-m", "vcmvsp.cosim.cli.app"]
-RUN = [*VCMVSP, "run", "formation-circle", "--set", "agents.estimator=hold", "--set", "agents.runs=inprocess", "--quiet"]
+SETTINGS = ["--set", "agents.estimator=hold", "--set", "agents.runs=inprocess", "--set", "duration_s=25"]
+RUN = [*VCMVSP, "run", "formation-circle", *SETTINGS, "--quiet"]
 
 
 def free_port() -> int:

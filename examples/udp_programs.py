@@ -13,10 +13,12 @@ import matplotlib.pyplot as plt
 import vcmvsp
 
 FOLDER = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
-QUESTIONS, PERIOD_S, FIRST_PORT = 60, 0.1, 18500
+SECONDS = float(sys.argv[2]) if len(sys.argv) > 2 else 6.0  # of questions
+PERIOD_S, FIRST_PORT = 0.1, 18500
+QUESTIONS = round(SECONDS / PERIOD_S)
 SCENARIO: dict[str, Any] = {
     "name": "udp",
-    "duration_s": QUESTIONS * PERIOD_S + 3.0,
+    "duration_s": SECONDS + 1.0,
     "physics": {"kind": "kinematic"},
     "radio": {"preset": "wifi-b-1", "loss": {"probability": 0.1}, "delay": {"seconds": 0.04, "jitter_s": 0.02}},
     "bridge": {"udp": {"first_port": FIRST_PORT}},

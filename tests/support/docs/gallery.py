@@ -3,6 +3,8 @@
 import re
 from functools import cache
 
+import pytest
+
 import vcmvsp
 from tests.support.paths import SCENARIOS
 from vcmvsp.cosim.scenario import loader
@@ -21,7 +23,9 @@ def gallery_scenario(name: str) -> vcmvsp.Result:
     """A built-in scenario as by its command, without what differs from run to run."""
     (changed,) = re.findall(rf"^    vcmvsp run {name}((?: --set \S+)*)$", section(name), re.MULTILINE) or [""]
     settings = loader.settings_of(changed.split()[1::2])
-    return vcmvsp.run(name, set={**loader.load(name)[0].twins, **settings}, mcap=False)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("VCMVSP_COMPILED", "1")  # pays for quadrotors, also with the compilation
+        return vcmvsp.run(name, set={**loader.load(name)[0].twins, **settings}, agents="inprocess", mcap=False)
 
 
 def assert_printed(name: str) -> None:
