@@ -17,6 +17,7 @@ from pathlib import Path
 
 import vcmvsp
 from tests.fuzz import forked, mutations
+from vcmvsp.cosim.cli import app
 
 PROGRESS_EVERY = 500  # cases
 
@@ -72,6 +73,7 @@ def _import_all() -> None:
             with contextlib.suppress(ImportError):
                 importlib.import_module(module.name)
     importlib.import_module("pydantic.type_adapter")  # for typer
+    app.command()  # is kept
     gc.freeze()  # a collection in a forked process would copy all that it visits
 
 

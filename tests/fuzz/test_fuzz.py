@@ -51,7 +51,7 @@ def _burn() -> None:
         (lambda: sys.exit(4), "exit code 4"),
         (lambda: next(iter(())), "a traceback"),
         (_burn, "s of processor time"),
-        (lambda: len(b"x" * (2**30 + 2**26)), "MiB"),
+        (lambda: len(b"x" * 2**27), "MiB"),
         (lambda: Path("beside").write_text("x"), "it wrote outside --out: beside"),
         (lambda: Path("../../elsewhere").write_text("x"), "it wrote outside the folder: open"),
     ],
@@ -59,8 +59,9 @@ def _burn() -> None:
 def test_what_breaks_a_law_is_found(
     command: Callable[[], object], problem: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(forked, "MEMORY_BYTES", 2**26)
     if command is _burn:
-        monkeypatch.setattr(forked, "CPU_S", 1)
+        monkeypatch.setattr(forked, "CPU_S", 0)  # the system ends it 1 s later
     monkeypatch.setattr(forked, "main", lambda words: command())
     (tmp_path / "here" / "case").mkdir(parents=True)
     found = forked.problems([], tmp_path / "here" / "case")

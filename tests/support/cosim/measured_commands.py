@@ -5,8 +5,10 @@ their modules once. ``view`` does not serve its page, which has no end; its firs
 figures.
 """
 
+import contextlib
 import gc
 import importlib
+import io
 import json
 import os
 import resource
@@ -14,6 +16,7 @@ import shlex
 import subprocess
 import sys
 import tempfile
+import traceback
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -64,12 +67,25 @@ def _run(command: str) -> CommandCost:
             resource.setrlimit(resource.RLIMIT_CPU, (CPU_S + 1, CPU_S + 1))
             os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
             os.dup2(error_output.fileno(), 2)
-            sys.modules["vcmvsp.cosim.cli.app"].main(shlex.split(command))
-            sys.exit(0)
+            os._exit(_code_of(shlex.split(command)))
         _, status, used = os.wait4(child, 0)
         error_output.seek(0)
         err = error_output.read().decode()
     return CommandCost(os.waitstatus_to_exitcode(status), err, used.ru_utime + used.ru_stime, 1024 * used.ru_maxrss)
+
+
+def _code_of(words: list[str]) -> int:
+    """Exit code of a command. Its process then ends without freeing all objects, which would copy them."""
+    code: int | str | None = 0
+    try:
+        sys.modules["vcmvsp.cosim.cli.app"].main(words)
+    except SystemExit as end:
+        code = end.code or 0
+    except BaseException:  # would be a traceback on a terminal
+        traceback.print_exc()
+        code = 1
+    sys.stderr.flush()
+    return code if isinstance(code, int) else 1
 
 
 def _show(player: Player, recording: Recording, *_: object, **__: object) -> None:
@@ -81,6 +97,8 @@ def _show(player: Player, recording: Recording, *_: object, **__: object) -> Non
 if __name__ == "__main__":
     for _name in SHARED:
         importlib.import_module(_name)
+    with contextlib.redirect_stdout(io.StringIO()):
+        _code_of(["list", "scenarios"])  # makes all commands of Click once
     gc.freeze()  # a collection in a forked process would copy all objects that it visits
     sys.modules["vcmvsp.cosim.cli.outputs"]._serve = _show  # type: ignore[attr-defined]
     os.environ["VCMVSP_FIGURES"] = "0"

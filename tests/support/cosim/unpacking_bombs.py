@@ -14,7 +14,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.writer import MCAP0_MAGIC
 
 DEEP, ROWS, LARGE = 100_000, 100_000_000, 10_000_000_000
-_STEP = 1 << 22
+_STEP = 1 << 20
 
 
 def rows(path: Path, like: Path, count: int = ROWS) -> None:
