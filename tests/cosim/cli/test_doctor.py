@@ -14,12 +14,12 @@ from zenoh.handlers import Callback
 from tests.support.cosim.command_line import assert_refused, vcmvsp_command
 from tests.support.cosim.run_processes import reserve_port
 from tests.support.cosim.secure_hub import lasting_links
-from vcmvsp.cosim.hosts import protocol
-from vcmvsp.cosim.hosts.event_publisher import Topics
+from vcmvsp.cosim.hosts import observers, protocol
+from vcmvsp.cosim.hosts.event_publisher import ECHO, Topics
 from vcmvsp.cosim.hosts.hub import Hub
 from vcmvsp.cosim.security import authority, certificates
 from vcmvsp.cosim.security.certificates import Keys
-from vcmvsp.cosim.transport import access_control, key_names
+from vcmvsp.cosim.transport import access_control, key_names, zenoh_session
 
 pytestmark = pytest.mark.sockets
 
@@ -45,6 +45,8 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Keys:
 def opened_hub(stack: contextlib.ExitStack, keys: Keys | None = None) -> Hub:
     hub = Hub("tcp/127.0.0.1:0" if keys is None else "tls/127.0.0.1:0", keys)
     stack.callback(hub.close)
+    if keys is None:
+        stack.enter_context(pytest.MonkeyPatch.context()).setattr(zenoh_session, "PROBE_S", 0.1)  # it never answers in TLS
     return hub
 
 
@@ -143,6 +145,8 @@ def test_another_clock_and_another_version(stack: contextlib.ExitStack, off_s: f
     def answer(query: zenoh.Query) -> None:
         about = {"version": "0.0.9", "protocol": 99, "wall_ns": time.time_ns() + int(off_s * 1e9), "you": {"name": "anyone"}}
         with query:
+            if query.payload is not None and query.payload.to_bytes() == ECHO:
+                hub.session.put(f"{key_names.TOPIC}echo/{key_names.OPEN}", b"")
             query.reply(query.key_expr, json.dumps(about))
 
     hub.session.declare_queryable(key_names.ABOUT, Callback(answer, indirect=False))
@@ -157,7 +161,8 @@ def test_another_clock_and_another_version(stack: contextlib.ExitStack, off_s: f
     assert abs(found - abs(off_s) * 1e3) <= spread + 0.02  # ms; both are rounded
 
 
-def test_a_run_without_a_description(stack: contextlib.ExitStack) -> None:
+def test_a_run_without_a_description(stack: contextlib.ExitStack, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(observers, "PATIENCE_S", 0.5)  # there is no answer to wait for
     code, checks = doctor_checks(opened_hub(stack).endpoint)
     assert code == 1
     assert checks["run"] == (False, "the listener there does not identify its run: use the same vcmvsp version at both ends")

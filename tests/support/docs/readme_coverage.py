@@ -43,7 +43,7 @@ def _in_the_gallery() -> dict[str, str]:
 
 LEARNING = "tests/docs/test_learning.py::test_blocks_of_the_page_run"
 LEARNED = "tests/docs/test_examples.py::test_learning_writes_policies_that_fly_and_the_figure"
-LEARNING_TASK = "tests/cosim/cli/test_new.py::test_it_runs_and_passes_its_own_test_unedited"
+LEARNING_TASK = "tests/cosim/cli/test_new.py::test_all_parts_run_and_pass_their_own_tests_unedited"
 EXAMPLES = "tests/docs/test_examples.py::test_a_script_makes_its_picture"
 
 RELAYS = "tests/validation/test_relay_canyon.py::test_rays_reach_around_corners_and_walls_do_not"
