@@ -49,6 +49,7 @@ def summary(target: object) -> str:
     return (inspect.getdoc(target) or "").partition("\n")[0]
 
 
+@functools.cache  # many classes share a base
 def _comments(target: type[Any]) -> dict[str, str]:
     """Comments of a class's fields: comment lines above the field, then comments in its own lines."""
     source = textwrap.dedent(inspect.getsource(target))

@@ -29,7 +29,7 @@ def test_a_formation_with_another_estimator_has_the_error_in_the_gallery(name: s
 def test_robots_on_patrol_collide_only_with_the_clearance_in_the_gallery() -> None:
     assert gallery_scenario("lab-patrol").metrics["safety"]["collisions"] == 0
     (clearance,) = re.findall(r"`--set agents.clearance=(\S+)` they collide", section("lab-patrol"))
-    bumping = vcmvsp.run("lab-patrol", set={"agents.clearance": float(clearance)}, mcap=False)
+    bumping = vcmvsp.run("lab-patrol", set={"agents.clearance": float(clearance), "duration_s": 25.0}, mcap=False)
     assert bumping.metrics["safety"]["collisions"] > 0
 
 

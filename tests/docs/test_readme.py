@@ -6,6 +6,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from pandas import read_parquet
 
 import vcmvsp
 from tests.support.cosim.command_line import vcmvsp_command
@@ -48,7 +49,7 @@ def test_the_twenty_lines_keep_the_gap() -> None:
     printed = vcmvsp_command("run", "gap.toml", "--out", "gap").out
     assert "gap: 2 agents (inprocess), 30 s simulated" in printed
     assert "error 0.5" in printed
-    states = vcmvsp.run("gap.toml").states.to_pandas()
+    states = read_parquet("gap/states.parquet")
     last = states[states.time_ns == states.time_ns.max()].set_index("vehicle")
     # On a straight line at v the gap grows by v (1/gain + mean age): the follower has no speed of the leader.
     assert last.x["car1"] - last.x["car2"] == pytest.approx(2.0 + 0.3 * (1 / 0.8 + 0.1 + 0.1 * 0.3 / 0.7), abs=0.1)

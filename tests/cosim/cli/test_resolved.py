@@ -78,7 +78,7 @@ def test_a_resolved_scenario_gives_the_same_bytes_again(folder: Path, text: str)
 
 @pytest.mark.parametrize("name", [name for name in scenarios.names() if name != "hybrid-formation"])  # has real vehicles
 def test_built_in_scenarios_are_the_same_when_resolved(folder: Path, name: str) -> None:
-    short = ["--set", "duration_s=1", "--set", "physics.kind=kinematic"]
+    short = ["--set", "duration_s=0.5", "--set", "physics.kind=kinematic"]
     assert vcmvsp_command("run", name, *short, "--out", "first").code == 0
     assert vcmvsp_command("run", "first/scenario.toml", "--out", "again").code == 0
     assert contents(folder / "again") == contents(folder / "first")

@@ -16,6 +16,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from tests.support.cosim.command_line import Outcome, vcmvsp_command
 from tests.support.hardware.stations import Run, mission, ready_station
 from tests.support.paths import ROOT
 from vcmvsp.hardware.drivers.base import DriverError
@@ -31,13 +32,12 @@ PATIENCE_S = 30.0
 COMMANDS = """
 import os, typer
 from pathlib import Path
-from vcmvsp.cosim.cli.robot import operator_command, stop_command
+from vcmvsp.cosim.cli.robot import operator_command
 from vcmvsp.hardware.drivers.base import DriverError
 from vcmvsp.hardware.station import emergency_stop as control
 control.folders = lambda: [Path(os.environ["XDG_RUNTIME_DIR"]) / "vcmvsp"]
 control.StopCaller.answers.__defaults__ = (float(os.environ["ANSWER_S"]),)
 app = typer.Typer()
-app.command("stop")(stop_command)
 app.command("operator")(operator_command)
 app()
 """
@@ -52,11 +52,11 @@ def runtime_folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         yield Path(folder) / "vcmvsp"
 
 
-def vcmvsp_command(*arguments: str, answer_s: float = PATIENCE_S) -> subprocess.CompletedProcess[str]:
+def stop(*arguments: str, answer_s: float = PATIENCE_S) -> Outcome:
     """The command; waits up to ``answer_s`` for a station's answer."""
-    command = [sys.executable, "-c", COMMANDS, *arguments]
-    environment = {**os.environ, "ANSWER_S": str(answer_s)}
-    return subprocess.run(command, capture_output=True, text=True, timeout=90, check=False, env=environment)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(StopCaller.answers, "__defaults__", (answer_s,))
+        return vcmvsp_command("stop", *arguments)
 
 
 def drive(run: Run) -> None:
@@ -67,9 +67,9 @@ def test_all_are_stopped_and_stay_so() -> None:
     with ready_station(mission()) as first, ready_station(mission(vehicle="car2")) as second:
         drive(first)
         drive(second)
-        process = vcmvsp_command("stop")
-        assert sorted(process.stdout.splitlines()) == ["car1: stopped (run test)", "car2: stopped (run test)"]
-        assert (process.stderr, process.returncode) == ("", 0)
+        outcome = stop()
+        assert sorted(outcome.out.splitlines()) == ["car1: stopped (run test)", "car2: stopped (run test)"]
+        assert (outcome.err, outcome.code) == ("", 0)
         for run in (first, second):
             report = run.until(
                 lambda each: each.odometry is not None and each.odometry.v == 0.0 and OPERATOR_STOP in each.causes, v=0.4
@@ -81,10 +81,10 @@ def test_all_are_stopped_and_stay_so() -> None:
 
 def test_one_is_stopped_and_a_missing_one_is_named() -> None:
     with ready_station(mission()) as first, ready_station(mission(vehicle="car2")) as second:
-        process = vcmvsp_command("stop", "car2", "car9", "--json")
-        assert process.returncode == 1
-        assert "as car9" in process.stderr
-        answers = json.loads(process.stdout)
+        outcome = stop("car2", "car9", "--json")
+        assert outcome.code == 1
+        assert "as car9" in outcome.err
+        answers = json.loads(outcome.out)
         assert [(each["vehicle"], each["state"], each["pid"]) for each in answers] == [("car2", "stopped", second.station.pid)]
         drive(first)
         with StopCaller() as caller:
@@ -93,9 +93,9 @@ def test_one_is_stopped_and_a_missing_one_is_named() -> None:
 
 
 def test_without_robots() -> None:
-    process = vcmvsp_command("stop")
-    assert (process.stdout, process.returncode) == ("", 1)
-    assert process.stderr == "vcmvsp: you drive no robot on this machine\n"
+    outcome = stop()
+    assert (outcome.out, outcome.code) == ("", 1)
+    assert outcome.err == "vcmvsp: you drive no robot on this machine\n"
 
 
 def test_remains_of_a_killed_station_are_removed(runtime_folder: Path) -> None:
@@ -104,17 +104,17 @@ def test_remains_of_a_killed_station_are_removed(runtime_folder: Path) -> None:
     os.kill(station.pid, signal.SIGKILL)
     station.close()
     assert len(list(runtime_folder.iterdir())) == 1
-    assert vcmvsp_command("stop").returncode == 1
+    assert stop().code == 1
     assert list(runtime_folder.iterdir()) == []
 
 
 def test_a_hanging_station_is_reported() -> None:
     with ready_station(mission()) as run:
         os.kill(run.station.pid, signal.SIGSTOP)
-        process = vcmvsp_command("stop", answer_s=emergency_stop.ANSWER_S)
+        outcome = stop(answer_s=emergency_stop.ANSWER_S)
         os.kill(run.station.pid, signal.SIGCONT)
-        assert process.returncode == 1
-        assert f"car1: DOES NOT ANSWER (process {run.station.pid})" in process.stdout
+        assert outcome.code == 1
+        assert f"car1: DOES NOT ANSWER (process {run.station.pid})" in outcome.out
         run.until(lambda each: OPERATOR_STOP in each.causes)  # it has received the stop
 
 
@@ -125,7 +125,7 @@ def test_robots_drive_while_there_is_an_operator() -> None:
         report = run.until(lambda each: each.order > 3, v=0.4)
         assert report.causes == ("operator",)
         operator = stack.enter_context(
-            subprocess.Popen([sys.executable, "-c", COMMANDS, "operator"], stdout=subprocess.PIPE, text=True, env=environment)
+            subprocess.Popen([sys.executable, "-c", COMMANDS], stdout=subprocess.PIPE, text=True, env=environment)
         )
         stack.callback(operator.kill)
         drive(run)
@@ -165,8 +165,8 @@ def test_a_robot_that_is_still_being_connected_is_given_up(tmp_path: Path) -> No
             while not caller.say("who"):
                 assert time.monotonic() < end
                 time.sleep(0.02)
-        process = vcmvsp_command("stop")
-        assert (process.stdout, process.returncode) == ("car1: stopped (run test)\n", 0)
+        outcome = stop()
+        assert (outcome.out, outcome.code) == ("car1: stopped (run test)\n", 0)
         (tmp_path / "go").touch()
         with pytest.raises(DriverError, match=OPERATOR_STOP):  # it might be taking off
             station.wait_ready()
@@ -191,8 +191,8 @@ def test_it_works_while_the_run_is_frozen(runtime_folder: Path) -> None:
         assert select.select([run.stdout], [], [], 60.0)[0]
         assert run.stdout.readline() == "drives\n"
         run.send_signal(signal.SIGSTOP)
-        process = vcmvsp_command("stop")
-        assert (process.stdout, process.returncode) == ("car1: stopped (run test)\n", 0)
+        outcome = stop()
+        assert (outcome.out, outcome.code) == ("car1: stopped (run test)\n", 0)
     finally:
         run.kill()
         run.communicate(timeout=PATIENCE_S)
