@@ -213,7 +213,7 @@ def test_iperf_measures_the_rate_of_the_link(tmp_path: Path) -> None:
             end = time.monotonic() + READY_S
             while ":1451 " not in on("car2", "cat", "/proc/net/tcp6", "/proc/net/tcp", run=name).stdout:  # its port, 5201
                 assert time.monotonic() < end
-            on("car1", "iperf3", "-c", "10.77.0.2", "-u", "-b", "5M", "-l", str(size), "-t", "4", run=name)
+            on("car1", "iperf3", "-c", "10.77.0.2", "-u", "-b", "5M", "-l", str(size), "-t", "3", run=name)
             report, _ = server.communicate(timeout=READY_S)
     sums = [each["sum"] for each in json.loads(report)["intervals"]][2:]
     rates = [each["bits_per_second"] for each in sums if each["seconds"] > 0.2]  # a shorter one is the last, or follows a stall

@@ -21,7 +21,8 @@ def section(name: str) -> str:
 @cache
 def gallery_scenario(name: str) -> vcmvsp.Result:
     """A built-in scenario as by its command, without what differs from run to run."""
-    (changed,) = re.findall(rf"^    vcmvsp run {name}((?: --set \S+)*)$", section(name), re.MULTILINE) or [""]
+    command = rf"(?:^ {{4}}|\(`)vcmvsp run {name}((?: --set [\w.=]+)*)(?:$|`)"  # in a block, or in brackets
+    (changed,) = re.findall(command, section(name), re.MULTILINE) or [""]
     settings = loader.settings_of(changed.split()[1::2])
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("VCMVSP_COMPILED", "1")  # pays for quadrotors, also with the compilation
