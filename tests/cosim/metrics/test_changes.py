@@ -79,7 +79,7 @@ def test_modes_of_followers_are_counted_to_and_from_the_task() -> None:
 
 
 @given(st.lists(st.tuples(st.integers(0, 99), st.sampled_from(["task", "avoid", "turn", "blind"])), max_size=12))
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=25)
 def test_modes_equal_a_plain_walk_over_the_ticks(modes: list[tuple[int, str]]) -> None:
     at_tick = dict(sorted(modes))
     state, before, toggles, away = None, None, 0, 0

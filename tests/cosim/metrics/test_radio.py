@@ -36,7 +36,7 @@ def area(sent: int, begin: int, end: int) -> float:
 
 
 @given(sends, st.sampled_from([50, 100, 170]), st.integers(0, 900), st.integers(0, 1200) | st.none(), st.booleans())
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=50)
 def test_ages_equal_a_plain_loop(sent: list[Any], period: int, begin: int, end: int | None, led: bool) -> None:
     """Against the definition, in steps of one millisecond, one frame at a time."""
     events, rows = [], []
@@ -118,7 +118,7 @@ def test_algebraic_connectivity_of_known_graphs(n: int) -> None:
 
 
 @given(st.integers(2, 8).flatmap(lambda n: st.tuples(st.just(n), st.sets(st.sampled_from(complete(n))))))
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None, max_examples=50)
 def test_connectivity_is_positive_exactly_for_connected_graphs(given_graph: tuple[int, set[tuple[int, int]]]) -> None:
     n, edges = given_graph
     adjacent = graph(n, edges)

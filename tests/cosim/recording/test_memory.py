@@ -80,12 +80,12 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_receptions_stay_out_of_memory(tmp_path: Path) -> None:
     tracemalloc.start()
     try:
-        memory(100, tmp_path)  # one-time allocations of the process
-        few, many = memory(100, tmp_path), memory(300, tmp_path)
+        memory(50, tmp_path)  # one-time allocations of the process
+        few, many = memory(50, tmp_path), memory(150, tmp_path)
     finally:
         tracemalloc.stop()
     rows, held, peak = (more - less for more, less in zip(many, few, strict=True))
-    assert rows == 200 * 20 * 19
+    assert rows == 100 * 20 * 19
     assert held <= HELD_BYTES * rows
     assert peak <= PEAK_BYTES * rows
 

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vcmvsp.cosim.tables import radio_frames
@@ -83,6 +83,7 @@ def row_by_row(frames: list[FrameReport]) -> Iterator[dict[str, Any]]:
             yield {**row, "wall_materials": row["wall_materials"] or ""}
 
 
+@settings(max_examples=50)
 @given(reports())
 def test_the_table_is_as_made_row_by_row(frames: list[FrameReport]) -> None:
     assert repr(radio_table(frames, FACTS).to_pylist()) == repr(list(row_by_row(frames)))
@@ -97,6 +98,7 @@ def test_paths_are_columns_if_a_channel_reports_them() -> None:
     assert table["delay_spread_ns"].to_pylist()[3:] == (0.1 * delay_ns).tolist()
 
 
+@settings(max_examples=40)
 @given(reports(), st.sampled_from((1, 3, 7)))
 def test_the_size_of_chunks_changes_no_byte(frames: list[FrameReport], rows: int) -> None:
     streams = []
