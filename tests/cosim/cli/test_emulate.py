@@ -2,10 +2,10 @@
 
 import json
 import math
+import os
 import select
 import signal
 import socket
-import subprocess
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -18,7 +18,8 @@ import pytest
 import serial  # type: ignore[import-untyped]
 
 from tests.support.cosim.command_line import assert_refused, vcmvsp_command
-from tests.support.cosim.run_processes import VCMVSP, reserve_port
+from tests.support.cosim.forked_programs import ForkedProgram
+from tests.support.cosim.run_processes import reserve_port
 from tests.support.hardware.driver_runs import open_resources
 from vcmvsp.cosim.types import Velocity
 from vcmvsp.hardware.drivers.arcos.driver import ArcosDriver
@@ -47,19 +48,21 @@ class Emulated:
     """A running command and its output."""
 
     def __init__(self, *arguments: str) -> None:
-        line = [*VCMVSP, "emulate", *arguments]
-        self.process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        reads, writes = os.pipe()
+        self.process = ForkedProgram("emulate", *arguments, folder=Path.cwd(), environment=os.environ, stdout=writes)
+        os.close(writes)
+        self.stdout = os.fdopen(reads)
 
     def line(self) -> str:
-        assert self.process.stdout is not None
-        assert select.select([self.process.stdout], [], [], PATIENCE_S)[0], "it says nothing"
-        return self.process.stdout.readline().rstrip("\n")
+        assert select.select([self.stdout], [], [], PATIENCE_S)[0], "it says nothing"
+        return self.stdout.readline().rstrip("\n")
 
-    def end(self, number: int = signal.SIGINT) -> tuple[int, str, str]:
+    def end(self, number: signal.Signals = signal.SIGINT) -> tuple[int | None, str, str]:
         """Interrupt it; exit code, stdout, stderr. No child process may be left."""
         children = psutil.Process(self.process.pid).children(recursive=True)
         self.process.send_signal(number)
-        out, err = self.process.communicate(timeout=PATIENCE_S)
+        out = self.stdout.read()
+        _, err = self.process.communicate()
         _, alive = psutil.wait_procs(children, timeout=500)
         assert not alive
         return self.process.returncode, out, err
@@ -73,7 +76,8 @@ def emulated(*arguments: str) -> Iterator[Emulated]:
     finally:
         if command_line.process.poll() is None:
             command_line.process.kill()
-        command_line.process.communicate(timeout=PATIENCE_S)
+        command_line.process.communicate()
+        command_line.stdout.close()
 
 
 @pytest.fixture

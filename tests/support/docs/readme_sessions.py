@@ -74,7 +74,7 @@ STORIES = (
         "paths of rays",
         (
             Step("vcmvsp run canyon.toml", f"{HERE} --set duration_s=1"),
-            Step("vcmvsp radio canyon.toml --coverage car1 --out rays.png", "--resolution 5"),
+            Step("vcmvsp radio canyon.toml --coverage car1 --out rays.png", "--resolution 10"),
             Step("vcmvsp radio canyon.toml --paths points.csv --out paths.parquet"),
         ),
         CANYON,
