@@ -36,7 +36,7 @@ ROCK = """
 name = "rock"
 pose = [9.0, 9.0, 0.0]
 """
-SCENARIO = team("far", LEADER + ', runs = "inprocess"', FOLLOWER, FOLLOWER, duration_s=3.0, loss=0.3, deadline_s=1.0) + ROCK
+SCENARIO = team("far", LEADER + ', runs = "inprocess"', FOLLOWER, FOLLOWER, duration_s=3.0, loss=0.3) + ROCK
 NOTED = """
 import os, pathlib, sys
 from vcmvsp import Agent, Velocity
@@ -252,7 +252,7 @@ def test_a_machine_that_ssh_cannot_reach_ends_the_wait(stage: LaunchStage) -> No
 def test_a_host_that_is_killed_later_is_named(stage: LaunchStage) -> None:
     command = toml_line(noting(stage.folder / "pid"))
     stage.hosts(f'[[host]]\nname = "far"\nvehicles = ["car2", "car3"]\ncommand = {command}\n')
-    launch = stage.launch("--realtime", "--set", "duration_s=3600")
+    launch = stage.launch("--realtime", "--set", "duration_s=3600", "--set", "agents.deadline_s=1.0")
     wait_for(stage.out / "run.mcap")
     os.kill(int((stage.folder / "pid").read_text()), signal.SIGKILL)
     output = output_at_exit(3, launch)

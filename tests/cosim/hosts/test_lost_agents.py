@@ -173,7 +173,7 @@ class ByHand(Stage):
         self.open_to: list[str] = []  # --insecure: to all users
 
     def run(self, *settings: str, seconds: float = 3600.0) -> subprocess.Popen[str]:
-        elsewhere = ["vehicle.car2.agent.runs=zenoh", "agents.on_lost=hold", "agents.deadline_s=1.0"]
+        elsewhere = ["vehicle.car2.agent.runs=zenoh", "agents.on_lost=hold", "agents.deadline_s=2.0"]
         more = [f"duration_s={seconds}", *elsewhere, *settings]
         sets = [word for setting in more for word in ("--set", setting)]
         return self.start(
@@ -219,7 +219,7 @@ def test_a_host_that_hangs_continues_with_its_state(stage: ByHand) -> None:
     """The agent keeps its state and continues to count. Its answer after the deadline does not count."""
     run = stage.run("vehicle.car2.agent.how=stop", f"vehicle.car2.agent.once={stage.folder / 'stopped'}")
     host = stage.host()
-    read_until(run, "car2 has lost its agent: did not answer within the deadline of 1 s")
+    read_until(run, "car2 has lost its agent: did not answer within the deadline of 2 s")
     host.send_signal(signal.SIGCONT)
     read_until(run, "car2 has its agent again")
     wait_for(stage.folder / "stopped and on")
@@ -332,7 +332,7 @@ def test_a_host_that_was_stopped_while_its_run_ended_ends_too(stage: ByHand) -> 
 
 def test_a_failed_agent_does_not_return_with_its_host(stage: ByHand) -> None:
     """Later its host hangs and returns; the agent does not."""
-    more = ("vehicle.car2.agent.how=raise", "vehicle.car2.agent.at=0.3")
+    more = ("vehicle.car2.agent.how=raise", "vehicle.car2.agent.at=0.3", "agents.deadline_s=1.0")
     run = stage.run(*more, seconds=3.0)
     host = stage.host()
     read_until(run, "car2 has lost its agent: raised RuntimeError: lost my way")

@@ -105,7 +105,7 @@ def test_a_click_in_the_browser_loses_frames_of_the_run_and_the_run_can_be_repea
 
 
 def test_the_page_opens_before_the_agents_join_and_shows_a_failed_start(chromium: Any, tmp_path: Path) -> None:
-    hosts = ("--agents", "zenoh", "--listen", "tcp/127.0.0.1:0", "--set", "agents.join_timeout_s=3")
+    hosts = ("--agents", "zenoh", "--listen", "tcp/127.0.0.1:0", "--set", "agents.join_timeout_s=6")
     with watched_run(tmp_path, *hosts) as (process, url):
         read_until(process, "vcmvsp agent")
         process.send_signal(signal.SIGSTOP)
