@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from types import SimpleNamespace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -223,8 +224,9 @@ class StationPage:
         return [part for folder in folders for part in folder._children.values() if isinstance(part, kind)]
 
     def looked_at(self, patch: pytest.MonkeyPatch) -> None:
-        """Pretend that a page is open."""
-        patch.setattr(self.server, "get_clients", lambda: {1: None})
+        """Pretend that a page is open, which has not reported its camera yet."""
+        page = SimpleNamespace(camera=SimpleNamespace(update_timestamp=0.0))
+        patch.setattr(self.server, "get_clients", lambda: {1: page})
 
     def told(self, act: Callable[[], None]) -> list[Any]:
         """Messages to the pages after a state."""

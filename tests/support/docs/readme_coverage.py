@@ -86,7 +86,7 @@ ELSEWHERE = _in_the_gallery() | {
     "vcmvsp run formation-circle --set bridge.udp.first_port=18000": (
         "tests/docs/test_doors.py::test_ports_agree_with_the_page"
     ),
-    "vcmvsp run swarm.toml": "tests/hardware/stacks/test_crazyflie.py::test_programs_of_cflib_fly_a_square_and_a_swarm",
+    "vcmvsp run swarm.toml": "tests/hardware/stacks/test_crazyflie.py::test_programs_of_cflib_fly_a_swarm_and_trajectories",
     "vcmvsp run nodes.toml": "tests/hardware/stacks/test_ros2.py::test_in_real_time_a_node_drives_and_its_end_is_a_loss",
     "vcmvsp run copters.toml": "tests/hardware/firmware/test_flights.py::test_several_take_off_fly_to_way_points_and_land",
     "vcmvsp launch gap.toml --hosts hosts.toml --keys keys": STARTED,
