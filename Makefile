@@ -7,7 +7,7 @@ endif
 UV_VERSION = 0.13.9
 VENV = .venv
 CORES := $(shell $(PYTHON) -c 'import os; print(len(os.sched_getaffinity(0)))')
-WORKERS ?= $(shell expr $(CORES) + 2)
+WORKERS ?= $(shell expr $(CORES) + 1)
 BIN = $(VENV)/bin
 UV = .uv/bin/uv
 
