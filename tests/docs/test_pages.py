@@ -138,6 +138,11 @@ def test_the_paper_agrees_with_validation_and_bibliography() -> None:
     assert set(re.findall(r"@(\w+)[\];]", paper)) == set(re.findall(r"^@\w+\{(\w+),", bibliography, re.MULTILINE))
 
 
+def test_missing_values_of_tables_are_described_as_null() -> None:
+    """``radio/frame`` in the recording has -1 there, and shares its descriptions with the table."""
+    assert "-1:" not in reference_pages.columns()
+
+
 @pytest.mark.parametrize("name", reference_pages.BLOCKS)
 def test_generated_pages_are_up_to_date(name: str) -> None:
     page = (reference_pages.FOLDER / name).read_text("utf-8")

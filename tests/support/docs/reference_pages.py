@@ -81,6 +81,7 @@ NOTES = {
 RADIO = {
     "copy_ns": "time of reception of a second copy, ns since the start of the run; null: none",
     "receiver": "name of the addressed vehicle",
+    "received_ns": "time of reception, ns since the start of the run; null: not received",
     "delay_ns": "`received_ns - sent_ns`, ns; null: not received",
 }
 
@@ -222,13 +223,7 @@ def columns() -> str:
             ]
             for each in schema
         ]
-        found += [
-            f"### `{title}`",
-            grid(
-                ["column", "type", "meaning"],
-                [[a, b, c.replace("; -1: it was lost", "; null: it was lost")] for a, b, c in rows],
-            ),
-        ]
+        found += [f"### `{title}`", grid(["column", "type", "meaning"], rows)]
     return "\n\n".join(found)
 
 
