@@ -216,8 +216,10 @@ def _code(program: Program) -> bytes:
     code = _read_code(path)
     if code is None:
         with _locked(path.with_suffix(".lock")):
-            code = _read_code(path) or _compile(program)  # another process may have made it in the meantime
-            _write_code(path, code)
+            code = _read_code(path)  # another process may have made it in the meantime
+            if code is None:
+                code = _compile(program)
+                _write_code(path, code)
     return code
 
 

@@ -15,6 +15,7 @@ from vcmvsp.cosim.config import binding, builtin_kinds, registry
 from vcmvsp.cosim.reference import describe
 from vcmvsp.cosim.reference.describe import Described, Key, keys_of
 from vcmvsp.cosim.reference.tree import NOT_SHARED, VEHICLE, Place, extra_keys, places
+from vcmvsp.cosim.scenario.loader import KEYS as REPEAT_KEYS
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 AGENTS = ("agents", f"{VEHICLE}.agent")
@@ -74,7 +75,7 @@ class _Tables:
         table["properties"] |= {key.name: _described(key, key.schema) for key in extra_keys(place)}
         if place.path == VEHICLE:
             table["required"].remove("count")
-            table["dependentRequired"] = {name: ["count"] for name in ("columns", "spacing", "turn_rad", "spread")}
+            table["dependentRequired"] = {name: ["count"] for name in REPEAT_KEYS if name != "count"}
         if place.path == "bridge":
             table["additionalProperties"] = {"type": "object"}  # gateways by any name
         group = "agent" if place.path in AGENTS else place.group

@@ -19,6 +19,7 @@ from vcmvsp.cosim.config import binding, builtin_kinds, registry
 from vcmvsp.cosim.errors import UsageError
 from vcmvsp.cosim.reference import describe
 from vcmvsp.cosim.reference.describe import Described, Key, keys_of, table_keys, toml
+from vcmvsp.cosim.scenario.loader import KEYS as REPEAT_KEYS
 from vcmvsp.cosim.scenario.loader import TABLES, Repeat
 from vcmvsp.cosim.scenario.schema import AgentTable, SafetyTable, Scenario, StationTable, VehicleTable
 
@@ -33,11 +34,7 @@ NOT_SHARED = (
     "driver",
     "firmware",
     "localisation",
-    "count",
-    "columns",
-    "spacing",
-    "turn_rad",
-    "spread",
+    *REPEAT_KEYS,
 )  # [vehicles] has none
 DOORS = [f"bridge.{kind}" for kind in builtin_kinds.KINDS["door"]]
 STACKS = [f"stack.{kind}" for kind in builtin_kinds.KINDS["stack"]]
