@@ -358,7 +358,7 @@ class Ledger(MapExchange):
                 self._others_changed[owner, tile], self._others[owner, tile] = changed, counts
 
     def _newer(self) -> Array:
-        """(members, tiles): whether relayed counts are newer than those of the contributor itself; False for this vehicle."""
+        """(members, tiles): whether relayed counts are newer than the counts from the contributor; False for this vehicle."""
         return self._others_changed > self._sent_ms
 
 

@@ -134,7 +134,7 @@ class Roster:
         return tuple(sorted({self._sector_of[name] for name in self.searchers(now_ns)}))
 
     def claims(self, now_ns: int) -> Mapping[str, Claim]:
-        """Latest claims of targets by the other members, by vehicle, without those that have expired."""
+        """Unexpired claims of targets by the other members, by vehicle."""
         return {
             name: each.claim
             for name, each in sorted(self._status_of.items())

@@ -22,6 +22,7 @@ import msgspec
 import numpy as np
 
 from vcmvsp.cosim.clock import SECOND_NS
+from vcmvsp.cosim.federate import vehicle_of
 from vcmvsp.cosim.frames import yaw_of
 from vcmvsp.cosim.types import Array, Image, Mosaic, ProbabilityMap, Scan, Sighting, Sightings, frozen
 from vcmvsp.cosim.util import limits
@@ -439,8 +440,7 @@ def messages_of(
     else:
         yield key, _annotations(value, Color(*rgb_of(color)))
         if value.jpeg:
-            vehicle = key.partition("/")[0]
-            yield f"{key}/{PICTURE}", CompressedImage(Time.of(value.time_ns), vehicle, value.jpeg)
+            yield f"{key}/{PICTURE}", CompressedImage(Time.of(value.time_ns), vehicle_of(key), value.jpeg)
 
 
 def corners_of(sighting: Sighting) -> list[tuple[float, float]]:

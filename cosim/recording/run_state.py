@@ -124,7 +124,7 @@ class RunState:
 
     def _on_note(self, key: str, time_ns: int, note: types.Note) -> None:
         vehicle, values = vehicle_of(key), note.values
-        newest = self.newest["notes"].setdefault(vehicle, {})
+        newest = self.newest["notes"].get(vehicle, {})
         changed = [name for name in LOGGED_NOTES_SET.intersection(values) if values[name] != newest.get(name)]
         if changed:  # rarely: agents note their mode at every tick
             self.lines.extend(changes(vehicle, time_ns, newest, values))
@@ -132,7 +132,7 @@ class RunState:
                 if name in values:
                     self.commanders[vehicle] = str(values[name])
         newest.update(values)
-        self.fresh["notes", vehicle] = None
+        self.keep("notes", vehicle, newest)
 
     def _on_newest(self, key: str, time_ns: int, value: object) -> None:
         self.keep(BY_VEHICLE[type(value)], vehicle_of(key), value)

@@ -32,7 +32,7 @@ import msgspec
 from vcmvsp.cosim.agent import Observation, check_body
 from vcmvsp.cosim.errors import FederateError, ScenarioError
 from vcmvsp.cosim.estimation.tangent_plane import TangentPlane
-from vcmvsp.cosim.federate import Event, RunControl, RunInfo, StackAnswer
+from vcmvsp.cosim.federate import Event, RunControl, RunInfo, StackAnswer, vehicle_of
 from vcmvsp.cosim.frames import Quaternion, product, quaternion_from_yaw, rotate2, yaw_of
 from vcmvsp.cosim.hosts.remote_host import LinkError
 from vcmvsp.cosim.recording import ros_messages as ros
@@ -259,7 +259,7 @@ class Ros2Stack:
 
     def _mounted(self, vehicle: str) -> ros.RosMessage | None:
         """The frames of a vehicle's sensors; None: it has none."""
-        own = {key: mount for key, mount in self._mounts.items() if key.partition("/")[0] == vehicle}
+        own = {key: mount for key, mount in self._mounts.items() if vehicle_of(key) == vehicle}
         parts = [ros.transform(0, BASE, key.partition("/")[2], *mount) for key, mount in own.items()]
         return ros.make("tf2_msgs/TFMessage", parts) if parts else None
 

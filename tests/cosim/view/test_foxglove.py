@@ -135,7 +135,7 @@ NONSENSE = (
 
 
 def test_a_client_gets_the_recorded_messages_and_changes_nothing(tmp_path: Path) -> None:
-    """Nor do others, whatever they send."""
+    """Other clients change nothing either: each sends an invalid or a forbidden message."""
     (tmp_path / "streamed.toml").write_text(SCENARIO)
     vcmvsp.run(tmp_path / "streamed.toml", out=tmp_path / "alone")
     with served(tmp_path, "Foxglove: ", *COMMAND) as (process, url):
