@@ -2,13 +2,14 @@
 
 import itertools
 from collections.abc import Collection, Iterator, Sequence
+from operator import itemgetter
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
-from vcmvsp.cosim.clock import Ticks, seconds_to_ns
-from vcmvsp.cosim.federate import Event, RunInfo, Slot, Step
+from vcmvsp.cosim.clock import seconds_to_ns
+from vcmvsp.cosim.federate import Event, Needed, RunInfo, Slot, Step
 from vcmvsp.cosim.rng import keys64, stream
 from vcmvsp.cosim.types import Array, Changed, Datagrams, FrameReport, Message, Outage, Seconds, States, Traffic, frozen
 from vcmvsp.cosim.util.text import Tell
@@ -59,8 +60,11 @@ class RadioFederate:
 
     With routing a message may need several frames, sent by the vehicles on its route (`netsim.routing`).
 
-    The federate is stepped with the senders, and when a frame ends on a contended medium or is forwarded; it never polls. With
-    ``report_at`` it is stepped at these instants instead of at the ends of frames: reports come later, with the same contents.
+    The federate is stepped with the senders, and when a frame ends on a contended medium or is forwarded; it never polls. If
+    ``looks_ahead`` is set, it decides all frames up to the run's next needed instant at once, and gives events in the future.
+
+    Attributes:
+        looks_ahead: only agents send, and nobody acts on the channel between the run's needed instants.
     """
 
     name = "radio"
@@ -93,7 +97,7 @@ class RadioFederate:
         self._channel, self._routing, self._programs, self._woken = channel, router, programs, frozenset(woken)
         self._least_dbm = reported_from_dbm
         self._handover_ns = seconds_to_ns(handover_s) if channel.contends else 0
-        self.report_at: Ticks | None = None
+        self.looks_ahead = False
 
     def start(self, run: RunInfo) -> int | None:
         """Start with an idle channel."""
@@ -104,6 +108,7 @@ class RadioFederate:
         if run.paced:  # no compilation during the run, which takes seconds
             self._channel.expect(MANY if self._programs else 0)
         self._end_ns, self._vehicles = run.duration_ns, run.vehicles
+        self._needed, self._ahead_ns = Needed(run), 0  # instants, and the last until which frames were decided
         self._row = {name: row for row, name in enumerate(run.vehicles)}
         self._rows: dict[tuple[str, ...], Array] = {}  # by receivers of a frame
         self._own: dict[tuple[str, ...], tuple[list[int], tuple[str, ...]]] = {}  # vehicles with a radio here, by all names
@@ -143,11 +148,20 @@ class RadioFederate:
             reports += decided
         if posts or now_ns == self._end_ns:
             reports += self._decided(now_ns)
-        due = self._channel.next_ns()
-        if due is not None and self.report_at is not None:
-            due = self.report_at.after(due - 1)
         events = self._reported(self._events(reports, now_ns))
+        if posts and now_ns < self._ahead_ns:
+            raise ValueError(f"a message came at {now_ns} ns; frames up to {self._ahead_ns} ns were decided without it")
+        if self.looks_ahead and (posts or not self._needed.hits(now_ns)):  # else agents may send at this instant
+            events += self._ahead(now_ns)
+        due = self._channel.next_ns()
         return Step(events, None if due is None or now_ns == self._end_ns else min(due, self._end_ns))
+
+    def _ahead(self, now_ns: int) -> Iterator[Event]:
+        """Events of the frames that are decided after now, up to the next needed instant, each at its time."""
+        self._ahead_ns = self._needed.after(now_ns) or now_ns
+        for at_ns, decided in itertools.groupby(self._channel.decisions(self._ahead_ns), key=itemgetter(0)):
+            reports = self._with_networks([report for _, report in decided])
+            yield from self._reported(self._events(reports, at_ns))
 
     def _step_routed(self, network: RoutingNetwork, now_ns: int, inbox: Sequence[Event], reports: list[FrameReport]) -> Step:
         posts = list(self._posts(inbox, now_ns))

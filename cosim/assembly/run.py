@@ -232,7 +232,10 @@ def assemble(
     except BaseException:
         hosts.close()
         raise
-    others = [each for each in (energy, programs.in_run_time, programs.bridge, programs.playback, outside) if each is not None]
+    outsiders = [each for each in (programs.in_run_time, programs.bridge, programs.playback, outside) if each is not None]
+    others = outsiders if energy is None else [energy, *outsiders]
+    # Of several radios, frames that end at the same time would be in another order.
+    airs[0].looks_ahead = len(airs) == 1 and not (outsiders or scenario.intervention or scenario.routing)
     return AssembledRun(
         scenario=scenario,
         source=source,

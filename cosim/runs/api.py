@@ -140,6 +140,9 @@ class Simulation:
             self._clock = self._live.clock
             if self._control is not None:
                 self._control.also = self._live.listen
+        if self._live is not None or self._control is not None:  # orders may come at any time
+            for radio in run.radios:
+                radio.looks_ahead = False
         topics, live = run.hosts.topics, self._live
         self._broadcast = None
         if topics is not None:

@@ -211,13 +211,7 @@ def start(
 
 
 def _unrecorded(run: AssembledRun, observe: Observer) -> Steps:
-    """Steps of a run without a recording, whose radio need not report frames before the next tick of agents."""
-    ticks = {info.ticks for info in run.agents}
-    has_batteries = any(vehicle.battery is not None for vehicle in run.scenario.vehicle)  # frames take power when they end
-    if len(ticks) == 1 and not (run.scenario.routing or run.has_outside or has_batteries):
-        at = ticks.pop()
-        for each in run.radios:
-            each.report_at = at
+    """Steps of a run without a recording."""
     kernel = Kernel(run.info, run.federates, clock=run.clock)
     run.start(kernel)
     try:

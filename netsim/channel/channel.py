@@ -296,9 +296,16 @@ class Channel:
 
     def advance(self, until_ns: int) -> list[FrameReport]:
         """Reports of all frames that are decided up to ``until_ns``."""
+        return [report for _, report in self.decisions(until_ns)]
+
+    def decisions(self, until_ns: int) -> list[tuple[int, FrameReport]]:
+        """`advance` with the time of each decision, ns."""
         if self._contention is None:
             return []
-        return [report for batch in self._contention.advance(until_ns) for report in self._reports(batch)]
+        decided: list[tuple[int, FrameReport]] = []
+        for batch in self._contention.advance(until_ns):
+            decided += zip(batch.end_ns, self._reports(batch), strict=True)
+        return decided
 
     def next_ns(self) -> int | None:
         """Earliest time of the next decision if no other frame is sent; None: no frame waits."""

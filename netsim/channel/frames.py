@@ -1,6 +1,6 @@
 """Transmitters, frames, their levels, and contended frames from the queue until the medium has decided them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from heapq import heappop, heappush
 from typing import Any
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from vcmvsp.cosim.rng import link_uniform
 from vcmvsp.cosim.types import Message
-from vcmvsp.netsim.channel.link_budget import Budgets, MeanBudget, ReceivedSignal, ReceiverModel
+from vcmvsp.netsim.channel.link_budget import AT_ONCE, Budgets, MeanBudget, ReceivedSignal, ReceiverModel
 from vcmvsp.netsim.impairments.script import Script
 from vcmvsp.netsim.impairments.trace import Trace
 from vcmvsp.netsim.interfaces.layers import (
@@ -27,7 +27,7 @@ from vcmvsp.netsim.interfaces.layers import (
     SenderLinks,
     sealed,
 )
-from vcmvsp.netsim.interfaces.medium import Codes, Decided, Fate, Medium, Offered
+from vcmvsp.netsim.interfaces.medium import Codes, DecidedFrames, Fate, Medium, Offered
 
 
 class Transmitter:
@@ -159,6 +159,7 @@ class Contention:
         self._coming: list[tuple[int, int, Offered]] = []  # heap by time and frame: on their way to the queue
         self._answers: dict[int, Floats] = {}  # by frame, until it is offered: levels of its acknowledgement
         optional: Any = medium
+        self._advance_many: Callable[[int], Sequence[DecidedFrames]] = getattr(medium, "advance_many", self._advance_by_frame)
         self._levels_mw: Floats | None = None  # of acknowledgements, (n, n)
         if hasattr(medium, "levels") and hasattr(medium, "sensitivity_mw"):
             self._levels_mw = optional.levels
@@ -192,18 +193,29 @@ class Contention:
         heappush(self._coming, (arrival_ns, sent.frame, offered))
 
     def advance(self, until_ns: int) -> list[FrameBatch]:
-        """Frames that the medium decides up to ``until_ns``, one by one."""
+        """Frames that the medium decides up to ``until_ns``, in order of time."""
         if not self.waiting:
             return []
-        decided: list[Decided] = []
+        decided: list[DecidedFrames] = []
         while self._coming and self._coming[0][0] <= until_ns:
             offered = heappop(self._coming)[2]
             if offered.to >= 0 and self._levels_mw is not None:  # not earlier: an earlier acknowledgement may be on the air
-                decided += self.medium.advance(offered.time_ns)
+                decided += self._decided(offered.time_ns)
                 self._levels_mw[offered.to] = self._answers.pop(offered.number)
             self.medium.offer(offered)
-        decided += self.medium.advance(until_ns)
+        decided += self._decided(until_ns)
         return [self._settled(each) for each in decided]
+
+    def _decided(self, until_ns: int) -> Iterator[DecidedFrames]:
+        """Decisions of the medium up to ``until_ns``, in parts of at most `AT_ONCE` links."""
+        for decided in self._advance_many(until_ns):
+            at_once = max(1, AT_ONCE // decided.fate.shape[1])
+            for start in range(0, len(decided.number), at_once):
+                yield DecidedFrames._make(column[start : start + at_once] for column in decided)
+
+    def _advance_by_frame(self, until_ns: int) -> list[DecidedFrames]:
+        decided = self.medium.advance(until_ns)
+        return [DecidedFrames.of(decided)] if decided else []
 
     def next_ns(self) -> int | None:
         """Earliest time of the next decision if no other frame is sent; None: no frame waits."""
@@ -213,17 +225,21 @@ class Contention:
         due = self.medium.next_ns()
         return min(times if due is None else [*times, due])
 
-    def _settled(self, decided: Decided) -> FrameBatch:
-        sent = self.waiting.pop(decided.number)
-        if decided.attempts and sent.tries:  # a later attempt is possible if the acknowledgement was lost
-            sent.level_dbm, sent.fading_db = sent.tries[decided.attempts - 1]
-        others = sent.sender.others
-        snr_db = sinr_db = self._hearing.over_noise(sent.level_dbm)[None]
-        if decided.attempts:
-            least_sinr = decided.least_sinr[others]
-            least_sinr[least_sinr <= 0.0] = np.nan  # no ratio at a radio that was sending itself
-            sinr_db = sealed(10.0 * np.log10(least_sinr))[None]
-        return FrameBatch([sent], decided.fate[others][None], [decided.start_ns], [decided.end_ns], snr_db, sinr_db)
+    def _settled(self, decided: DecidedFrames) -> FrameBatch:
+        frames = [self.waiting.pop(number) for number in decided.number.tolist()]
+        for sent, attempts in zip(frames, decided.attempts.tolist(), strict=True):
+            if attempts and sent.tries:  # a later attempt is possible if the acknowledgement was lost
+                sent.level_dbm, sent.fading_db = sent.tries[attempts - 1]
+        shape = len(frames), decided.fate.shape[1] - 1
+        others = np.arange(shape[1] + 1) != np.array([sent.sender.row for sent in frames])[:, None]
+        snr_db = self._hearing.over_noise(np.stack([sent.level_dbm for sent in frames]))
+        least_sinr = decided.least_sinr[others].reshape(shape)
+        least_sinr[least_sinr <= 0.0] = np.nan  # no ratio at a radio that was sending itself
+        sinr_db = 10.0 * np.log10(least_sinr)
+        if np.count_nonzero(decided.attempts) < len(frames):  # some were never sent
+            sinr_db = np.where(decided.attempts[:, None] > 0, sinr_db, snr_db)
+        fate = decided.fate[others].reshape(shape)
+        return FrameBatch(frames, fate, decided.start_ns.tolist(), decided.end_ns.tolist(), snr_db, sealed(sinr_db))
 
 
 def at_all(values: Floats, row: int) -> Floats:

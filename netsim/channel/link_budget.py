@@ -439,8 +439,10 @@ class ReceiverModel:
 
     def weaknesses(self, means: Sequence[MeanBudget]) -> Codes:
         """Causes of too weak signals, (k, n): the first of distance, walls, shadowing that suffices; else fading."""
-        rows = [self._weaknesses_of(mean.every)[mean.place] for mean in means]
-        return rows[0][None] if len(rows) == 1 else np.stack(rows)
+        every = means[0].every
+        if all(mean.every is every for mean in means):
+            return self._weaknesses_of(every)[[mean.place for mean in means]]
+        return np.stack([self._weaknesses_of(mean.every)[mean.place] for mean in means])
 
     def _weaknesses_of(self, every: LinkBudget) -> Codes:
         if every.weakness is None:

@@ -81,6 +81,11 @@ class DecidedFrames(NamedTuple):
     fate: Codes  # (m, n)
     least_sinr: Floats  # (m, n)
 
+    @classmethod
+    def of(cls, decided: Sequence[Decided]) -> "DecidedFrames":
+        """Decisions of several frames."""
+        return cls._make(np.array([getattr(each, name) for each in decided]) for name in cls._fields)
+
     def frames(self) -> Iterator[Decided]:
         """The decisions one by one."""
         columns = (column.tolist() for column in self[:4])

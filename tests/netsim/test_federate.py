@@ -143,8 +143,8 @@ def test_at_wall_pace_nothing_is_compiled_but_at_the_start_and_only_where_progra
     """Compiling would stop the run for a second; with code loaded beforehand, the outcomes are equal."""
     compiled: list[int] = []
     code_is_had(monkeypatch, lambda: compiled.append(1))
-    monkeypatch.setattr("vcmvsp.netsim.mac.dcf.medium.COMPILE_AFTER", 10)
-    monkeypatch.setattr("vcmvsp.netsim.mac.dcf.medium.LOAD_AFTER", 10)
+    monkeypatch.setattr("vcmvsp.netsim.mac.dcf.medium.COMPILE_AFTER_S", 1.0)
+    monkeypatch.setattr("vcmvsp.netsim.mac.dcf.medium.LOAD_S", 1.0)
     monkeypatch.setattr("vcmvsp.netsim.mac.dcf.medium.FRAME_S", 0.1)
 
     def fates(*, paced: bool) -> list[tuple[str, ...]]:

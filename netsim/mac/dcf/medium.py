@@ -35,9 +35,9 @@ from vcmvsp.netsim.phy.dsss import Dsss
 from vcmvsp.netsim.phy.error_rate import ErrorRate
 from vcmvsp.netsim.phy.ofdm import Ofdm
 
-FRAME_S = 1e-4  # CPU time of a frame of 3 to 50 radios, interpreted
-LOAD_AFTER = round(LOAD_S / FRAME_S)  # frames for which loading compiled code pays
-COMPILE_AFTER = 5000  # frames for which compiling pays, once for each computer
+FRAME_S = 1e-4  # CPU time of a frame of up to `FEW` radios, interpreted
+FEW = 50
+COMPILE_AFTER_S = 0.5  # CPU time of interpreted frames from which compiling pays, once for each computer
 PER_FRAME = tuple(name for name, shape in SHAPES.items() if shape[0] == "c")
 PER_SIZE = tuple(name for name, shape in SHAPES.items() if shape[0] == "z")
 CORE = error_rate, capture, access
@@ -86,7 +86,8 @@ class DcfMedium:
     ) -> None:
         self._longest_bytes = longest_bytes
         self._phy, self._keys, self._rules, count = phy, keys, rules, len(keys)
-        self._done, self._faster_at = 0, LOAD_AFTER if compile_core is None and available() else None  # frames
+        self._frame_s = FRAME_S * max(1.0, count / FEW)
+        self._done, self._faster_at_s = 0, LOAD_S if compile_core is None and available() else None
         self._curves = list(curves)  # of the rows of `DcfState.tables`
         self._rates = rates
         self._state = new_state(rules, count, sensitivity_mw, np.stack([each.table for each in curves]), len(rates))
@@ -109,20 +110,21 @@ class DcfMedium:
         self._state.drawn[:] = 1
         self._core = Core(CORE, self._state, self._rules)
         self._run = self._core.interpreted
-        seen = self._faster_at is not None and self._core.is_loaded  # by an earlier run
+        seen = self._faster_at_s is not None and self._core.is_loaded  # by an earlier run
         if (compile_core or seen) and count:
-            self._run, self._faster_at = self._core.compiled, None
+            self._run, self._faster_at_s = self._core.compiled, None
 
     def expect(self, frames: int) -> None:
         """Hint of the expected number of frames; decides now whether to compile."""
-        if self._faster_at is not None:
-            self._go_faster(frames)
-        self._faster_at = None
+        if self._faster_at_s is not None:
+            self._go_faster(self._frame_s * frames)
+        self._faster_at_s = None
 
     def foresee(self, frames: int) -> None:
         """Hint of the number of further frames; loads compiled code if that pays."""
-        if self._faster_at is not None and frames >= LOAD_AFTER:
-            self._go_faster(min(frames, COMPILE_AFTER - 1))
+        work_s = self._frame_s * frames
+        if self._faster_at_s is not None and work_s >= LOAD_S:
+            self._go_faster(min(work_s, 0.99 * COMPILE_AFTER_S))
 
     # --- offers ---
 
@@ -232,6 +234,8 @@ class DcfMedium:
     def _work_off(self, until_ns: int) -> None:
         if until_ns < self._state.counts[SOONEST]:
             return
+        if self._faster_at_s is not None and (work_s := self._frame_s * (self._done + self._undecided)) >= self._faster_at_s:
+            self._go_faster(work_s)
         while code := self._run(self._state, self._rules, until_ns):
             if code == LEVELS:
                 self._ask()
@@ -278,13 +282,11 @@ class DcfMedium:
         for place in freed if self._renew else ():
             self._renew.pop(place, None)
         self._done += count
-        if self._faster_at is not None and self._done >= self._faster_at:
-            self._go_faster(self._done)
 
-    def _go_faster(self, frames: int) -> None:
-        """Switch to compiled code if that pays for this number of frames; else set the number for the next check."""
-        self._run = self._core.chosen(FRAME_S * frames, FRAME_S * COMPILE_AFTER)
-        self._faster_at = None if self._core.is_loaded else COMPILE_AFTER
+    def _go_faster(self, work_s: float) -> None:
+        """Switch to compiled code if that pays for this CPU time of interpreted frames, else check again later."""
+        self._run = self._core.chosen(work_s, COMPILE_AFTER_S)
+        self._faster_at_s = None if self._core.is_loaded else COMPILE_AFTER_S
 
     # --- forecast ---
 
