@@ -101,9 +101,8 @@ async def test_where_there_is_no_room_nothing_is_lost_nor_overtaken_until_the_op
         context.room = True
         await until(lambda: len(context.offered) == 1000)
         assert [each.payload for each in context.offered] == [b"%d" % k for k in range(1000)]
-        times = [each.came_ns for each in context.offered]
-        assert times == sorted(times)
-        assert times[-1] < read_ns  # times of arrival, not of reading
+        # Times of arrival, not of reading; their order may change if the wall clock is set, and the store restores it.
+        assert max(each.came_ns for each in context.offered) < read_ns
 
 
 async def test_datagrams_without_room_in_the_system_are_counted() -> None:
