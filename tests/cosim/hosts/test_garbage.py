@@ -23,7 +23,7 @@ from vcmvsp.cosim.transport.zenoh_session import client
 pytestmark = [pytest.mark.processes, pytest.mark.sockets]
 
 AGENTS = 'kind = "waits.py:Waits", until = 1.5', FOLLOWER
-SCENARIO = team("garbage", *AGENTS, duration_s=2.0, runs="zenoh", deadline_s=60.0, join_timeout_s=60.0)
+SCENARIO = team("garbage", *AGENTS, duration_s=2.0, runs="zenoh", deadline_s=300.0, join_timeout_s=300.0)
 CONNECTIONS = 300
 SPARE_JOINS = 64  # join requests that may wait, in addition to one for each expected host
 

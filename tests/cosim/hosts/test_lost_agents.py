@@ -172,9 +172,9 @@ class ByHand(Stage):
         self._scenario = scenario
         self.open_to: list[str] = []  # --insecure: to all users
 
-    def run(self, *settings: str, seconds: float = 3600.0) -> subprocess.Popen[str]:
+    def run(self, *settings: str) -> subprocess.Popen[str]:
         elsewhere = ["vehicle.car2.agent.runs=zenoh", "agents.on_lost=hold", "agents.deadline_s=2.0"]
-        more = [f"duration_s={seconds}", *elsewhere, *settings]
+        more = ["duration_s=3600", *elsewhere, *settings]
         sets = [word for setting in more for word in ("--set", setting)]
         return self.start(
             "run", str(self._scenario), "--out", "out", "--listen", self.endpoint, "--realtime", *sets, *self.open_to
@@ -333,15 +333,15 @@ def test_a_host_that_was_stopped_while_its_run_ended_ends_too(stage: ByHand) -> 
 def test_a_failed_agent_does_not_return_with_its_host(stage: ByHand) -> None:
     """Later its host hangs and returns; the agent does not."""
     more = ("vehicle.car2.agent.how=raise", "vehicle.car2.agent.at=0.3", "agents.deadline_s=1.0")
-    run = stage.run(*more, seconds=3.0)
-    host = stage.host()
+    run, host = stage.run(*more), stage.host()
     read_until(run, "car2 has lost its agent: raised RuntimeError: lost my way")
     host.send_signal(signal.SIGSTOP)
     time.sleep(1.5)
     host.send_signal(signal.SIGCONT)
-    assert [exit_of(each)[0] for each in (run, host)] == [0, 0]
-    metrics = stage.written()["agents"]["car2"]
-    assert [each[2]["state"] for each in presences(stage.out)] == ["lost"]
+    time.sleep(0.5)  # it continues before the run ends
+    _, metrics, events = stage.finish(run)
+    assert exit_of(host)[0] == 0
+    assert [each[2]["state"] for each in events] == ["lost"]
     assert metrics["reconnects"] == 0
     assert metrics["missed"] - round(metrics["lost_s"] / 0.1) in (0, 1)  # the run may end at a tick
-    assert metrics["missed"] > 20
+    assert metrics["missed"] > 0
