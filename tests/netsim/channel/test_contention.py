@@ -8,7 +8,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.stats import ks_2samp
 
@@ -63,6 +63,7 @@ STEADY: dict[str, Any] = {"jammer": JAMMER, "fading": {"kind": "none"}}
 @pytest.mark.parametrize(("preset", "mac"), MACS)
 @settings(max_examples=8)
 @given(offers=OFFERS, cuts=st.lists(st.integers(0, 200_000), max_size=10), changes=st.sampled_from([{}, STEADY]))
+@example(offers=[(0, 0, 0), (0, 0, 0), (0, 3, 4)], cuts=[6848], changes={})  # a received frame on the air again at the cut
 def test_every_frame_is_reported_once_however_the_channel_is_advanced(
     preset: str, mac: str, offers: list[Offer], cuts: list[int], changes: dict[str, Any]
 ) -> None:
