@@ -50,8 +50,8 @@ class Log:
             return self.place
 
 
-def square(scf: SyncCrazyflie) -> list[tuple[float, list[float]]]:
-    """Positions at the corners of a square, flown by velocities, and the duration of each side, s."""
+def square(scf: SyncCrazyflie) -> tuple[list[tuple[float, list[float]]], float]:
+    """Positions at the corners of a square, flown by velocities, and the duration of each side, s; wanted height, m."""
     log = Log(scf)
     with MotionCommander(scf, default_height=0.3) as motion:
         corners = [(0.0, log.place_after(1.0))]
@@ -60,7 +60,7 @@ def square(scf: SyncCrazyflie) -> list[tuple[float, list[float]]]:
             side(SIDE_M)
             flown_s = log.time_s - begin_s
             corners.append((flown_s, log.place_after(0.5)))
-    return corners
+        return corners, motion._thread.get_height()
 
 
 def go_to(scf: SyncCrazyflie) -> list[list[float]]:
