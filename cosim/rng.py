@@ -1,25 +1,30 @@
 """Random numbers as named, counter-based streams: an additional vehicle or draw never changes the draws of others.
 
 `stream` gives an ordinary NumPy generator for a name. `link_uniform` gives the draws of many (link, frame) pairs at once,
-each a pure function of seed, link, frame and slot, so that evaluation order and grouping do not matter.
-The generator is Philox4x32-10 (Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC'11).
+each a pure function of seed, link, frame and slot, so that evaluation order and grouping do not matter. The generator is
+`cosim.philox`.
 """
 
 import hashlib
+import threading
 from collections.abc import Iterable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.random.bit_generator import ISeedSequence
 from numpy.typing import NDArray
 
+from vcmvsp.cosim import philox
+from vcmvsp.cosim.compiled.machine_code import Core, Interpreted
+
 U64 = NDArray[np.uint64]
 Word = int | NDArray[Any]  # word of a counter or key: a plain integer, or an array in uint64
 
-_M0, _M1, _W0, _W1 = 0xD2511F53, 0xCD9E8D57, 0x9E3779B9, 0xBB67AE85
-_LOW = 0xFFFFFFFF
-_ROUNDS = 10
+PAIR_S = 5e-8  # CPU time of a pair of numbers by NumPy
+COMPILE_AFTER_S = 2.0  # CPU time of such work from which compiling pays, once for each computer
 _FEW = 12  # up to so many numbers, plain Python is faster than NumPy
+_MANY = 1024  # from so many on, compiled code is faster
 
 
 class _Key(ISeedSequence):
@@ -53,17 +58,8 @@ def stream(seed: int, name: str) -> np.random.Generator:
 
 def philox4x32(counter: tuple[Word, Word, Word, Word], key: tuple[Word, Word]) -> tuple[U64, U64, U64, U64]:
     """Philox4x32-10 over arrays: four counter words and two key words of 32 bits each (held in uint64)."""
-    a, b, c, d = _rounds(*(np.asarray(word, np.uint64) for word in (*counter, *key)))
+    a, b, c, d = philox.rounds(*(np.asarray(word, np.uint64) for word in (*counter, *key)))
     return np.asarray(a), np.asarray(b), np.asarray(c), np.asarray(d)
-
-
-def _rounds(x0: Word, x1: Word, x2: Word, x3: Word, k0: Word, k1: Word) -> tuple[Word, Word, Word, Word]:
-    low, m0, m1, w0, w1 = _LOW, _M0, _M1, _W0, _W1
-    for _ in range(_ROUNDS):
-        p0, p1 = x0 * m0, x2 * m1
-        x0, x1, x2, x3 = (p1 >> 32) ^ x1 ^ k0, p1 & low, (p0 >> 32) ^ x3 ^ k1, p0 & low
-        k0, k1 = (k0 + w0) & low, (k1 + w1) & low
-    return x0, x1, x2, x3
 
 
 def link_uniform(keys: U64, frames: U64, slot: int) -> NDArray[np.float64]:
@@ -80,12 +76,33 @@ def link_uniform(keys: U64, frames: U64, slot: int) -> NDArray[np.float64]:
     keys, frames = np.asarray(keys, np.uint64), np.asarray(frames, np.uint64)
     if keys.size * frames.size <= _FEW:
         every, numbers = np.broadcast_arrays(keys, frames)
-        pairs = [_pair(key, frame, slot) for key, frame in zip(every.ravel().tolist(), numbers.ravel().tolist(), strict=True)]
+        words = zip(every.ravel().tolist(), numbers.ravel().tolist(), strict=True)
+        pairs = [philox.pair(key, frame, slot) for key, frame in words]
         return np.array(pairs, np.float64).reshape(*every.shape, 2)
-    return np.stack(np.broadcast_arrays(*_pair(keys, frames, slot)), axis=-1)
+    uniform = _compiled(keys, frames, slot) if np.broadcast(keys, frames).size >= _MANY else None
+    if uniform is not None:
+        return uniform
+    return np.stack(np.broadcast_arrays(*philox.pair(keys, frames, slot)), axis=-1)
 
 
-def _pair(keys: Word, frames: Word, slot: int) -> tuple[NDArray[Any] | float, NDArray[Any] | float]:
-    """The two uniforms of one draw, or of an array of draws."""
-    a, b, c, d = _rounds(frames & _LOW, frames >> 32, slot, 0, keys & _LOW, keys >> 32)
-    return ((a << 21) ^ (b >> 11)) * 2.0**-53, ((c << 21) ^ (d >> 11)) * 2.0**-53
+def _compiled(keys: U64, frames: U64, slot: int) -> NDArray[np.float64] | None:
+    """`link_uniform` in compiled code, ten times as fast; None: that does not pay yet."""
+    core = _core(threading.get_ident())
+    keys, frames = np.broadcast_arrays(keys, frames)
+    run = core.chosen(PAIR_S * keys.size, COMPILE_AFTER_S)
+    if isinstance(run, Interpreted):
+        return None
+    first, second = np.empty((2, keys.size))
+    run(philox.Draws((_signed(keys), _signed(frames)), (first, second)), philox.Which(slot), keys.size)
+    return np.stack((first.reshape(keys.shape), second.reshape(keys.shape)), axis=-1)
+
+
+@lru_cache
+def _core(_thread: int) -> Core:
+    """A core of this thread's own: each call has arrays of its own."""
+    none = np.zeros(0)
+    return Core((philox,), philox.Draws((_signed(none), _signed(none)), (none, none)), philox.Which(0))
+
+
+def _signed(words: NDArray[Any]) -> NDArray[np.int64]:
+    return words.ravel().view(np.int64)

@@ -18,7 +18,7 @@ import inspect
 import os
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from pathlib import Path
 from types import BuiltinFunctionType, FunctionType, ModuleType
 from typing import Any
@@ -44,7 +44,12 @@ _work_s: dict[Program, float] = {}  # CPU time of work, interpreted, since the c
 
 def available() -> bool:
     """Whether functions will be compiled."""
-    return os.environ.get("VCMVSP_COMPILED", "1") != "0" and importlib.util.find_spec("numba") is not None
+    return os.environ.get("VCMVSP_COMPILED", "1") != "0" and _has_numba()
+
+
+@cache
+def _has_numba() -> bool:
+    return importlib.util.find_spec("numba") is not None
 
 
 class Block:

@@ -1,10 +1,14 @@
 """Random streams: published test vectors of the generator, uniformity, independence from all other draws."""
 
+import threading
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from vcmvsp.cosim import rng
+from vcmvsp.cosim.compiled.machine_code import LOAD_S, Core
 from vcmvsp.cosim.rng import key64, link_uniform, philox4x32, stream
 
 # Known-answer vectors of the reference implementation (Random123, tests/kat_vectors, "philox4x32 10").
@@ -66,6 +70,19 @@ def test_every_bit_of_link_frame_and_slot_counts(key: int, frame: int, slot: int
 
 def test_draws_broadcast_over_links_and_frames() -> None:
     assert link_uniform(np.arange(3, dtype=np.uint64)[:, None], np.arange(5, dtype=np.uint64), 1).shape == (3, 5, 2)
+
+
+@pytest.mark.parametrize("slot", [0, 2**32 - 1])
+def test_compiled_draws_are_those_of_numpy(slot: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    edges = np.array([0, 1, 2**31, 2**32 - 1, 2**32, 2**63, 2**64 - 1], np.uint64)
+    keys = np.concatenate([edges, np.random.default_rng(3).integers(0, 2**64, 200, np.uint64)])
+    frames = np.concatenate([edges, np.arange(3, dtype=np.uint64)])[:, None]
+    by_numpy = link_uniform(keys, frames, slot)
+    monkeypatch.setenv("VCMVSP_COMPILED", "1")
+    monkeypatch.setattr(Core, "is_cached", True)
+    monkeypatch.setattr(rng, "PAIR_S", LOAD_S)  # compiled at once
+    assert link_uniform(keys, frames, slot).tolist() == by_numpy.tolist()
+    assert rng._core(threading.get_ident()).is_loaded
 
 
 # One million fixed draws each: each test's result is always the same. One good generator in two million exceeds a bound of 5
