@@ -235,7 +235,7 @@ def assemble(
     outsiders = [each for each in (programs.in_run_time, programs.bridge, programs.playback, outside) if each is not None]
     others = outsiders if energy is None else [energy, *outsiders]
     # Of several radios, frames that end at the same time would be in another order.
-    airs[0].looks_ahead = len(airs) == 1 and not (outsiders or scenario.intervention or scenario.routing)
+    airs[0].looks_ahead = len(airs) == 1 and not (outsiders or stacked.by_place or scenario.intervention or scenario.routing)
     return AssembledRun(
         scenario=scenario,
         source=source,
