@@ -228,9 +228,10 @@ class Contention:
 
     def _settled(self, decided: DecidedFrames) -> FrameBatch:
         frames = [self.waiting.pop(number) for number in decided.number.tolist()]
-        for sent, attempts in zip(frames, decided.attempts.tolist(), strict=True):
-            if attempts and sent.tries:  # a later attempt is possible if the acknowledgement was lost
-                sent.level_dbm, sent.fading_db = sent.tries[attempts - 1]
+        for k, (sent, attempts) in enumerate(zip(frames, decided.attempts.tolist(), strict=True)):
+            if attempts and sent.tries:  # later attempts are possible, and go on, if the acknowledgement was lost
+                level_dbm, fading_db = sent.tries[attempts - 1]
+                frames[k] = msgspec.structs.replace(sent, level_dbm=level_dbm, fading_db=fading_db)
         shape = len(frames), decided.fate.shape[1] - 1
         others = np.arange(shape[1] + 1) != np.array([sent.sender.row for sent in frames])[:, None]
         snr_db = self._hearing.over_noise(np.stack([sent.level_dbm for sent in frames]))

@@ -16,7 +16,7 @@ from vcmvsp.netsim.federate import RadioFederate
 CARS = tuple(f"car{number}" for number in range(1, 6))
 RADIOS: list[tuple[dict[str, Any], int]] = [  # with the longest message, bytes: the queues are never empty for long
     ({"preset": "wifi-b-1", "fading": {"kind": "rayleigh"}}, 1000),
-    ({"preset": "zigbee"}, 100),
+    ({"preset": "zigbee", "fading": {"kind": "rayleigh"}}, 100),
     ({"preset": "lora-sf7"}, 50),
 ]
 
@@ -53,7 +53,7 @@ def test_decisions_ahead_of_time_change_no_byte(
         "record": {"heard": True, "period_s": 0.07},
         "agents": {"latency_s": latency_s},
         "vehicles": {"kind": "kinematic"},
-        "vehicle": [{"name": name, "position": [20.0 * i, 5.0 * i, 0.0]} for i, name in enumerate(CARS)],
+        "vehicle": [{"name": name, "position": [35.0 * i, 5.0 * i, 0.0]} for i, name in enumerate(CARS)],
     }
     steps: dict[str, list[int]] = {"ahead": [], "at their time": []}
     step = RadioFederate.step
