@@ -128,11 +128,10 @@ class RxPower:
         """
         frame = sent.frame_at(start_ns, start_ns + sent.air_ns, sent.mean.level_dbm)
         is_traced = self._trace is not None and not np.isnan(self._trace.level_dbm(frame)[place])
-        _, fading_db = sent.tries[-1]  # of an earlier attempt in `sent`, if that one was received and has been decided
-        if self._fading is None or fading_db is None or is_traced:
+        if self._fading is None or sent.fading_db is None or is_traced:
             return 1.0
         gain_db = self._fading.gain_db(frame, sent.draw(ACK_FADING_SLOT + sent.attempts))
-        return float(10.0 ** ((gain_db[place] - fading_db[place]) / 10.0))
+        return float(10.0 ** ((gain_db[place] - sent.fading_db[place]) / 10.0))
 
 
 def decode(frames: Sequence[SentFrame], signal: ReceivedSignal) -> Codes:
