@@ -62,7 +62,7 @@ def test_it_takes_off_flies_and_lands(run: subprocess.Popen[str], port: int) -> 
         assert newest(driver).state.position[2] < 0.05  # landed on close
         run.kill()
         with pytest.raises(LinkLost):
-            eventually(lambda: driver.read() and False)
+            eventually(lambda: driver.read() and False, 120.0)
 
 
 def test_no_aircraft(port: int) -> None:
