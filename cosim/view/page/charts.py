@@ -105,7 +105,7 @@ class Chart:
     def __init__(self, server: viser.ViserServer) -> None:
         self._gui = server.gui
         self._place = server.gui.add_folder(None)
-        self._node: viser.GuiUplotHandle | None = None
+        self._node: viser.GuiUplotHandle | viser.GuiMarkdownHandle | None = None
         self._frame: tuple[object, ...] = ()
 
     def draw(self, title: str, time_s: Array, curves: Array, names: list[str], strokes: list[str], *, log: bool) -> None:
@@ -122,18 +122,25 @@ class Chart:
             title, curves, ends = in_unit(title, unit), curves / unit, (ends[0] / unit, ends[1] / unit)
         frame = title, ends, log, tuple(names), tuple(strokes)
         data = (time_s, *np.ascontiguousarray(curves.T))
-        if frame == self._frame and self._node is not None:
-            self._node.data = data
+        if frame == self._frame:
+            if isinstance(self._node, viser.GuiUplotHandle):
+                self._node.data = data
             return
+        self.clear()
+        self._frame = frame
+        with self._place:
+            if ends is None:
+                self._node = self._gui.add_markdown(f"*{title}: no value above 0*" if log else f"*{title}: no value*")
+            else:
+                # The value axis has explicit limits: the page cannot find the limits of curves that begin with a gap.
+                scale: uplot.Scale = {"range": ends, "distr": 3 if log else 1}
+                self._node = self._make_plot(title, data, scale, names, strokes)
+
+    def clear(self) -> None:
+        """Show nothing."""
         if self._node is not None:
             self._node.remove()
-            self._node = None
-        self._frame = frame
-        if ends is not None:
-            # The value axis has explicit limits: the page cannot find the limits of curves that begin with a gap.
-            scale: uplot.Scale = {"range": ends, "distr": 3 if log else 1}
-            with self._place:
-                self._node = self._make_plot(title, data, scale, names, strokes)
+        self._node, self._frame = None, ()
 
     def _make_plot(
         self, title: str, data: tuple[Array, ...], scale: uplot.Scale, names: list[str], strokes: list[str]
@@ -193,13 +200,15 @@ class Charts:
         names = [self._names[row] for row in rows]
         strokes = [css_of(row, dark=self._dark) for row in rows]
         left_out = f", {len(rows)} of {len(self._names)} vehicles" if len(rows) < len(self._names) else ""
-        nothing = np.full((len(time_s), len(self._names)), np.nan)
         for choice, chart in self._places:
             if options != tuple(choice.options):
                 choice.options = options
             title = picked(choice)
-            numbers = np.array(history.numbers[title]) if title in history.numbers else nothing
-            chart.draw(f"{title}{left_out}", time_s, numbers[:, rows], names, strokes, log=self._log.value)
+            if title in history.numbers:
+                numbers = np.array(history.numbers[title])
+                chart.draw(f"{title}{left_out}", time_s, numbers[:, rows], names, strokes, log=self._log.value)
+            else:
+                chart.clear()
 
     def _redraw(self) -> None:
         self._new = bool(self._history.time_s)

@@ -121,6 +121,8 @@ def test_charts_show_first_and_chosen_vehicles_and_known_values() -> None:
         assert [each["label"] for each in speed.series[1:]] == [f"v{index}" for index in range(1, 8)]
         assert speed.data[0].tolist() == [0.0, 1.0, 2.0]
         assert speed.data[1] == pytest.approx([0.3 * 2.25] * 3)
+        texts = [text.content for text in station_page.parts(viser.GuiMarkdownHandle)]
+        assert "*Formation error [m], 7 of 9 vehicles: no value*" in texts
         station_page.use("Vehicle", "v9")
         station_page.show(3.0, sent=None, heard_ns={})
         speed, error = station_page.parts(viser.GuiUplotHandle)
