@@ -38,7 +38,7 @@ SOONER = (  # hellos, and so routes, in half the time; car3 and relief begin hal
 )
 PROGRAMS = {"babel": "babeld -w", "bird": "bird -f"}  # parts of their command lines
 CARS = ("car1", "car2", "car3", "car4", "car5", "car6", "relief")
-ASK_EVERY_S, READY_S, ROUTES_S, REPAIR_S, DELIVERY_S = 1.0, 40.0, 60.0, 120.0, 240.0
+ASK_EVERY_S, READY_S, ROUTES_S, REPAIR_S, DELIVERY_S = 1.0, 40.0, 60.0, 300.0, 240.0
 LOSS, HOPS = 0.02, 5
 DATAGRAM_BYTES = 228  # with the headers of UDP and IPv4
 
