@@ -6,9 +6,8 @@ each a pure function of seed, link, frame and slot, so that evaluation order and
 """
 
 import hashlib
-import threading
 from collections.abc import Iterable
-from functools import lru_cache
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -87,19 +86,17 @@ def link_uniform(keys: U64, frames: U64, slot: int) -> NDArray[np.float64]:
 
 def _compiled(keys: U64, frames: U64, slot: int) -> NDArray[np.float64] | None:
     """`link_uniform` in compiled code, ten times as fast; None: that does not pay yet."""
-    core = _core(threading.get_ident())
     keys, frames = np.broadcast_arrays(keys, frames)
-    run = core.chosen(PAIR_S * keys.size, COMPILE_AFTER_S)
-    if isinstance(run, Interpreted):
+    core = _core()
+    if isinstance(core.chosen(PAIR_S * keys.size, COMPILE_AFTER_S), Interpreted):
         return None
     first, second = np.empty((2, keys.size))
-    run(philox.Draws((_signed(keys), _signed(frames)), (first, second)), philox.Which(slot), keys.size)
+    core.call(philox.Draws((_signed(keys), _signed(frames)), (first, second)), philox.Which(slot), keys.size)
     return np.stack((first.reshape(keys.shape), second.reshape(keys.shape)), axis=-1)
 
 
-@lru_cache
-def _core(_thread: int) -> Core:
-    """A core of this thread's own: each call has arrays of its own."""
+@cache
+def _core() -> Core:
     none = np.zeros(0)
     return Core((philox,), philox.Draws((_signed(none), _signed(none)), (none, none)), philox.Which(0))
 

@@ -99,6 +99,10 @@ class Core:
             self._compiled = Compiled(_loaded[self._program])
         return self._compiled
 
+    def call(self, first: Any, second: Any, number: int) -> int:
+        """Call compiled code that is loaded, once with these arrays."""
+        return _loaded[self._program](Block(first), Block(second), number)
+
     @property
     def is_loaded(self) -> bool:
         """Whether this process has loaded the compiled code."""

@@ -1,7 +1,5 @@
 """Random streams: published test vectors of the generator, uniformity, independence from all other draws."""
 
-import threading
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -82,7 +80,7 @@ def test_compiled_draws_are_those_of_numpy(slot: int, monkeypatch: pytest.Monkey
     monkeypatch.setattr(Core, "is_cached", True)
     monkeypatch.setattr(rng, "PAIR_S", LOAD_S)  # compiled at once
     assert link_uniform(keys, frames, slot).tolist() == by_numpy.tolist()
-    assert rng._core(threading.get_ident()).is_loaded
+    assert rng._core().is_loaded
 
 
 # One million fixed draws each: each test's result is always the same. One good generator in two million exceeds a bound of 5
