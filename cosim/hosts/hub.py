@@ -143,12 +143,17 @@ class ZenohLink:
                 answer = self._accept(self._news.get(timeout=waits_s))
             except queue.Empty:
                 answer = None
+                self._extend(time.monotonic() - now - waits_s)
                 if self._is_reachable:
                     self._ask_again()
                 else:
                     self._check_whether_ended()
             if answer is not None:
                 return answer
+
+    def _extend(self, stalled_s: float) -> None:
+        """Add the time in which this process stood still to the deadlines of all open questions."""
+        self._open = deque(each._replace(last=each.last + stalled_s) for each in self._open)
 
     def look(self) -> bytes | None:
         """The answer to the oldest open question if it has arrived, even late."""
