@@ -2,7 +2,6 @@
 
 import itertools
 from collections.abc import Collection, Iterator, Sequence
-from operator import itemgetter
 from typing import NamedTuple
 
 import msgspec
@@ -47,7 +46,7 @@ class RadioFederate:
                                      replay (`netsim.channel.replayed`), else when it ends, or at the end of the run
     ``radio/traffic``     out        `Traffic`: the same for all datagrams that are decided at an instant
     ``radio/routed``      out        `Routed`: route of a message, at its end; with routing only
-    ``radio/receptions``  out        `Receptions`: of the messages that are decided at an instant
+    ``radio/receptions``  out        `Receptions`: of the messages that are decided at an instant, or ahead of time up to one
     ``<vehicle>/heard``   out        `Reception`, at the time of arrival, for the vehicles in ``woken``
     ====================  =========  ===============================================================================
 
@@ -156,12 +155,19 @@ class RadioFederate:
         due = self._channel.next_ns()
         return Step(events, None if due is None or now_ns == self._end_ns else min(due, self._end_ns))
 
-    def _ahead(self, now_ns: int) -> Iterator[Event]:
-        """Events of the frames that are decided after now, up to the next needed instant, each at its time."""
+    def _ahead(self, now_ns: int) -> list[Event]:
+        """Events of the frames that are decided after now, up to the next needed instant.
+
+        Reports have their own times; receptions are one event at that instant, before which no agent looks at them.
+        """
         self._ahead_ns = self._needed.after(now_ns) or now_ns
-        for at_ns, decided in itertools.groupby(self._channel.decisions(self._ahead_ns), key=itemgetter(0)):
-            reports = self._with_networks([report for _, report in decided])
-            yield from self._reported(self._events(reports, at_ns))
+        events, receptions = list[Event](), ReceptionLog(self._vehicles)
+        decisions = self._channel.decisions(self._ahead_ns)
+        reports = self._with_networks([report for _, report in decisions])
+        for (at_ns, _), report in zip(decisions, reports, strict=True):
+            self._add_receptions(receptions, self._open.pop(report.frame)[0], report)
+            events.append(Event("radio/frame", at_ns, report))
+        return self._reported([*events, *receptions.events(self._ahead_ns)])
 
     def _step_routed(self, network: RoutingNetwork, now_ns: int, inbox: Sequence[Event], reports: list[FrameReport]) -> Step:
         posts = list(self._posts(inbox, now_ns))
