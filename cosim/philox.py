@@ -9,6 +9,9 @@ from typing import Any, NamedTuple
 from numpy import float64, int64
 from numpy.typing import NDArray
 
+Word = int | int64 | NDArray[Any]
+"""A word of a counter or key; of NumPy's in 64 bits."""
+
 M0, M1, W0, W1 = 0xD2511F53, 0xCD9E8D57, 0x9E3779B9, 0xBB67AE85
 LOW = 0xFFFFFFFF
 ROUNDS = 10
@@ -29,7 +32,7 @@ class Which(NamedTuple):
     slot: int
 
 
-def rounds(x0: Any, x1: Any, x2: Any, x3: Any, k0: Any, k1: Any) -> tuple[Any, Any, Any, Any]:
+def rounds(x0: Word, x1: Word, x2: Word, x3: Word, k0: Word, k1: Word) -> tuple[Word, Word, Word, Word]:
     """Ten rounds over four counter words with two key words, of 32 bits each."""
     for _ in range(ROUNDS):
         p0, p1 = x0 * M0, x2 * M1
@@ -38,7 +41,7 @@ def rounds(x0: Any, x1: Any, x2: Any, x3: Any, k0: Any, k1: Any) -> tuple[Any, A
     return x0, x1, x2, x3
 
 
-def pair(key: Any, frame: Any, slot: int) -> tuple[Any, Any]:
+def pair(key: Word, frame: Word, slot: int) -> tuple[float | NDArray[Any], float | NDArray[Any]]:
     """Two uniforms in [0, 1) of 53 bits."""
     a, b, c, d = rounds(frame & LOW, (frame >> 32) & LOW, slot, 0, key & LOW, (key >> 32) & LOW)
     return ((a << 21) ^ (b >> 11)) * UNIT, ((c << 21) ^ (d >> 11)) * UNIT

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from vcmvsp.cosim import philox
 from vcmvsp.cosim.compiled.machine_code import Core, Interpreted
+from vcmvsp.cosim.philox import Word
 
 U64 = NDArray[np.uint64]
-Word = int | NDArray[Any]  # word of a counter or key: a plain integer, or an array in uint64
 
 PAIR_S = 5e-8  # CPU time of a pair of numbers by NumPy
 COMPILE_AFTER_S = 2.0  # CPU time of such work from which compiling pays, once for each computer

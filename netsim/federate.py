@@ -63,7 +63,7 @@ class RadioFederate:
     ``looks_ahead`` is set, it decides all frames up to the run's next needed instant at once, and gives events in the future.
 
     Attributes:
-        looks_ahead: only agents send, and nobody acts on the channel between the run's needed instants.
+        looks_ahead: whether agents are the only senders and no order changes the channel between the run's needed instants.
     """
 
     name = "radio"

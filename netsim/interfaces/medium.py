@@ -98,8 +98,8 @@ class Medium(Protocol):
 
     Optional attributes: ``levels`` (n, n) mW of acknowledgements, sender by row, and ``sensitivity_mw`` (n,) of the radios,
     which the channel sets; ``power_mw`` (n,) of the radios, by which a medium without ``levels`` scales acknowledgements;
-    ``foresee(frames)``, a hint of the number of further frames; ``offer_many`` and ``advance_many`` for arrays of broadcasts,
-    see `netsim.mac.dcf.medium.DcfMedium`.
+    ``foresee(frames)``, a hint of the number of further frames; ``advance_many``, all decisions as arrays, and ``offer_many``,
+    arrays of broadcasts, see `netsim.mac.dcf.medium.DcfMedium`.
     """
 
     def expect(self, frames: int) -> None:

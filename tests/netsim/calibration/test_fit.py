@@ -152,7 +152,7 @@ def test_losses_that_level_does_not_explain_are_counted() -> None:
 def test_a_sensitivity_that_received_rows_contradict_is_refused() -> None:
     rng = np.random.default_rng(1)
     a, b = points(rng, 100), points(rng, 100)
-    with pytest.raises(UsageError, match=r"sensitivity -60 dBm: (9.|100)% of the received rows are weaker, down to "):
+    with pytest.raises(UsageError, match=r"sensitivity -60 dBm: 9.% of the received rows are weaker, down to "):
         fit(links(a, b, mean_of(a, b)), sensitivity_dbm=-60.0)
 
 
